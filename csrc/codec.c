@@ -278,7 +278,7 @@ static int is_feedback(const rthyb_message *m, enum rthyb_field value)
 }
 
 /* None, or one that fits its signal and means nothing else. */
-static int is_told(const rthyb_codec *codec, uint32_t raw, uint32_t other)
+static int notice_is_valid(const rthyb_codec *codec, uint32_t raw, uint32_t other)
 {
     const int32_t bits = codec->command.field[RTHYB_FIELD_STATE].length;
     const int fits = bits >= 32 || (bits > 0 && raw >> bits == 0);
@@ -320,8 +320,8 @@ int rthyb_codec_check(const rthyb_codec *codec)
                      is_whole(c, RTHYB_FIELD_STATE, 0) && is_feedback(x, RTHYB_FIELD_X) &&
                      is_feedback(f, RTHYB_FIELD_F) && c->id != x->id && c->id != f->id &&
                      (x->id != f->id || x->length == f->length) &&
-                     is_told(codec, codec->reset, codec->leaving) &&
-                     is_told(codec, codec->leaving, codec->reset);
+                     notice_is_valid(codec, codec->reset, codec->leaving) &&
+                     notice_is_valid(codec, codec->leaving, codec->reset);
     return good ? 0 : RTHYB_E_CODEC;
 }
 
@@ -364,19 +364,19 @@ static int recognise(const rthyb_message *m, const rthyb_frame *frame)
 /* What this drive has for it; where it has nothing, nothing is to happen at it. */
 static uint32_t state_to_table(const rthyb_codec *codec, uint32_t state)
 {
-    if (state == RTHYB_TOLD_RESET)
+    if (state == RTHYB_NOTICE_RESET)
         return codec->reset;
-    return state == RTHYB_TOLD_LEAVING ? codec->leaving : state;
+    return state == RTHYB_NOTICE_LEAVING ? codec->leaving : state;
 }
 
 static uint32_t state_from_table(const rthyb_codec *codec, uint32_t raw)
 {
     if (raw != 0 && raw == codec->reset)
-        return RTHYB_TOLD_RESET;
+        return RTHYB_NOTICE_RESET;
     if (raw != 0 && raw == codec->leaving)
-        return RTHYB_TOLD_LEAVING;
+        return RTHYB_NOTICE_LEAVING;
     /* A number of ours that this table gives no meaning has none. */
-    return raw == RTHYB_TOLD_RESET || raw == RTHYB_TOLD_LEAVING ? UINT32_MAX : raw;
+    return raw == RTHYB_NOTICE_RESET || raw == RTHYB_NOTICE_LEAVING ? UINT32_MAX : raw;
 }
 
 static int table_put_setpoint(const rthyb_codec *codec, const rthyb_setpoint *setpoint,

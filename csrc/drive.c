@@ -110,7 +110,7 @@ static int is_fresh(const rthyb_drive *d, uint32_t seq)
  * a crash perhaps, is not asked. */
 static int is_released(const rthyb_drive *d)
 {
-    return d->state == RTHYB_TOLD_RESET || (d->state == RTHYB_IDLE && !d->latched);
+    return d->state == RTHYB_NOTICE_RESET || (d->state == RTHYB_IDLE && !d->latched);
 }
 
 static void take_setpoint(rthyb_drive *d, const rthyb_setpoint *setpoint)
@@ -175,11 +175,11 @@ static void take_commands(rthyb_drive *d)
 
 static void watch(rthyb_drive *d)
 {
-    const int told = d->state == RTHYB_TRIPPED;
-    if (d->phase != RTHYB_DRIVE_FOLLOWING || (!told && d->silent < d->watchdog))
+    const int commanded = d->state == RTHYB_TRIPPED;
+    if (d->phase != RTHYB_DRIVE_FOLLOWING || (!commanded && d->silent < d->watchdog))
         return;
     d->phase = RTHYB_DRIVE_STOPPING;
-    d->latched = d->state != RTHYB_TOLD_LEAVING;
+    d->latched = d->state != RTHYB_NOTICE_LEAVING;
 }
 
 /* One tick of braking from the velocity of the last two targets. */

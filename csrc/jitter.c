@@ -33,7 +33,7 @@ typedef struct {
     uint32_t count;
 } team;
 
-static int told_to_stop(const rthyb_jitter *jitter)
+static int stop_requested(const rthyb_jitter *jitter)
 {
     return __atomic_load_n(&jitter->stop, __ATOMIC_ACQUIRE) != 0;
 }
@@ -54,7 +54,7 @@ static int64_t meet(meeting *m)
 {
     int64_t start_ns = 0;
     __atomic_fetch_add(&m->ready, 1u, __ATOMIC_RELEASE);
-    while (!start_ns && !told_to_stop(m->jitter)) {
+    while (!start_ns && !stop_requested(m->jitter)) {
         nap();
         start_ns = __atomic_load_n(&m->start_ns, __ATOMIC_ACQUIRE);
     }
@@ -129,7 +129,7 @@ static void keep_time(meeting *m, rthyb_timing *timing, int64_t offset_ns)
     (void)rthyb_ticker_init(&timing->ticker, RTHYB_CLOCK_HOST, m->jitter->rate_hz,
                             start_ns + offset_ns);
     rthyb_thread_usage(&before);
-    while (timing->ticker.elapsed < m->jitter->ticks && !told_to_stop(m->jitter) &&
+    while (timing->ticker.elapsed < m->jitter->ticks && !stop_requested(m->jitter) &&
            rthyb_ticker_wait(&timing->ticker, &tick)) {
         if (timing == &m->jitter->measured)
             carry(m, &tick);
@@ -194,7 +194,7 @@ static int begin_all(team *crew, meeting *m)
 
 static void give_start(meeting *m, uint32_t count)
 {
-    while (__atomic_load_n(&m->ready, __ATOMIC_ACQUIRE) < count && !told_to_stop(m->jitter))
+    while (__atomic_load_n(&m->ready, __ATOMIC_ACQUIRE) < count && !stop_requested(m->jitter))
         nap();
     __atomic_store_n(&m->start_ns, rthyb_now_ns() + HEAD_START_NS, __ATOMIC_RELEASE);
 }

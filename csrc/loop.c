@@ -36,8 +36,8 @@ size_t rthyb_loop_size(void)
 /* An echo of few bits tells of half their round and no more; at 1024 Hz and below that is enough, or never was. */
 static int32_t stale_samples(const rthyb_wire *wire, double h)
 {
-    const uint32_t wanted = standard_ticks(STALE_ECHO, h), told = wire->echo_mask / 4;
-    const uint32_t most = told > STALE_ECHO ? told : STALE_ECHO;
+    const uint32_t wanted = standard_ticks(STALE_ECHO, h), unambiguous = wire->echo_mask / 4;
+    const uint32_t most = unambiguous > STALE_ECHO ? unambiguous : STALE_ECHO;
     return (int32_t)(wanted < most ? wanted : most);
 }
 
@@ -138,7 +138,7 @@ static void hand_over(rthyb_loop *loop, const rthyb_station *next)
     }
 }
 
-void rthyb_loop_go_on(rthyb_loop *loop, const rthyb_last_command *last)
+void rthyb_loop_continue_from(rthyb_loop *loop, const rthyb_last_command *last)
 {
     loop->offered = 1;
     for (int i = 0; i < loop->axis_count; i++) {
@@ -209,8 +209,8 @@ void rthyb_loop_beat(rthyb_loop *loop)
 static int heartbeat_late(rthyb_loop *loop, uint64_t ticks)
 {
     const uint64_t beat = peek(&loop->heartbeat);
-    loop->silence = beat == loop->heard ? loop->silence + ticks : 0;
-    loop->heard = beat;
+    loop->silence = beat == loop->last_beat ? loop->silence + ticks : 0;
+    loop->last_beat = beat;
     const int late = loop->silence > loop->heartbeat_ticks;
     add(&loop->counters.late_heartbeats, (uint64_t)late);
     return late;
@@ -368,7 +368,7 @@ static int send_command(rthyb_loop *loop, int axis, const rthyb_station_output *
     double sent_m = 0.0;
     const double wanted_m = command_for_wire(&at->wire->codec, &at->calibration, &out->axis[axis]);
     const int nowhere = isnan(wanted_m) && isfinite(out->axis[axis].x_cmd_m);
-    const int code = rthyb_wire_command(at->wire, wanted_m, out->told, &frame, &sent_m);
+    const int code = rthyb_wire_command(at->wire, wanted_m, out->sent_state, &frame, &sent_m);
     way->beyond = nowhere || (code & RTHYB_S_OUT_OF_RANGE);
     add(&loop->counters.beyond, (uint64_t)way->beyond);
     const int sent = !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(at->link, &frame);
@@ -423,7 +423,7 @@ static void note_sent(rthyb_loop *loop, const rthyb_tick *tick, uint32_t unsent)
 
 static void follow_drive(rthyb_loop *loop, const rthyb_tick *tick, const arrivals *found)
 {
-    const int came = !found->axis[0].lost && is_punctual(loop, tick) && !loop->overheard;
+    const int came = !found->axis[0].lost && is_punctual(loop, tick) && !loop->flooded;
     const double after_due_ns = (double)(loop->way[0].arrived_ns - tick->due_ns);
     rthyb_phase *phase = &loop->phase;
     rthyb_ticker_trim(&loop->ticker, rthyb_phase_step(phase, came, after_due_ns));
@@ -583,7 +583,7 @@ void rthyb_loop_step(rthyb_loop *loop)
  * times and no more; what it brings after that has no stamp. */
 static void listen(rthyb_loop *loop)
 {
-    loop->overheard = 0;
+    loop->flooded = 0;
     const int64_t due_ns = rthyb_ticker_due_ns(&loop->ticker, loop->ticker.elapsed);
     for (int i = 0; i < RTHYB_WAKE_UPS_MAX; i++) {
         if (!rthyb_link_wait(loop->cfg.axis[0].link, due_ns - rthyb_now_ns()))
@@ -591,7 +591,7 @@ static void listen(rthyb_loop *loop)
         add(&loop->counters.wake_ups, 1);
         take_in(loop, 0, rthyb_now_ns());
     }
-    loop->overheard = 1;
+    loop->flooded = 1;
 }
 
 static int wait_for_tick(rthyb_loop *loop, rthyb_tick *tick)
@@ -732,7 +732,7 @@ static int take_leave(const rthyb_loop *loop, int axis)
     double sent_m;
     const double wire_m =
         command_to_wire(&at->calibration, s->controller.axis[axis].x_cmd + s->axis[axis].tare_cmd);
-    const int code = rthyb_wire_command(at->wire, wire_m, RTHYB_TOLD_LEAVING, &frame, &sent_m);
+    const int code = rthyb_wire_command(at->wire, wire_m, RTHYB_NOTICE_LEAVING, &frame, &sent_m);
     return !(code & RTHYB_S_NOT_FINITE) && rthyb_link_send(at->link, &frame);
 }
 

@@ -63,14 +63,14 @@ struct rthyb_loop {
     uint64_t loads, load_answer; /* generation of the load; its answer: generation << 1 | refused */
     uint64_t load_tick;          /* tick of the loop that was tick 0 of the current station */
     /* counter of the operator's program, its last value seen, ticks since then */
-    uint64_t heartbeat, heard, silence;
+    uint64_t heartbeat, last_beat, silence;
     /* the station has not ticked yet, and an earlier program's commands are in effect */
     int32_t taken_over;
     /* taken_cmd_m is used at the first valid reading, as long as the drives read offered_x_m */
     int32_t offered;
-    abreast abreast;   /* several axes: the drives' counts, */
-    int32_t apart;     /* and the result in the last tick in which all were known */
-    int32_t overheard; /* link clock: more wake-ups before this tick than are processed */
+    abreast abreast; /* several axes: the drives' counts, */
+    int32_t apart;   /* and the result in the last tick in which all were known */
+    int32_t flooded; /* link clock: more wake-ups before this tick than are processed */
     int32_t priority, cpu, latency_fd; /* of the thread, as in rthyb_thread_become_real_time */
     uint32_t privileges;               /* obtained: enum rthyb_privilege */
     rthyb_usage usage;                 /* of the thread, from the first tick to the last */

@@ -99,7 +99,7 @@ static int send_again(rthyb_station *station, const rthyb_replay *source,
     const rthyb_replay_axis *at = &source->axis[axis];
     const rthyb_setpoint setpoint = {
         .x_m = command_for_wire(at->codec, &at->calibration, &out->axis[axis]),
-        .state = (uint32_t)out->told,
+        .state = (uint32_t)out->sent_state,
     };
     const int code = rthyb_encode_setpoint(at->codec, &setpoint, &frame, &sent_m);
     const int sent = was_sent && !(code & RTHYB_S_NOT_FINITE);

@@ -34,7 +34,7 @@ typedef struct {
 } rthyb_fault;
 
 enum rthyb_drive_phase {
-    /* ignores commands until a new one with state IDLE arrives; if latched, until one with RTHYB_TOLD_RESET
+    /* ignores commands until a new one with state IDLE arrives; if latched, until one with RTHYB_NOTICE_RESET
      * arrives */
     RTHYB_DRIVE_STOPPED,
     RTHYB_DRIVE_FOLLOWING,

@@ -130,8 +130,8 @@ uint32_t rthyb_loop_ended(const rthyb_loop *loop, rthyb_usage *usage);
  * including the first valid ones agree with those of the earlier loop within rest_spread_m, the commands continue
  * from there. Otherwise, and if x_m is NaN, they start at the readings, as without this call. Call before the
  * start. */
-void rthyb_loop_go_on(rthyb_loop *loop, const rthyb_last_command *last);
-/* After the end of a loop: what to pass to rthyb_loop_go_on of the next one. Returns 0 if nothing was ever sent, or
+void rthyb_loop_continue_from(rthyb_loop *loop, const rthyb_last_command *last);
+/* After the end of a loop: what to pass to rthyb_loop_continue_from of the next one. Returns 0 if nothing was ever sent, or
  * if the loop did not end at rest. */
 int rthyb_loop_last(const rthyb_loop *loop, rthyb_last_command *last);
 /* Discards up to RTHYB_OLD_PIECES_MAX chunks of received data that are waiting in each link, because they are old or
@@ -146,7 +146,7 @@ void rthyb_loop_step(rthyb_loop *loop);
 int rthyb_loop_start(rthyb_loop *loop, int32_t priority, int32_t cpu, int32_t latency_fd);
 /* Waits for the thread to end. */
 int rthyb_loop_join(rthyb_loop *loop);
-/* After the end of the thread: sends the last commands again, with RTHYB_TOLD_LEAVING. Returns 0 if they were
+/* After the end of the thread: sends the last commands again, with RTHYB_NOTICE_LEAVING. Returns 0 if they were
  * not all sent: the loop is not at rest, nothing was ever sent, or a link refused one. */
 int rthyb_loop_leave(rthyb_loop *loop);
 /* Queues an operator's command for the next tick; one thread at a time. Returns its generation, or 0 if the previous

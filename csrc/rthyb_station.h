@@ -109,10 +109,10 @@ typedef struct {
     double rest_x;       /* position at which the readings are at rest, */
     uint32_t rest_ticks; /* and number of these readings */
     int32_t off_scale;   /* in this tick: bit 0 displacement, bit 1 force */
-    int32_t told;        /* there is a reading in this tick */
+    int32_t has_reading; /* there is a reading in this tick */
     int32_t stands;      /* the drive has stopped on its own, or cannot be reached */
     rthyb_overload over_f, over_rig_f;
-    double told_x, told_f; /* reading in this tick, if there was one */
+    double reading_x_m, reading_f_n; /* reading in this tick, if there was one */
 } rthyb_axis;
 
 /* One bit per tick in the last second, and the number of bits set. */
@@ -182,7 +182,7 @@ typedef struct {
     rthyb_recent skips, losses;
     uint64_t skipped;     /* total */
     int32_t trip_frames;  /* trip frames still to be sent */
-    int32_t reset_frames; /* number of further commands with RTHYB_TOLD_RESET */
+    int32_t reset_frames; /* number of further commands with RTHYB_NOTICE_RESET */
     /* Channels of this tick's row, in the order of the recording's table of channels. Written by whichever part of
      * the program produces them, before the row is stored; the station does not read them. */
     double channel[RTHYB_CHANNELS_MAX];
@@ -219,7 +219,7 @@ typedef struct {
     rthyb_axis_output axis[RTHYB_COUPLED_MAX];
     int32_t send; /* 0: send nothing */
     int32_t state;
-    int32_t told; /* value to send to the drives: the state, or RTHYB_TOLD_RESET */
+    int32_t sent_state; /* value to send to the drives: the state, or RTHYB_NOTICE_RESET */
     /* the command was refused: not allowed in this state, or no drive to execute it */
     int32_t refused;
     uint32_t records;

@@ -112,9 +112,10 @@ typedef struct {
 } rthyb_codec;
 
 /* Values in a command in place of the controller's state, in addition to enum rthyb_state. */
-enum rthyb_told {
-    RTHYB_TOLD_RESET = 8, /* from the operator: a drive that stopped on its own must follow again */
-    RTHYB_TOLD_LEAVING = 9 /* commands now end intentionally: no reset will be required */
+enum rthyb_notice {
+    RTHYB_NOTICE_RESET =
+        8, /* from the operator: a drive that stopped on its own must follow again */
+    RTHYB_NOTICE_LEAVING = 9 /* commands now end intentionally: no reset will be required */
 };
 
 enum rthyb_wire_error { RTHYB_E_CODEC = 64 };
@@ -125,7 +126,7 @@ enum rthyb_codec_size { RTHYB_COUNT_BITS_MIN = 5 };
 typedef struct {
     double x_m;
     uint32_t seq;   /* incremented with every command */
-    uint32_t state; /* enum rthyb_state, or enum rthyb_told */
+    uint32_t state; /* enum rthyb_state, or enum rthyb_notice */
 } rthyb_setpoint;
 
 enum rthyb_reading_part { RTHYB_HAS_X = 1, RTHYB_HAS_F = 2 };

@@ -736,7 +736,7 @@ static uint32_t stopped_flags(const rthyb_station *s, const rthyb_station_input 
 }
 
 /* And which links are down, and whose count has come apart. */
-static uint32_t told_places(const rthyb_station *s, const rthyb_station_input *in)
+static uint32_t place_bits(const rthyb_station *s, const rthyb_station_input *in)
 {
     uint32_t places = axes_of(s) > 1 ? ((uint32_t)in->apart & 7u) << RTHYB_APART_BIT : 0u;
     for (int i = 0; i < axes_of(s) && axes_of(s) > 1; i++)
@@ -745,8 +745,8 @@ static uint32_t told_places(const rthyb_station *s, const rthyb_station_input *i
 }
 
 /* What the station was told in this tick, as the record shows it. */
-static uint32_t told(const rthyb_station *s, const rthyb_station_input *in, int refused,
-                     int took_over)
+static uint32_t input_flags(const rthyb_station *s, const rthyb_station_input *in, int refused,
+                            int took_over)
 {
     int32_t lost = 0;
     for (int i = 0; i < axes_of(s); i++)
@@ -768,11 +768,11 @@ static int look_at(rthyb_station *s, const rthyb_station_input *in)
     int all = 1;
     for (int i = 0; i < axes_of(s); i++) {
         rthyb_axis *a = &s->axis[i];
-        a->told = axis_is_sensible(&in->axis[i]);
-        a->off_scale = a->told ? axis_off_scale(&s->cfg.axis[i], &in->axis[i]) : 0;
-        a->told_x = in->axis[i].x_m;
-        a->told_f = in->axis[i].f_n;
-        all = all && a->told;
+        a->has_reading = axis_is_sensible(&in->axis[i]);
+        a->off_scale = a->has_reading ? axis_off_scale(&s->cfg.axis[i], &in->axis[i]) : 0;
+        a->reading_x_m = in->axis[i].x_m;
+        a->reading_f_n = in->axis[i].f_n;
+        all = all && a->has_reading;
     }
     return all;
 }
@@ -846,7 +846,7 @@ static void write_output(rthyb_station *s, int refused, uint32_t records, rthyb_
     *out = (rthyb_station_output){
         .send = s->seen && frame,
         .state = s->state,
-        .told = s->reset_frames > 0 ? RTHYB_TOLD_RESET : s->state,
+        .sent_state = s->reset_frames > 0 ? RTHYB_NOTICE_RESET : s->state,
         .refused = refused,
         .records = records,
     };
@@ -884,8 +884,8 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
         note_pair(&last->axis[i], in->axis[i].x_m, in->axis[i].f_n, in->axis[i].lost, axes_of(s));
     if (first_beyond(s, in) && s->state == RTHYB_TRIPPED)
         last->code |= RTHYB_S_POSITION_LIMIT | RTHYB_S_TRIP;
-    last->cause |= told_places(s, in);
-    last->flags = (last->flags & ~UNSENT_FLAGS) | told(s, in, refused, took_over);
+    last->cause |= place_bits(s, in);
+    last->flags = (last->flags & ~UNSENT_FLAGS) | input_flags(s, in, refused, took_over);
     for (int i = 0; i < axes_of(s) && !out->send; i++)
         last->flags |= unsent_flag(i, axes_of(s));
     return 0;

@@ -107,15 +107,15 @@ size_t rthyb_virtual_run(rthyb_virtual *test, int32_t command, size_t count, voi
     const int axes = axes_of(test);
     rthyb_record record;
     size_t done = 0;
-    int told = 0;
-    while (done < count && !told) {
+    int has_changed = 0;
+    while (done < count && !has_changed) {
         const int32_t state = station->state, zeroing = station->zeroing;
         tick(test, done == 0 ? command : RTHYB_CMD_NONE, &record);
         memcpy(row_at(rows, axes, done), &record, record_bytes(axes));
         if (channel_count > 0)
             memcpy(channels + done * channel_count, station->channel,
                    channel_count * sizeof *channels);
-        told = station->state != state || (station->zeroing > 1 && zeroing <= 1);
+        has_changed = station->state != state || (station->zeroing > 1 && zeroing <= 1);
         done++;
     }
     return done;

@@ -83,11 +83,12 @@ static int axis_finds(const rthyb_station *s, int i, finding *found)
     const rthyb_axis *a = &s->axis[i];
     const double x = a->seen_x - a->tare_x;
     if (a->off_scale & AXIS_OFF_F) {
-        *found = (finding){RTHYB_CAUSE_FORCE, a->told_f, s->cfg.axis[i].f_range_n, of_axis(i)};
+        *found = (finding){RTHYB_CAUSE_FORCE, a->reading_f_n, s->cfg.axis[i].f_range_n, of_axis(i)};
         return 1;
     }
     if (a->off_scale & AXIS_OFF_X) {
-        *found = (finding){RTHYB_CAUSE_POSITION, a->told_x, s->cfg.axis[i].x_range_m, of_axis(i)};
+        *found =
+            (finding){RTHYB_CAUSE_POSITION, a->reading_x_m, s->cfg.axis[i].x_range_m, of_axis(i)};
         return 1;
     }
     return watch_overload(s, i, a->seen_f, found) ||
@@ -193,9 +194,9 @@ static int check_axis_force(rthyb_station *s, int i, int cause, double value, rt
     const rthyb_watch *watch = watch_of(s, i, cause);
     const rthyb_axis *a = &s->axis[i];
     const int off_scale = a->off_scale & AXIS_OFF_F;
-    const finding found = off_scale
-                              ? (finding){cause, a->told_f, s->cfg.axis[i].f_range_n, of_axis(i)}
-                              : (finding){cause, value, watch->value, of_axis(i)};
+    const finding found =
+        off_scale ? (finding){cause, a->reading_f_n, s->cfg.axis[i].f_range_n, of_axis(i)}
+                  : (finding){cause, value, watch->value, of_axis(i)};
     return check_force(s, watch, found, off_scale, over);
 }
 
@@ -208,7 +209,7 @@ static int check_forces(rthyb_station *s, const rthyb_record *r, uint32_t axes)
             continue;
         /* The reading counts though its pair was not taken: what pulls at the specimen need not be
          * smooth. */
-        const double f = a->told ? a->told_f - a->tare_f : r->axis[i].f_meas_n;
+        const double f = a->has_reading ? a->reading_f_n - a->tare_f : r->axis[i].f_meas_n;
         if (s->tared)
             code |= check_axis_force(s, i, RTHYB_CAUSE_FORCE, f, &a->over_f);
         code |= check_axis_force(s, i, RTHYB_CAUSE_RIG_FORCE, f + a->tare_f, &a->over_rig_f);
@@ -248,7 +249,7 @@ static int check_off_scale(rthyb_station *s, uint32_t axes)
         const rthyb_axis *a = &s->axis[i];
         for (int j = 0; j < 2 && axes >> i & 1u && a->off_scale & AXIS_OFF_X; j++) {
             const rthyb_watch *watch = watch_of(s, i, causes[j]);
-            const finding found = {causes[j], a->told_x, s->cfg.axis[i].x_range_m, of_axis(i)};
+            const finding found = {causes[j], a->reading_x_m, s->cfg.axis[i].x_range_m, of_axis(i)};
             if (watch->reaction != RTHYB_REACT_NONE && watch->value > 0.0)
                 code |= watch_react(s, found, watch->reaction, RTHYB_S_POSITION_LIMIT);
         }
@@ -260,7 +261,7 @@ static int check_off_scale(rthyb_station *s, uint32_t axes)
 static double measured_x(const rthyb_station *s, const rthyb_record *r, int axis)
 {
     const rthyb_axis *a = &s->axis[axis];
-    return s->controller.axis[axis].missing ? r->axis[axis].x_meas_m : a->told_x - a->tare_x;
+    return s->controller.axis[axis].missing ? r->axis[axis].x_meas_m : a->reading_x_m - a->tare_x;
 }
 
 /* By what was asked of each axis for this tick. */
@@ -284,12 +285,12 @@ static uint32_t all_axes(const rthyb_station *s)
 
 /* Bit i: the drive of axis i follows, and its sensors say something. That another one's do not is no reason to
  * overlook what this one says. */
-static uint32_t heard_at_rest(const rthyb_station *s)
+static uint32_t axes_to_watch(const rthyb_station *s)
 {
     uint32_t axes = 0;
     for (int i = 0; i < axes_of(s); i++) {
-        const int heard = !s->controller.axis[i].missing || s->axis[i].off_scale;
-        axes |= heard && !s->axis[i].stands ? 1u << i : 0u;
+        const int has_reading = !s->controller.axis[i].missing || s->axis[i].off_scale;
+        axes |= has_reading && !s->axis[i].stands ? 1u << i : 0u;
     }
     return axes;
 }
@@ -298,7 +299,7 @@ static uint32_t heard_at_rest(const rthyb_station *s)
  * never zeroed has no zero to be far from. */
 void watch_at_rest(rthyb_station *s, rthyb_record *r)
 {
-    const uint32_t axes = heard_at_rest(s);
+    const uint32_t axes = axes_to_watch(s);
     if (!s->seen || !axes)
         return;
     int code = r->code | check_forces(s, r, axes) | check_off_scale(s, axes);

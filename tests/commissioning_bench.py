@@ -56,21 +56,23 @@ class Drive:
         connection: the controller's side.
         drive: the drive itself.
         tell: called before each of its ticks.
-        operator: what `Connection.told` was given last: asks for a stop.
+        operator: what `Connection.on_interrupt` was given last: asks for a stop.
     """
 
     def __init__(self, given: RigFile, drive: loop.Drive, opened: opening.Opened) -> None:
         self.drive = drive
         self.tell: Callable[[], None] = lambda: None
         self.operator: Callable[[], None] = lambda: None
-        self.connection = Connection(given, opened, "stepped", self._tick, told=self._told)
+        self.connection = Connection(
+            given, opened, "stepped", self._tick, on_interrupt=self._interruptible
+        )
 
     def _tick(self) -> None:
         self.tell()
         self.drive.tick()
 
     @contextmanager
-    def _told(self, stop: Callable[[], None]) -> Iterator[None]:
+    def _interruptible(self, stop: Callable[[], None]) -> Iterator[None]:
         self.operator = stop
         yield
 

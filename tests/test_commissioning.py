@@ -99,7 +99,7 @@ def test_operator_who_stops_a_jog_leaves_the_actuator_where_it_comes_to_rest() -
         seen = [0]
 
         def look() -> None:
-            running = there.drive.told == "RUNNING"
+            running = there.drive.received_state == "RUNNING"
             seen[0] += running
             if seen[0] == 1024:
                 there.operator()
@@ -181,7 +181,7 @@ def test_jog_that_trips_before_it_begins_says_that_nothing_moved() -> None:
         jogging.jog(there.connection, 3e-3, 20e-3)
 
         def look() -> None:
-            if there.drive.told == "IDLE" and there.drive.ticks % 100 == 99:
+            if there.drive.received_state == "IDLE" and there.drive.ticks % 100 == 99:
                 there.operator()
 
         there.tell = look
@@ -727,7 +727,7 @@ def test_operator_who_stops_a_motion_ends_the_commissioning() -> None:
     with at(rig()) as there:
 
         def look() -> None:
-            if there.drive.told == "RUNNING":
+            if there.drive.received_state == "RUNNING":
                 there.operator()
 
         there.tell = look
@@ -833,7 +833,11 @@ def test_sweep_stopped_by_the_operator_finds_nothing() -> None:
     with at(rig()) as there:
 
         def look() -> None:
-            if there.drive.told == "RUNNING" and abs(there.position_m) > 0.3e-3 and not asked:
+            if (
+                there.drive.received_state == "RUNNING"
+                and abs(there.position_m) > 0.3e-3
+                and not asked
+            ):
                 asked.append(1)
                 there.operator()
 

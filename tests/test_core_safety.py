@@ -527,7 +527,7 @@ def test_hand_over_of_no_number_begins_at_the_reading_and_replays(bad: float) ->
     with Bench(seconds=0.2) as bench:
         bench.drive._c.phase = loop.PHASES.index("following")
         bench.drive_ticks(3)
-        bench.loop.go_on(loop.LastCommand(bad, ORIGIN_M + BIAS_M, 7, core.IDENTITY))
+        bench.loop.continue_from(loop.LastCommand(bad, ORIGIN_M + BIAS_M, 7, core.IDENTITY))
         bench.running(20)
         rows = bench.rows()
         assert not (rows["flags"] & FLAGS["taken_over"]).any()

@@ -132,7 +132,7 @@ def test_operator_ends_the_sweep() -> None:
     stops: list[int] = []
 
     @contextmanager
-    def told(stop: Callable[[], None]) -> Iterator[None]:
+    def interruptible(stop: Callable[[], None]) -> Iterator[None]:
         asked.append(stop)
         yield
 
@@ -142,7 +142,7 @@ def test_operator_ends_the_sweep() -> None:
             asked[-1]()
 
     with (
-        within_reach(pair_of(), told=told) as connection,
+        within_reach(pair_of(), on_interrupt=interruptible) as connection,
         pytest.raises(StoppedError, match="the sweep of axis left: stopped by the operator"),
     ):
         identify_axes_live(connection, SHORT, progress)

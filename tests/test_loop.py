@@ -647,7 +647,7 @@ def test_drive_brakes_at_its_own_deceleration_when_told_of_a_trip(bench: Bench) 
 
 def tell(bench: Bench, seq: int, state: str, x_m: float = 0.05) -> None:
     """A command that does not come from the loop."""
-    number = (STATE | {name: raw for raw, name in wire.TOLD.items()})[state]
+    number = (STATE | {name: raw for raw, name in wire.NOTICES.items()})[state]
     frame, _ = wire.can().encode_setpoint(wire.Setpoint(x_m, seq % 65536, number))
     os.write(bench.ends[0], CAN_FRAME.pack(frame.id, len(frame.data), frame.data))
 
@@ -719,7 +719,7 @@ def test_drive_that_was_told_the_silence_is_meant_follows_the_next_controller(
         bench.loop.leave()
         bench.drive_ticks(5)
         assert bench.drive.phase == "following", "it stands, and hears that this is meant"
-        assert bench.drive.told == "LEAVING"
+        assert bench.drive.received_state == "LEAVING"
         bench.drive_ticks(loop.WATCHDOG_TICKS)
         assert (bench.drive.phase, bench.drive.latched) == ("stopped", False)
         tell(bench, 1, "IDLE", x_m=float(bench.drive.log["target_m"][-1]))

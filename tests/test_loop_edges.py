@@ -277,7 +277,7 @@ def test_session_on_the_stepped_clock_begins_with_the_drives_newest_sample(tmp_p
 
 def test_delay_of_the_link_is_that_of_the_test_and_not_of_its_last_tick() -> None:
     def late_at_the_end(drive: loop.Drive) -> None:
-        if drive.told == "RAMP_OUT":
+        if drive.received_state == "RAMP_OUT":
             drive.schedule([loop.Fault("delay", 0, 2**40, 3)])
 
     rec = WholeTest(tell=late_at_the_end).run()

@@ -29,7 +29,7 @@ from realtime_bench import (
 from rthyb_rt import core
 from rthyb_rt.analysis import summary
 from rthyb_rt.core import dbc, loop, wire
-from rthyb_rt.core.wire import TOLD
+from rthyb_rt.core.wire import NOTICES
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import end_reasons, experiment, realtime, virtual_time
 from rthyb_rt.lab.realtime import collector
@@ -784,7 +784,7 @@ def test_missing_privileges_are_a_warning_or_a_refusal(
         else:
             realtime.run(made, rig.ours, warn=warnings.append)
             assert len(warnings) == 1
-    at_rest = [STATE["IDLE"], *(told for told, name in TOLD.items() if name == "LEAVING")]
+    at_rest = [STATE["IDLE"], *(told for told, name in NOTICES.items() if name == "LEAVING")]
     assert np.isin(rig.log["state"], at_rest).all() == required
 
 

@@ -68,13 +68,13 @@ def run(
 
         def tick() -> None:
             drive.tick()
-            if skip and session and drive.told in ("IDLE", "ZEROED"):
+            if skip and session and drive.received_state in ("IDLE", "ZEROED"):
                 session[0].loop._ticker.missed += skip
                 for _ in range(skip):
                     drive.tick()
 
         session: list[realtime.Session] = []
-        return realtime.run(setup, ours, clock="stepped", before_tick=tick, heard=session.append)
+        return realtime.run(setup, ours, clock="stepped", before_tick=tick, answered=session.append)
 
 
 # ---- a test -------------------------------------------------------------------------------------

@@ -393,19 +393,19 @@ def test_half_does_not_wait_for_the_same_count_one_round_later() -> None:
     assert w.counters()["lone"] == 1
 
 
-TOLD = {name: number for number, name in wire.TOLD.items()}
+NOTICES = {name: number for number, name in wire.NOTICES.items()}
 
 
 def told(codec: wire.Codec, name: str) -> tuple[int, int]:
     """Return the state that leaves for what a drive is told, and what comes of it there."""
-    frame, _ = codec.encode_setpoint(Setpoint(1e-3, 7, TOLD[name]))
+    frame, _ = codec.encode_setpoint(Setpoint(1e-3, 7, NOTICES[name]))
     return frame.data[6], codec.decode_setpoint(frame)[1].state
 
 
 def test_reset_and_leaving_are_states_of_our_own_frames() -> None:
     for codec in (CODECS["can"], dbc.load(OWN_DBC)):
-        assert told(codec, "RESET") == (8, TOLD["RESET"])
-        assert told(codec, "LEAVING") == (9, TOLD["LEAVING"])
+        assert told(codec, "RESET") == (8, NOTICES["RESET"])
+        assert told(codec, "LEAVING") == (9, NOTICES["LEAVING"])
         assert codec.has_reset
 
 
@@ -415,17 +415,17 @@ def test_state_that_resets_a_users_drive_is_named_in_the_dbc_or_in_the_rig_file(
     path = tmp_path / "drive.dbc"
     path.write_text(OWN_TEXT + 'VAL_ 257 state 0 "Idle" 32 "Reset" ;\n', encoding="utf-8")
     named = dbc.load(path)
-    assert told(named, "RESET") == (32, TOLD["RESET"])
+    assert told(named, "RESET") == (32, NOTICES["RESET"])
     assert told(named, "LEAVING") == (0, 0), "a drive that has no word for it hears IDLE"
-    assert told(dbc.load(path, reset_state=33), "RESET") == (33, TOLD["RESET"])
+    assert told(dbc.load(path, reset_state=33), "RESET") == (33, NOTICES["RESET"])
     path.write_text(OWN_TEXT, encoding="utf-8")
     silent = dbc.load(path)
     assert not silent.has_reset
     assert told(silent, "RESET") == (0, 0)
     # What this program calls RESET is nothing to a drive that has another word for it, or none.
-    frame, _ = dbc.load(path, reset_state=8).encode_setpoint(Setpoint(1e-3, 7, TOLD["RESET"]))
+    frame, _ = dbc.load(path, reset_state=8).encode_setpoint(Setpoint(1e-3, 7, NOTICES["RESET"]))
     assert frame.data[6] == 8
-    assert silent.decode_setpoint(frame)[1].state not in (*TOLD.values(), *range(8))
+    assert silent.decode_setpoint(frame)[1].state not in (*NOTICES.values(), *range(8))
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ Progress = Callable[[int, int], None]
 """Takes how many runs are done, and of how many."""
 _CALLED: Final = "sweep"
 _NO_MEASURES: Final = ("case", "drawn", "repeat", "ending", "cause", "folder", "report")
-_TOLD: Final = {
+_WORDS_HERE: Final = {
     "with --out": "with out",
     "--cluster": "client",
     rf"{_CALLED}: campaign\.": f"{_CALLED}: ",
@@ -217,7 +217,7 @@ def sweep(
             progress=progress or _line(called),
         )  # fmt: skip
     except RthybError as error:
-        raise in_python(error, _TOLD) from None
+        raise in_python(error, _WORDS_HERE) from None
     return Sweep(found, folder)
 
 
@@ -268,7 +268,7 @@ def _written(base: Test, values: dict[str, Any]) -> dict[str, str]:
             files.file_of_test(base), files.file_of_rig(base.rig), values, _CALLED
         )
     except InputError as error:
-        raise in_python(error, _TOLD) from None
+        raise in_python(error, _WORDS_HERE) from None
     _try_first(base, campaign)
     return parts
 

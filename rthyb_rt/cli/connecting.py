@@ -208,7 +208,7 @@ def _reach(
         opened,
         clock,
         before_tick,
-        told=interrupts.on_interrupt,
+        on_interrupt=interrupts.on_interrupt,
         warn=lambda text: terminal.tell(f"warning: {text}"),
         # A virtual rig of its own has no other operator.
         resets=rig.link is None,

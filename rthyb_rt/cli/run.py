@@ -224,7 +224,7 @@ def _run_live(
             facts=facts,
             # A virtual rig of its own has no other operator.
             resets=link is None,
-            heard=_tell_ring,
+            answered=_tell_ring,
             zeroed=_tell_tare,
         )
     return rec, kept[0]

@@ -185,17 +185,17 @@ def _notes(courses: Sequence[Course], fs_hz: float, shared: int) -> list[str]:
     notes = [note for course in courses for note in course.notes]
     other = [course for course in courses if course.fs_hz != fs_hz]
     if other:
-        told = _told([(c.label, c.fs_hz) for c in other], "has", "have", "Hz")
+        told = _who_has([(c.label, c.fs_hz) for c in other], "has", "have", "Hz")
         notes.append(f"{told}; compared at {fs_hz:g} Hz, the rate of the slowest")
     longer = [c for c in courses if c.duration_s > (shared + 1) / fs_hz]
     if longer:
-        told = _told([(c.label, c.duration_s) for c in longer], "lasts", "last", "s")
+        told = _who_has([(c.label, c.duration_s) for c in longer], "lasts", "last", "s")
         notes.append(f"{told}; compared over the {shared / fs_hz:.4g} s that they have in common")
     notes += [f"{c.label} has no force" for c in courses if c.f_n is None]
     return notes
 
 
-def _told(values: Sequence[tuple[str, float]], one: str, many: str, unit: str) -> str:
+def _who_has(values: Sequence[tuple[str, float]], one: str, many: str, unit: str) -> str:
     """Return who has what in a sentence: each by name, or how many where there are many."""
     if len(values) <= 2:
         return ", ".join(f"{label} {one} {value:.6g} {unit}" for label, value in values)

@@ -155,7 +155,7 @@ class _Reader:
                 frames[lead] = message.name
                 self.fill_message(getattr(struct, part), message, lead)
                 if lead == "x_cmd":
-                    self.fill_told(struct, message)
+                    self.fill_notices(struct, message)
         if self.reset_state is not None and "state" not in self.found:
             self.fault(
                 frames.get("x_cmd", ""), "has no state that link.reset_state could be sent in"
@@ -255,7 +255,7 @@ class _Reader:
             return
         ffi.memmove(c.fill, data, len(data))
 
-    def fill_told(self, struct: Any, message: Message) -> None:
+    def fill_notices(self, struct: Any, message: Message) -> None:
         """Note by which raw states the drive is reset, and left."""
         signal = next((s for s in message.signals if s.name == self.name("state")[1]), None)
         if signal is None:

@@ -390,7 +390,7 @@ class Rig:
                 f"channel {channel} and {len(self.config.extras)} extra sensors; a row has "
                 f"{CHANNELS_MAX} channels"
             )
-        self._told = station
+        self._station = station
         self._c.extra_to = ffi.addressof(station._c.channel, channel)
 
     def reseed(self) -> None:

@@ -25,7 +25,7 @@ from rthyb_rt.core.group import plant_of
 from rthyb_rt.core.library import options, words
 from rthyb_rt.core.rows import RingMemory, copy_records
 from rthyb_rt.core.ticker import PRIORITY, RATES_HZ, Counts, Latency, Ticker, privilege_names
-from rthyb_rt.core.wire import TOLD, Codec, Frame, Wire
+from rthyb_rt.core.wire import NOTICES, Codec, Frame, Wire
 from rthyb_rt.errors import RthybError
 
 Kind = Literal["can", "stream"]
@@ -277,7 +277,7 @@ class Loop:
         """
         lib.rthyb_loop_drop_old(self._c)
 
-    def go_on(self, last: LastCommand | Sequence[LastCommand]) -> None:
+    def continue_from(self, last: LastCommand | Sequence[LastCommand]) -> None:
         """Begin with what an earlier loop at these links told the drives last; before the start.
 
         It holds if no drive has stopped meanwhile and their first readings are those of then,
@@ -295,7 +295,7 @@ class Loop:
             same = one.calibration == way.calibration
             slot.x_cmd_m, slot.seq = one.x_cmd_m, one.seq
             slot.x_m = one.x_m if same else math.nan
-        lib.rthyb_loop_go_on(self._c, struct)
+        lib.rthyb_loop_continue_from(self._c, struct)
 
     def last_command(self) -> LastCommand | None:
         """Return what the first axis' drive was left with, once the loop has ended.
@@ -690,10 +690,10 @@ class Drive:
         return PHASES[int(self._c.phase)]
 
     @property
-    def told(self) -> str:
+    def received_state(self) -> str:
         """The controller's state in the last fresh command; readable at any time."""
         state = int(self._c.state)
-        return dict(enumerate(core.STATES)).get(state) or TOLD.get(state) or str(state)
+        return dict(enumerate(core.STATES)).get(state) or NOTICES.get(state) or str(state)
 
     @property
     def latched(self) -> bool:
@@ -758,9 +758,9 @@ class Drives:
         return self.drives[0].ticks
 
     @property
-    def told(self) -> str:
+    def received_state(self) -> str:
         """The controller's state in the last fresh command of the first; readable at any time."""
-        return self.drives[0].told
+        return self.drives[0].received_state
 
     @property
     def log(self) -> npt.NDArray[np.void]:

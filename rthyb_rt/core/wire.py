@@ -27,7 +27,10 @@ COBS_MAX: Final = 253
 DEVICE_STOPPED: Final[int] = lib.RTHYB_DEVICE_STOPPED
 DEVICE_INVALID: Final[int] = lib.RTHYB_DEVICE_INVALID
 
-TOLD: Final[dict[int, str]] = {lib.RTHYB_TOLD_RESET: "RESET", lib.RTHYB_TOLD_LEAVING: "LEAVING"}
+NOTICES: Final[dict[int, str]] = {
+    lib.RTHYB_NOTICE_RESET: "RESET",
+    lib.RTHYB_NOTICE_LEAVING: "LEAVING",
+}
 """What a command may say in the place of the controller's state, by its number."""
 
 LOST: Final[int] = lib.RTHYB_LOST
@@ -63,7 +66,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """A command: displacement, sequence number, state of the controller (its number, or `TOLD`)."""
+    """A command: displacement, sequence number, state of the controller or key of `NOTICES`."""
 
     x_m: float
     seq: int = 0
@@ -148,7 +151,7 @@ def _spell_out(struct: Any, extras: int) -> None:
     needed = _OWN_LENGTH + 4 * extras
     length = next(n for n in (12, 16, 20, 24, 32, 48, 64) if n >= needed)
     struct.format = lib.RTHYB_WIRE_TABLE
-    struct.reset, struct.leaving = lib.RTHYB_TOLD_RESET, lib.RTHYB_TOLD_LEAVING
+    struct.reset, struct.leaving = lib.RTHYB_NOTICE_RESET, lib.RTHYB_NOTICE_LEAVING
     for message, number, size, value, step in (
         (struct.command, ACT_CMD, _OWN_LENGTH, lib.RTHYB_FIELD_X, 1e-9),
         (struct.displacement, ACT_FB, _OWN_LENGTH, lib.RTHYB_FIELD_X, 1e-9),

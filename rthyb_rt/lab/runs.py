@@ -49,8 +49,8 @@ class Run:
         moved: whether a command other than the reading at rest has ever left.
         tripped_rows: rows in TRIPPED.
         idle_rows: rows in IDLE at the end.
-        caused, caused_by, caused_told: `causing`, `whose` and `cause_in_figures` at the trip, once
-            that is seen; a reset takes them from the station.
+        caused, caused_by, caused_in_figures: `causing`, `whose` and `cause_in_figures` at the trip,
+            once that is seen; a reset takes them from the station.
         longest_skip: the most ticks that were skipped at a time.
     """
 
@@ -68,7 +68,7 @@ class Run:
     idle_rows: int = 0
     caused: tuple[str, float, float] | None = None
     caused_by: str = ""
-    caused_told: str = ""
+    caused_in_figures: str = ""
     longest_skip: int = 0
     _next_tick: int = 0
 
@@ -196,14 +196,14 @@ class Run:
     def note_cause(self) -> None:
         """Keep the cause of a trip, before a reset takes it from the station."""
         told = self.cause_in_figures
-        self.caused, self.caused_by, self.caused_told = self.causing, self.whose, told
+        self.caused, self.caused_by, self.caused_in_figures = self.causing, self.whose, told
 
     @property
     def ended_by(self) -> str:
         """The limit that took the test off its course, with its figures and when; "": none did."""
         cause, told = self.causing[0], self.cause_in_figures
         if self.caused is not None:
-            cause, told = self.caused[0], self.caused_told
+            cause, told = self.caused[0], self.caused_in_figures
         if cause in trips.NONE or not told:
             return ""
         return f"{told} at {self.running / self.setup.rate.hz:.1f} s"

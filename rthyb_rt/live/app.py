@@ -206,7 +206,7 @@ class Page:
         self._framer = Framer(feed.source.history, feed.source.fs_hz)
         self._opened: Pass = socket.scope["rthyb.pass"]
         # What was found out before it came may be a second old: another state, other buttons.
-        self._told = feed.said
+        self._reported = feed.said
 
     async def run(self) -> None:
         """Serve the page until it goes."""
@@ -276,9 +276,9 @@ class Page:
     async def _send(self) -> None:
         """Send what is new. A page that is slow gets fewer and larger frames, and holds up none."""
         while True:
-            if self._told != self._feed.said:
+            if self._reported != self._feed.said:
                 # Also if it is the same again: a page that hears nothing says so.
-                self._told = self._feed.said
+                self._reported = self._feed.said
                 await self._socket.send_text(self._feed.status.decode())
             await self._meet_rate()
             await self._send_frames()

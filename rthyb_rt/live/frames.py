@@ -128,11 +128,11 @@ class Framer:
             return [*frames, self._outline(view, zero)] if view.outline else frames
         if self._sent is not None and self._sent == history.last:
             return []
-        kind, first = self._where_to_go_on(view)
+        kind, first = self._next_frame(view)
         self._sent = history.last
         return [self._frame(kind, first, history.last + 1, zero)]
 
-    def _where_to_go_on(self, view: View) -> tuple[int, int]:
+    def _next_frame(self, view: View) -> tuple[int, int]:
         """Return what kind of frame comes next, and the position that it begins with."""
         begin = self._history.last + 1 - view.ticks
         if self._sent is None or self._sent < begin:

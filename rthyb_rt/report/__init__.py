@@ -30,7 +30,7 @@ _META_NAMES = {
     "clock": "clock",
     "created_utc": "recorded, UTC",
 }
-_TOLD_ELSEWHERE = ("test_name", "end_reason", "interrupted", "real_time", "commissioning")
+_SHOWN_ELSEWHERE = ("test_name", "end_reason", "interrupted", "real_time", "commissioning")
 
 
 def write_report(rec: Recording, path: str | Path) -> None:
@@ -122,7 +122,7 @@ def _named(values: dict[str, Any], names: dict[str, str]) -> list[tuple[str, str
     more = [
         (key, value)
         for key, value in values.items()
-        if key not in names and key not in _TOLD_ELSEWHERE
+        if key not in names and key not in _SHOWN_ELSEWHERE
     ]
     return [(name, _shown(value)) for name, value in known + more if value not in (None, "")]
 

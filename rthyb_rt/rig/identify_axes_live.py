@@ -154,7 +154,7 @@ def _swept(connection: AxesConnection, axis: int, command: Floats, progress: Pro
     rig = connection.rig
     setup, operator = setup_of(rig, axis, command), realtime.Operator()
     links = [own.link for own in rig.axis]
-    with connection.told(operator.stop):
+    with connection.on_interrupt(operator.stop):
         rec = realtime.run(
             setup,
             connection.opened,

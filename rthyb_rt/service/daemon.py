@@ -163,7 +163,7 @@ class Daemon:
         self._child: subprocess.Popen[bytes] | None = None
         self._child_s = 0.0
         self._recorder: recorder.Status | None = None
-        self._told_fault = ""
+        self._reported_fault = ""
         self._said: dict[str, float] = {}
         self._ticks_seen = 0
         self._begun_s = time.monotonic()
@@ -261,8 +261,8 @@ class Daemon:
             words += f", {self.engine.loaded.setup.test.test.name} loaded"
         if self.engine.state == "IDLE" and self.engine.stays_stopped():
             words += "; the drive has stopped by itself: find out why, then run rthyb ctl reset"
-        if self._told_fault:
-            words += f"; {self._told_fault}"
+        if self._reported_fault:
+            words += f"; {self._reported_fault}"
         return f"STATUS={words}"
 
     def _write_metrics(self, path: Path) -> None:
@@ -352,9 +352,9 @@ class Daemon:
             self._launch_recorder()
         fault = "" if self._recorder_alive() else "the recorder does not respond"
         fault = fault or (self._recorder.fault if self._recorder is not None else "")
-        if fault != self._told_fault:
+        if fault != self._reported_fault:
             log.error("recorder: %s", fault) if fault else log.info("recorder: in order again")
-        self._told_fault = fault
+        self._reported_fault = fault
 
     async def _await_recorder(self) -> None:
         """Give the recorder the moment that it needs to begin with a test."""

@@ -531,11 +531,11 @@ class Engine(Conductor):
             station = experiment.station_config(loaded.setup, real=True)
             generation = self.set_parameters(core.Parameters.of(station))
             self.run.digest = loaded.digest
-        told = reloading.told(self.rig, rig)
+        changes = reloading.limit_changes(self.rig, rig)
         self.rig, self.loaded = rig, loaded
         if self.run is self._rest and self.state == "IDLE":
             self._put_rest()
-        self._say("info", f"limits reloaded, generation {generation}: {told}")
+        self._say("info", f"limits reloaded, generation {generation}: {changes}")
         return generation
 
     def check_reload(self) -> None:

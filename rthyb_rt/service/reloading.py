@@ -50,7 +50,7 @@ def with_limits_of(rig: RigFile | AxesRig, other: RigFile | AxesRig) -> RigFile 
     return rig.model_copy(update=update)
 
 
-def told(old: RigFile | AxesRig, new: RigFile | AxesRig) -> str:
+def limit_changes(old: RigFile | AxesRig, new: RigFile | AxesRig) -> str:
     """Return what became of each limit, in words; the axes of both are the same."""
     before = _limits(old)
     words = [

@@ -215,8 +215,8 @@ static void record(loop *l, int which)
     set_up_rig(&l->rig, RTHYB_SERVO_HYDRAULIC, 1, 0);
     rthyb_run_virtual(&l->controller, &l->rig, excitation, LONGEST_S * FS_HZ, SETTLE, rows,
                       &status);
-    loop go_on = *l;
-    const size_t done = rthyb_run_virtual(&go_on.controller, &go_on.rig, excitation,
+    loop copy = *l;
+    const size_t done = rthyb_run_virtual(&copy.controller, &copy.rig, excitation,
                                           LONGEST_S * FS_HZ, SAMPLES, rows, &status);
     must(done != SAMPLES, "the recorded test");
     for (size_t i = 0; i < SAMPLES; i++) {

@@ -320,7 +320,7 @@ static uint32_t send_axes(axes_episode *e, const rthyb_station_output *out, int 
         double wire_m = 0.0;
         const rthyb_setpoint setpoint = {
             .x_m = command_for_wire(&e->codec, &AS_IT_IS, &out->axis[i]),
-            .state = (uint32_t)out->told,
+            .state = (uint32_t)out->sent_state,
         };
         const int code = rthyb_encode_setpoint(&e->codec, &setpoint, &frame, &wire_m);
         const int left = !(unsent >> i & 1) && !(code & RTHYB_S_NOT_FINITE);
@@ -337,7 +337,7 @@ static void drive_axes(axes_episode *e, const rthyb_station_output *out, const d
         const int heard = (int)(sent >> i & 1u);
         const double last = e->told[i][e->tick % WAY_BACK];
         e->silent[i] = heard ? 0 : e->silent[i] + 1;
-        if (heard && (out->told == RTHYB_TOLD_RESET))
+        if (heard && (out->sent_state == RTHYB_NOTICE_RESET))
             e->latched[i] = 0;
         if (out->state == RTHYB_TRIPPED || e->silent[i] >= RTHYB_DRIVE_WATCHDOG)
             e->latched[i] = e->seen > 0;

@@ -225,13 +225,13 @@ static void drive_stops(plain_drive *p)
 }
 
 /* After a stop of its own it follows again when it is reset, and not before. */
-static void drive_hears(plain_drive *p, const world *w, int told, double x_m)
+static void drive_hears(plain_drive *p, const world *w, int state, double x_m)
 {
-    if (told == RTHYB_TOLD_RESET || (told == RTHYB_IDLE && !p->latched)) {
+    if (state == RTHYB_NOTICE_RESET || (state == RTHYB_IDLE && !p->latched)) {
         p->follows = 1;
         p->latched = 0;
     }
-    if (told == RTHYB_TRIPPED)
+    if (state == RTHYB_TRIPPED)
         drive_stops(p);
     if (p->follows)
         p->target_m = x_m - w->origin_m;
@@ -254,18 +254,18 @@ static int pass_on(episode *e, plain_drive *p, const rthyb_station_output *out, 
     rthyb_frame frame;
     double wire_m = 0.0;
     if (!e->coded) {
-        drive_hears(p, &e->w, out->told, out->axis[0].x_cmd_m);
+        drive_hears(p, &e->w, out->sent_state, out->axis[0].x_cmd_m);
         return 1;
     }
     const double wanted_m = command_for_wire(&e->codec, &e->calibration, &out->axis[0]);
-    const rthyb_setpoint setpoint = {.x_m = wanted_m, .state = (uint32_t)out->told};
+    const rthyb_setpoint setpoint = {.x_m = wanted_m, .state = (uint32_t)out->sent_state};
     const int code = rthyb_encode_setpoint(&e->codec, &setpoint, &frame, &wire_m);
     const int sent = !unsent && !(code & RTHYB_S_NOT_FINITE);
     p->beyond =
         (isnan(wanted_m) && isfinite(out->axis[0].x_cmd_m)) || (code & RTHYB_S_OUT_OF_RANGE);
     note_command(&e->station, 0, &e->calibration, sent, wire_m);
     if (sent)
-        drive_hears(p, &e->w, out->told, command_from_wire(&e->calibration, wire_m));
+        drive_hears(p, &e->w, out->sent_state, command_from_wire(&e->calibration, wire_m));
     return sent;
 }
 
@@ -447,7 +447,7 @@ static void tick_drive(episode *e)
     if (was != RTHYB_DRIVE_FOLLOWING && follows)
         must(&e->o, RULE_DRIVE,
              was == RTHYB_DRIVE_STOPPED && heard &&
-                 (!latched || d->state == RTHYB_TOLD_RESET || d->now.frames > 1),
+                 (!latched || d->state == RTHYB_NOTICE_RESET || d->now.frames > 1),
              was, d->state);
     must(&e->o, RULE_FINITE, isfinite(d->target_m), d->target_m, 0.0);
 }

@@ -118,7 +118,7 @@ typedef struct {
     uint64_t tick;    /* of the episode: executed and skipped */
     uint64_t station; /* tick that the station's next row has */
     int over;         /* a rule was broken: the episode ends */
-    int told;         /* the drive has a command */
+    int commanded;    /* the drive has a command */
     int anew;         /* the next one is set to where the specimen stands */
     double at_drive_m, step_m;
     uint64_t since;       /* ticks since it came */
@@ -311,7 +311,7 @@ static int sets_anew(observer *o, const event *e)
     const int reset = e->in.command == RTHYB_CMD_RESET && !e->refused;
     const int anew = o->anew || first || stands_by || reset;
     o->anew = anew && !e->sent;
-    return anew || !o->told;
+    return anew || !o->commanded;
 }
 
 /* What takes a test off its course, or so far that nothing reaches it. */
@@ -400,7 +400,7 @@ static void judge_command(observer *o, const event *e, const rthyb_station *s)
     }
     o->at_drive_m = e->at_drive_m;
     o->since = 0;
-    o->told = 1;
+    o->commanded = 1;
 }
 
 static void judge_sending(observer *o, const event *e)
@@ -672,7 +672,7 @@ static void observe_another(observer *o)
     *o = (observer){.seed = before.seed,
                     .tick = before.tick,
                     .over = before.over,
-                    .told = before.told,
+                    .commanded = before.commanded,
                     .anew = before.anew,
                     .at_drive_m = before.at_drive_m,
                     .since = before.since,

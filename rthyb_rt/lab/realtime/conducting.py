@@ -45,7 +45,7 @@ def run(
     station: core.StationConfig | None = None,
     facts: Mapping[str, Any] | None = None,
     resets: bool = False,
-    heard: Callable[[Session], None] = lambda _: None,
+    answered: Callable[[Session], None] = lambda _: None,
     zeroed: Callable[[Session], None] = lambda _: None,
 ) -> Recording:
     """Conduct a test: zero, arm, start, and back to rest, whatever happens on the way.
@@ -63,7 +63,7 @@ def run(
         station, facts: as in `Session`.
         resets: a drive that has stopped by itself is reset: on the word of its operator, or for
             being the caller's own virtual rig.
-        heard: called with the session once the drive answers, before anything moves.
+        answered: called with the session once the drive answers, before anything moves.
         zeroed: called with the session between the tare and ARM, when nothing has moved; what it
             raises ends the test there.
 
@@ -97,7 +97,7 @@ def run(
                 )
                 session.attended()
                 _hear(session, sequence, resets)
-                heard(session)
+                answered(session)
                 sequence.conduct(lambda: _judge(session, zeroed))
                 session.close()
             finally:

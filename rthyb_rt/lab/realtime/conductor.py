@@ -61,7 +61,7 @@ _RESET_TICKS: Final = 4
 _RELEASE_S: Final = 0.25
 """In which a drive that was reset says that it no longer stands by itself."""
 _PAIR_S: Final = 0.25
-_UNHEARD: Final = 20
+_SILENT_WAITS: Final = 20
 
 _RATE_S: Final = 0.1
 _RATE_PAIRS: Final = 16
@@ -105,7 +105,7 @@ class Conductor:
         self.opened, self.clock, self.run = opened, clock, first
         self._before_tick = before_tick
         self._started = self._closed = False
-        self._unheard = _UNHEARD
+        self._silent_waits = _SILENT_WAITS
         self._farewell = True
         self.commands_before = 0
         self.rate = first.setup.rate
@@ -154,7 +154,7 @@ class Conductor:
         for one in self.opened.all:
             one.left = None
         if len(left) == len(self.ways):
-            self.loop.go_on(left)
+            self.loop.continue_from(left)
         self.commands_before = int(self.wire.struct.seq)
         if self.clock == "stepped":
             self.loop.drop_old()
@@ -307,9 +307,9 @@ class Conductor:
         if self._before_tick is not None:
             self._before_tick()
             return
-        gone = self._unheard >= _UNHEARD
+        gone = self._silent_waits >= _SILENT_WAITS
         came = self.loop.await_pair(self.rate.period_s if gone else _PAIR_S)
-        self._unheard = 0 if came else self._unheard + 1
+        self._silent_waits = 0 if came else self._silent_waits + 1
 
     def _wait_for(self, asked: Callable[[], _T | None]) -> _T:
         """Return the tick thread's answer.

@@ -56,7 +56,7 @@ class StoppedError(RthybError):
     exit_code = 130
 
 
-def _untold(_: Callable[[], None]) -> AbstractContextManager[None]:
+def _never_interrupted(_: Callable[[], None]) -> AbstractContextManager[None]:
     return nullcontext()
 
 
@@ -68,7 +68,7 @@ class Reach(Generic[AnyRig]):
         rig: its file.
         opened: the links to its drives; stay the caller's.
         clock, before_tick: as in `rthyb_rt.lab.realtime.Session`.
-        told: has a function called, while something may move, when the operator wants a stop.
+        on_interrupt: context in which a stop by the operator calls the given function.
         warn: takes a sentence that the operator should read; none comes twice.
         resets: drives that have stopped by themselves are reset before a motion.
     """
@@ -77,7 +77,7 @@ class Reach(Generic[AnyRig]):
     opened: Opened
     clock: Clock = "host"
     before_tick: Callable[[], None] | None = None
-    told: Callable[[Callable[[], None]], AbstractContextManager[None]] = _untold
+    on_interrupt: Callable[[Callable[[], None]], AbstractContextManager[None]] = _never_interrupted
     warn: Callable[[str], None] = lambda _: None
     resets: bool = False
     _warned: set[str] = field(default_factory=set, repr=False)
@@ -414,7 +414,7 @@ def carry_out(
     Args:
         connection: the rig.
         motion: what it is to do.
-        operator: asks for a stop; so does `Connection.told`.
+        operator: asks for a stop; so does `Connection.on_interrupt`.
         progress: called with (ticks done, ticks of the motion) now and then.
 
     Raises:
@@ -425,7 +425,7 @@ def carry_out(
     setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
     operator = operator or realtime.Operator()
     link = connection.rig.link
-    with connection.told(operator.stop):
+    with connection.on_interrupt(operator.stop):
         rec = realtime.run(
             setup,
             connection.opened,

@@ -66,7 +66,7 @@ def open_bus(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) ->
         owned.enter_context(ours)
         owned.enter_context(theirs)
         theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, QUEUE_BYTES[side])
-        exchange = Exchange(bus, ours, _heard(codec, side))
+        exchange = Exchange(bus, ours, _accepted(codec, side))
         owned.callback(exchange.stop)
         exchange.start()
         return Opened(
@@ -102,7 +102,7 @@ def _check_load(wanted: Link, where: str, codec: Codec) -> None:
         raise InputError(fault, where)
 
 
-def _heard(codec: Codec, side: Side) -> frozenset[int]:
+def _accepted(codec: Codec, side: Side) -> frozenset[int]:
     return frozenset(codec.feedback_ids if side == "controller" else (codec.command_id,))
 
 
@@ -131,17 +131,17 @@ class Exchange:
     Args:
         bus: of python-can, without filters: those would keep error frames out too.
         ours: one end of a SEQPACKET socket pair; the core has the other.
-        heard: identifiers that are passed on to the core.
+        accepted: identifiers that are passed on to the core.
 
     Attributes:
         counters: frames to the core and to the bus, and those lost on each way; kept up to date.
         failure: why it gave up, if it did.
     """
 
-    def __init__(self, bus: can.BusABC, ours: socket.socket, heard: frozenset[int]) -> None:
+    def __init__(self, bus: can.BusABC, ours: socket.socket, accepted: frozenset[int]) -> None:
         self.counters = dict.fromkeys(("to_core", "to_core_lost", "to_bus", "to_bus_lost"), 0)
         self.failure: str | None = None
-        self._bus, self._ours, self._heard = bus, ours, heard
+        self._bus, self._ours, self._accepted = bus, ours, accepted
         self._done = threading.Event()
         self._threads = [
             threading.Thread(target=self._guarded, args=(way,), name="rthyb-exchange", daemon=True)
@@ -191,7 +191,7 @@ class Exchange:
     def _frame(self, message: can.Message) -> bytes | None:
         """Pack what the core is to have."""
         if not message.is_error_frame:
-            return pack(message) if _identifier(message) in self._heard else None
+            return pack(message) if _identifier(message) in self._accepted else None
         raw = pack(message)
         if self._bus.state is can.BusState.ERROR:  # drivers whose error frames do not say which
             (number,) = struct.unpack_from("=I", raw)

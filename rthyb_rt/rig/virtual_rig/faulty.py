@@ -72,7 +72,7 @@ def run(
 
         def tick() -> None:
             nonlocal begun
-            if not begun and drive.told == "RUNNING":
+            if not begun and drive.received_state == "RUNNING":
                 begun = True
                 drive.schedule(
                     [dataclasses.replace(f, first=drive.ticks + f.first) for f in faults]

@@ -100,9 +100,9 @@ class _Watcher:
         for k, drive in enumerate(self._drives):
             follows = drive.phase == "following"
             if self._followed[k] and not follows:
-                told = drive.told == "TRIPPED"
-                self.told_stops += told
-                self.watchdog_stops += not told
+                commanded = drive.received_state == "TRIPPED"
+                self.told_stops += commanded
+                self.watchdog_stops += not commanded
             self._followed[k] = follows
 
 
