@@ -1,9 +1,10 @@
-/* The drives' counts against one another.
+/* Comparison of the drives' sample counts.
  *
- * On one clock the difference of two counts stays what it was, but for the sample that falls now before its tick
- * and now behind it. So it may change by one. It is compared with that of the first ticks for as long as the
- * drives are heard, at rest too: two clocks that differ by 20 ppm are a sample apart within a minute, and no
- * shorter look would find them. */
+ * If the drives share one clock, the difference of two counts is constant, except that a sample may
+ * arrive just before or just after its tick. So it may change by one. It is compared with the
+ * difference in the first ticks for as long as the drives respond, also at rest: two clocks that
+ * differ by 20 ppm are one sample apart after a minute, which no shorter observation would
+ * reveal. */
 #include "abreast.h"
 
 #include <stdlib.h>
@@ -16,8 +17,8 @@ void abreast_forget(abreast *known)
     memset(known, 0, sizeof *known);
 }
 
-/* Majority vote of Boyer and Moore (1981): the difference that more than half of the ticks have is the one that
- * is left, without a list of them. */
+/* Majority vote of Boyer and Moore (1981): the difference that occurs in more than half of the
+ * ticks remains, without a list of them. */
 static void vote(abreast *known, int axis, int64_t relative)
 {
     if (known->votes[axis] == 0)
@@ -34,8 +35,8 @@ static int farthest(int n, const int64_t *away)
     return most;
 }
 
-/* Of two counts that part either may be the wrong one. The one that has just left its place among the ticks is;
- * where all of them creep, the one that has crept farthest from the ticks. */
+/* If two counts differ, either may be the wrong one. It is the one that has just changed its offset
+ * from the ticks; if all drift slowly, it is the one that has drifted farthest from the ticks. */
 static int who_left(const abreast *known, int n, const uint64_t *counts, uint64_t tick,
                     const int64_t *usual)
 {

@@ -1,4 +1,4 @@
-/* What the readings of one axis say, before the station decides what becomes of it. */
+/* Checks of the readings of one axis; the station decides about the reaction. */
 #include "axis.h"
 
 #include "numeric.h"
@@ -55,8 +55,9 @@ double axis_take_tare(rthyb_axis *a, double x_m, double f_n, double x_cmd_m, int
 {
     a->tare_x = x_m;
     a->tare_f = f_n;
-    /* The drive stays where it is. Where an earlier tare has told already how far command and reading lie
-     * apart, that is no way to go: every test would go it again. */
+    /* The drive stays where it is. If an earlier tare has already determined the offset between
+     * command and reading, that offset is not a distance to travel: every test would travel it
+     * again. */
     a->tare_cmd = known ? x_cmd_m : x_m;
     a->gap = a->tare_cmd - x_cmd_m;
     return x_cmd_m - a->tare_cmd;

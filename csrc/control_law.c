@@ -1,9 +1,9 @@
-/* The control laws of this program, and one of them at work. */
+/* The control laws that are built in, and the calls to the law in use. */
 #include <string.h>
 
 #include "control_law.h"
 
-/* Pointers to the laws, put side by side by the linker; the two names are its own. */
+/* Pointers to the laws, placed side by side by the linker, which defines the two names. */
 extern const rthyb_control_law *const
     __start_rthyb_laws[]; /* NOLINT(bugprone-reserved-identifier,cert-*) */
 extern const rthyb_control_law *const
@@ -11,7 +11,7 @@ extern const rthyb_control_law *const
 
 size_t rthyb_law_count(void)
 {
-    /* To C they are two arrays, of which no difference may be taken. */
+    /* In C these are two arrays, whose pointers must not be subtracted. */
     const uintptr_t bytes = (uintptr_t)__stop_rthyb_laws - (uintptr_t)__start_rthyb_laws;
     return bytes / sizeof __start_rthyb_laws[0];
 }
@@ -88,7 +88,7 @@ int rthyb_law_init(rthyb_law *law, const rthyb_law_config *cfg, double period_s,
     return kind->init(&law->state, &start);
 }
 
-/* Of a law that rthyb_law_init has found: for every tick, without looking again. */
+/* For a law that rthyb_law_init has accepted: called in every tick, without checking again. */
 static inline const rthyb_control_law *law_of(const rthyb_law *law)
 {
     return law->cfg.own ? law->cfg.own : __start_rthyb_laws[law->cfg.kind];

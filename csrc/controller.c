@@ -1,16 +1,16 @@
-/* One sample of the controller: gate -> laws observe -> RFC -> numerical part -> laws lead -> limiter. A pure
- * function of (state, input).
+/* One sample of the controller: gate -> laws observe -> RFC -> numerical part -> laws lead ->
+ * limiter. A pure function of state and input.
  *
- * Axes have commands, readings and laws; interfaces have what is asked of the specimen, its forces, and their
- * compensation. The kinematics stands between them; without one, axis i is interface i. */
+ * Each axis has a compensated command, readings and a control law; each interface has a command, a
+ * force and the compensation of that force. The kinematics converts between the two; without one,
+ * axis i is interface i. */
 #include <string.h>
 
 #include "internal.h"
 #include "numeric.h"
 
-#define FREEZE_AFTER_S (3.0 / 1024.0) /* of lost samples, after which alpha and k_t are held */
-#define EXTRAPOLATE_UNTIL_S                                                                        \
-    (20.0 / 1024.0) /* of them, until which the measurement is extrapolated */
+#define FREEZE_AFTER_S (3.0 / 1024.0) /* without pairs for this long: alpha and k_t are held */
+#define EXTRAPOLATE_UNTIL_S (20.0 / 1024.0) /* longest time that readings are extrapolated */
 
 enum { MOST = RTHYB_COUPLED_MAX };
 
@@ -48,7 +48,7 @@ static int axes_init(rthyb_controller *c)
     return error;
 }
 
-/* What several axes have in common. */
+/* Parts that serve all axes together. */
 static int group_init(rthyb_controller *c)
 {
     const double none[MOST] = {0.0};
@@ -92,7 +92,7 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
 
 /* ---- between axes and interfaces --------------------------------------------------------------- */
 
-/* Without a pose the axes stand where each of them is: no pose of any kind leads there. */
+/* Without a pose, each axis keeps its target: no pose corresponds to the present positions. */
 PER_COUNT int targets_of(int n, rthyb_controller *c, const double *x_num, double *target)
 {
     if (c->cfg.kinematics.size > 0 && c->posed)
@@ -102,8 +102,8 @@ PER_COUNT int targets_of(int n, rthyb_controller *c, const double *x_num, double
     return RTHYB_OK;
 }
 
-/* Whether the axes' displacements are none that the specimen can have; asked from ZERO on, while there is a pose
- * to go on from. */
+/* Whether no pose of the specimen corresponds to the axes' displacements. Checked from ZERO on, and
+ * only while there is a pose from which the search can start. */
 static inline int is_no_pose(rthyb_controller *c, const double *x)
 {
     double pose[MOST];
@@ -111,7 +111,7 @@ static inline int is_no_pose(rthyb_controller *c, const double *x)
            rthyb_kinematics_pose(&c->kinematics, x, pose) != RTHYB_OK;
 }
 
-/* Pose and forces of the interfaces, by the readings of the axes. */
+/* Pose and forces in interface coordinates, from the readings of the axes. */
 PER_COUNT int meet(int n, rthyb_controller *c, const double *x, const double *f, double *pose,
                    double *force)
 {
@@ -126,8 +126,8 @@ PER_COUNT int meet(int n, rthyb_controller *c, const double *x, const double *f,
     return RTHYB_OK;
 }
 
-/* What the readings of the axes change by where the specimen goes on as it is asked to: the forces along the
- * tangent stiffness. */
+/* Expected change of the axes' readings if the specimen follows its command: displacements by the
+ * change of the targets, forces by the tangent stiffness times the change of the commands. */
 PER_COUNT void ahead_of(int n, rthyb_controller *c, double *x, double *f)
 {
     const int m = n;
@@ -153,11 +153,11 @@ PER_COUNT void ahead_of(int n, rthyb_controller *c, double *x, double *f)
 
 static int beyond_sensor(double value, double range)
 {
-    /* A reading at the very end of the range is a sensor that cannot say more. */
+    /* A sensor that reads exactly the end of its range is saturated. */
     return range > 0.0 && fabs(value) >= range;
 }
 
-/* Whether this is a pair; else why not, in *code. */
+/* Whether this is a valid pair; if not, the reasons are added to *code. */
 static int is_pair(const rthyb_axis_control *cfg, const rthyb_pair *in, int *code)
 {
     int own =
@@ -171,9 +171,10 @@ static int is_pair(const rthyb_axis_control *cfg, const rthyb_pair *in, int *cod
     return own == RTHYB_OK && !in->lost;
 }
 
-/* Takes the pairs of this tick, or makes up those of all axes from their commands; 1 if they are made up. Pairs
- * that are sound each by itself and no pose together are as good as none. The noise of two samples, run out over
- * twenty, would be more than the motion. */
+/* Accepts the pairs of this tick, or predicts those of all axes from the commands; returns 1 if
+ * they are predicted. Pairs that are valid individually but correspond to no pose together are
+ * rejected. Two measured samples are not extrapolated: over twenty ticks their noise would grow
+ * larger than the motion. */
 PER_COUNT int gate(int n, rthyb_controller *c, const rthyb_input *in, double *x, double *f,
                    int *code)
 {
@@ -201,7 +202,7 @@ PER_COUNT int gate(int n, rthyb_controller *c, const rthyb_input *in, double *x,
 }
 
 /* Energy that the tracking error feeds into the structure (Mosqueda et al. 2007) and tracking
- * indicator (Mercan & Ricles 2007; falling while x_m lags), of all axes. */
+ * indicator (Mercan & Ricles 2007; decreases while x_m lags), summed over all axes. */
 PER_COUNT void monitor(int n, rthyb_controller *c, const double *x, const double *f)
 {
     for (int i = 0; i < n; i++) {
@@ -271,7 +272,8 @@ PER_COUNT void write_record(int n, const rthyb_controller *c, const rthyb_input 
 
 /* ---- motion ------------------------------------------------------------------------------------ */
 
-/* One degree of freedom leaves nothing to be done later, and takes no detour by the table of kinds. */
+/* The controller's own equation of motion, with one degree of freedom, completes its step at once
+ * and is called without dispatch by kind. */
 static int answer(rthyb_controller *c, double excitation, const double *force, double *x_num)
 {
     if (has_own_part(c))
@@ -288,7 +290,7 @@ PER_COUNT int asks_velocity(int n, const rthyb_controller *c)
     return asks;
 }
 
-/* Velocities of the interfaces at t_n; only a force that is late is asked for them. */
+/* Velocities of the interfaces at t_n; computed only if needed, to compensate for a late force. */
 PER_COUNT void velocities(int n, rthyb_controller *c, double *v)
 {
     rthyb_interface at[MOST];
@@ -315,7 +317,7 @@ PER_COUNT int observe(int n, rthyb_controller *c, const double *x, int held)
     return code;
 }
 
-/* The forces that the equation of motion sees. */
+/* Forces after compensation, as used in the equation of motion. */
 PER_COUNT int compensate(int n, rthyb_controller *c, const double *pose, const double *f,
                          int frozen, double *force)
 {
@@ -345,7 +347,7 @@ PER_COUNT int meet_and_note(int n, rthyb_controller *c, const double *x, const d
     return code;
 }
 
-/* The next displacements by the equation of motion, with what the laws learn, RFC and monitors. */
+/* Next displacements from the equation of motion; the laws adapt, and RFC and monitors run. */
 PER_COUNT int compute_motion(int n, rthyb_controller *c, const rthyb_input *in, const double *x,
                              const double *f, int frozen, double *x_num)
 {
@@ -358,7 +360,7 @@ PER_COUNT int compute_motion(int n, rthyb_controller *c, const rthyb_input *in, 
     return code;
 }
 
-/* The next displacements from a path: laws and RFC see the motion and learn nothing from it. */
+/* Next displacements from a path: laws and RFC follow the motion but do not adapt. */
 PER_COUNT int follow_path(int n, rthyb_controller *c, const double *x, const double *f,
                           const double *path_m, double *x_num)
 {
@@ -377,7 +379,8 @@ PER_COUNT int follow_path(int n, rthyb_controller *c, const double *x, const dou
     return code;
 }
 
-/* What a law has learnt may move the command by one increment limit a tick; on a path, not at all. */
+/* How far the adaptation of a law may move the command in one tick: by the velocity limit; on a
+ * path, not at all. */
 static double allowed_move(const rthyb_controller *c, int axis, const double *path_m)
 {
     const double most = c->cfg.axis[axis].velocity_limit_m_per_s * c->cfg.period_s;
@@ -402,7 +405,7 @@ PER_COUNT int lead_all(int n, rthyb_controller *c, const double *target, const d
     return code;
 }
 
-/* x_p for the next instant. No law may bring the command out of this world. */
+/* Compensated commands x_p for the next instant. They stay finite, whatever a law computes. */
 PER_COUNT int lead(int n, rthyb_controller *c, const double *target, const double *path_m,
                    double *x_plc)
 {
@@ -430,7 +433,8 @@ void rthyb_controller_advance(rthyb_controller *c)
     c->behind = 0;
 }
 
-/* What becomes of the commands; 1 where the limiter has changed one. */
+/* Commands after limiting, or the previous ones in a blind tick; returns 1 if the limiter changed
+ * any. */
 PER_COUNT int command(int n, rthyb_controller *c, const double *x_plc, int blind, double *x_cmd)
 {
     int limited = 0;
@@ -443,7 +447,7 @@ PER_COUNT int command(int n, rthyb_controller *c, const double *x_plc, int blind
     return limited;
 }
 
-/* The next sample finds what this one has come to. */
+/* Stores the results of this sample as the previous values for the next one. */
 PER_COUNT void shift(int n, rthyb_controller *c, const double *x, const double *f,
                      const double *target, const double *x_plc, const double *x_cmd, int blind)
 {
@@ -461,7 +465,7 @@ PER_COUNT void shift(int n, rthyb_controller *c, const double *x, const double *
     }
 }
 
-/* For any number of axes; where that is one, and the compiler knows it, no loop is left. */
+/* For any number of axes. If the compiler knows that there is only one, no loops remain. */
 PER_COUNT int sample(int n, rthyb_controller *c, const rthyb_input *in, const double *path_m,
                      int blind, rthyb_record *record)
 {

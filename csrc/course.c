@@ -1,7 +1,8 @@
-/* Where the commands go while the equation of motion does not say it, and how far they may go at all.
+/* Paths of the commands while the equation of motion does not determine them, and bounds of the
+ * commands.
  *
- * Ways lie in the coordinates of the interfaces; one duration holds for all of them, and the limits that it
- * comes from are those of the axes. */
+ * Paths are defined in interface coordinates. All have the same duration, which follows from the
+ * limits of the axes. */
 #include <string.h>
 
 #include "station.h"
@@ -10,7 +11,7 @@ enum { MOST = RTHYB_COUPLED_MAX };
 
 /* ---- limits of paths --------------------------------------------------------------------------- */
 
-/* Of a path and of the command: the narrower one; 0 is no limit of the command. */
+/* The tighter of two limits, of paths and of commands; 0 means no limit of the command. */
 static double narrower(double path, double command)
 {
     return command > 0.0 ? fmin(path, command) : path;
@@ -84,7 +85,7 @@ static void plan(rthyb_station *s, const double from[][3], const double to[][3])
     path_between(&limits, from, to, s->path);
 }
 
-/* At rest where the specimen is asked to be. */
+/* State of rest at the commanded position of the specimen. */
 static void stand(const rthyb_station *s, double now[][3])
 {
     for (int j = 0; j < interfaces_of(s); j++) {
@@ -93,7 +94,7 @@ static void stand(const rthyb_station *s, double now[][3])
     }
 }
 
-/* Displacement, velocity and acceleration of what the phase lead is given. */
+/* Displacement, velocity and acceleration of the command, before phase lead. */
 static void present(rthyb_station *s, double now[][3])
 {
     const double h = s->cfg.controller.period_s;
@@ -133,7 +134,7 @@ int course_can_hold(const rthyb_station *s)
     return s->state == RTHYB_RUNNING || (s->state == RTHYB_HOLD && s->leg >= 2);
 }
 
-/* Where RESUME leads is where the test was left, however often its way there is held. */
+/* RESUME leads to where the test was interrupted, even if the way back is held again. */
 void course_hold(rthyb_station *s)
 {
     if (s->state == RTHYB_RUNNING)
@@ -188,7 +189,8 @@ const double *course_next(rthyb_station *s, double *x)
 
 /* ---- how far ----------------------------------------------------------------------------------- */
 
-/* Where a command may go: the test's limit about the tare, the rig's about the drive's own zero. */
+/* Permitted range of a command, from the test's limit about the tare and the rig's limit about the
+ * drive's own zero. */
 typedef struct {
     double low, high;
 } range;
@@ -208,15 +210,16 @@ static range reach(const rthyb_station *s, int axis)
     return (range){fmax(-own, -rig - zero), fmin(own, rig - zero)};
 }
 
-/* Where the command ends in spite of everything: what a limit takes off its course must not have left
- * first. It holds from START on; before the tare there is no zero that it could be counted from. */
+/* Final bound of the commands: a command that exceeds a limit which interrupts the test must not be
+ * sent in the first place. Applies from START on; before the tare there is no zero for the
+ * limits. */
 void course_confine(rthyb_station *s)
 {
     for (int i = 0; i < axes_of(s); i++) {
         rthyb_axis_control *cfg = &s->controller.cfg.axis[i];
         const range within = reach(s, i);
         const int counts = is_on_its_way(s->state) && within.high < HUGE_VAL;
-        /* Limits that leave nothing between them bring it to where they meet. */
+        /* If the limits leave no range between them, the command goes to the middle of the two. */
         cfg->clamp_m = counts ? fmax(0.5 * (within.high - within.low), ARRIVED_M) : 0.0;
         cfg->clamp_centre_m = counts ? 0.5 * (within.high + within.low) : 0.0;
     }
@@ -227,8 +230,8 @@ void course_confine(rthyb_station *s)
     }
 }
 
-/* Not across the limit, nor further out than a command that is beyond it already. What a trip repeats has left
- * before. */
+/* Neither across the limit nor, if the command is already beyond it, further out. The command that
+ * a trip repeats was sent before, and is not bounded. */
 void course_bounds(const rthyb_station *s, int axis, rthyb_axis_output *out)
 {
     const double x = s->controller.axis[axis].x_cmd;
@@ -241,15 +244,15 @@ void course_bounds(const rthyb_station *s, int axis, rthyb_axis_output *out)
 
 /* ---- where it ends ----------------------------------------------------------------------------- */
 
-/* What brakes in front of a limit ends at it. */
+/* Where the command of an axis ends: at its target, or at the limit before which it brakes. */
 static double aim_of(const rthyb_station *s, int axis)
 {
     const range within = reach(s, axis);
     return fmin(fmax(s->controller.axis[axis].x_plc, within.low), within.high);
 }
 
-/* Whether an axis stands at its position limit and goes no further, or all of them at that of a direction: the
- * others, which it holds on the straight way, stay where that leaves them. */
+/* Whether an axis has stopped at its position limit, or all axes at the limit of an interface
+ * coordinate: the other axes, which it keeps on the straight line, then stay where they are. */
 static int holds_the_others(const rthyb_station *s)
 {
     int holds = s->controller.at_direction;
@@ -261,7 +264,8 @@ static int holds_the_others(const rthyb_station *s)
     return holds;
 }
 
-/* How far a command is from where its path has ended, with what it still goes, in 1/1024 s at any rate. */
+/* Distance of a command from the end of its path, or its change within 1/1024 s (at any sampling
+ * rate) if that is larger. */
 static double away_from_end(const rthyb_station *s, int axis, int held)
 {
     const rthyb_controller_axis *a = &s->controller.axis[axis];
@@ -271,9 +275,9 @@ static double away_from_end(const rthyb_station *s, int axis, int held)
     return fmax(off, fabs(a->limiter.x_lim - a->limiter.x_lim1) * s->ticks.pace);
 }
 
-/* Whether the commands are where their path has ended, and stand: one that swings is there in passing. One
- * that comes no nearer is given up: what keeps it away, a limit of the command or a compensator that swings,
- * would keep the state for ever. */
+/* Whether the commands are at the ends of their paths and at rest; one that oscillates only passes
+ * its end. If they come no nearer, the station trips: whatever keeps them away, a limit or an
+ * oscillating compensator, would otherwise keep this state for ever. */
 static int has_arrived(rthyb_station *s)
 {
     double away = 0.0;
@@ -308,8 +312,8 @@ static void stay_there(rthyb_station *s)
         rthyb_controller_rest(&s->controller, x);
 }
 
-/* At rest the compensators and the limiter have to be through as well; until then everything is watched as on
- * the way. */
+/* Before the state of rest, compensators and limiter must have settled too; until then, everything
+ * is monitored as during motion. */
 void course_arrive(rthyb_station *s)
 {
     const int waits = (s->state == RTHYB_RAMP_IN && s->leg == 0) ||

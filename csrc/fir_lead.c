@@ -1,7 +1,7 @@
 /* See fir_lead.h. */
 #include "fir_lead.h"
 
-/* Orthogonal polynomials of degree 0 to 3 over four points, of unit length. */
+/* Orthonormal polynomials of degree 0 to 3 over four points. */
 static const double BASE[RTHYB_TAPS][RTHYB_TAPS] = {
     {0.5, 0.5, 0.5, 0.5},
     {-0.67082039324993691, -0.22360679774997896, 0.22360679774997896, 0.67082039324993691},
@@ -78,7 +78,7 @@ int rthyb_fir_init(rthyb_fir_lead *s, const rthyb_fir_settings *given, const rth
     if (s->apart > RTHYB_FIR_HISTORY / RTHYB_TAPS)
         return RTHYB_E_LAW;
     rthyb_pair_init(&s->pair, RTHYB_FIR_SECTIONS, given->cutoff_hz, s->h, start->x0_m);
-    /* The smallest th whose sum is 1 and whose lead is the delay. */
+    /* The smallest th with the sum 1 and a lead equal to the delay. */
     const double slope = -(1.5 + given->delay_s / s->h / s->apart) / 5.0;
     for (int i = 0; i < RTHYB_TAPS; i++) {
         s->learnt[i] = s->used[i] = 0.25 + slope * (i - 1.5);
@@ -106,7 +106,7 @@ static void learn(rthyb_fir_lead *s, double u, const double *phi)
     }
     for (int i = 0; i < RTHYB_TAPS; i++)
         spread += phi[i] * gain[i];
-    /* Rounding may leave P not quite positive: then it says nothing. */
+    /* After rounding, P may be slightly indefinite: this sample is then not used. */
     if (!(spread >= s->noise2))
         return;
     for (int i = 0; i < RTHYB_TAPS; i++) {

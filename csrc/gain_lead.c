@@ -1,12 +1,14 @@
-/* Phase lead with a gain, found by recursive least squares; see gain_lead.h.
+/* Phase lead with a gain, estimated by recursive least squares; see gain_lead.h.
  *
  * Lead, Eqn 2.5 with one more term, S = W1 + W2 + 1:
  *   y = x + [S (g x + a dx + b d2x) - W2 (y1 - x1) - (y2 - x2)] / W1,   W1 = 1/rho^2, W2 = -2/rho,
- * dx and d2x its first and second backward difference. Both poles lie at rho = exp(-2 pi f h).
- * Estimator, the same with what was measured put in for x:
+ * where dx and d2x are the first and second backward difference of x. Both poles are at rho =
+ * exp(-2 pi f h).
+ * Estimator, the same relation with the measured displacement in place of x:
  *   W1 (y - m) + W2 (y1 - m1) + (y2 - m2) = S (g m + a dm + b d2m),
- * where y is not what the lead gave, but the drive's command put through the rig as it was fitted: limits and
- * the rounding of the wire are in it. (The inverse on m instead would be the same, and all noise.) */
+ * where y is not the output of the lead, but the drive's command passed through the fitted model of
+ * the rig, so that it includes the limits and the rounding on the wire. (Applying the inverse to m
+ * instead would be equivalent, but would amplify its noise.) */
 #include "gain_lead.h"
 #include "learning.h"
 #include "lowpass.h"
@@ -58,7 +60,7 @@ static double inverse_step(rthyb_inverse *inv, double x)
     return inv->gain * x + deviation;
 }
 
-/* What a step becomes in its first sample. */
+/* First sample of the response to a unit step. */
 static double inverse_first(const rthyb_inverse *inv)
 {
     double sum = inv->gain;
@@ -67,7 +69,7 @@ static double inverse_first(const rthyb_inverse *inv)
     return sum;
 }
 
-/* The other way round: the input of which the output is this. */
+/* The reverse: the input that gives this output. */
 static double inverse_undo(rthyb_inverse *inv, double output)
 {
     double past = inv->x1, known = 0.0;
@@ -99,7 +101,7 @@ int rthyb_inverse_is_stable(const double *b, double roll_off_hz, double period_s
         for (int i = j + 1; i > 0 && j < INVERSE_ORDER; i--)
             power[i] -= power[i - 1];
     }
-    /* Schur and Cohn: each step takes one zero away, and all were within the circle. */
+    /* Schur-Cohn test: each step removes one zero; all of them were inside the unit circle. */
     for (int n = INVERSE_ORDER; n > 0; n--) {
         const double k = a[n] / a[0];
         double next[INVERSE_ORDER];
@@ -129,7 +131,7 @@ int rthyb_gain_lead_check(const double *p, double period_s, rthyb_law_complaint 
     return -1;
 }
 
-/* mu and phi of the newest pair, behind the filters; shifts the histories. */
+/* mu and phi of the newest pair, after the filters; shifts the histories. */
 static double form_regressor(rthyb_gain_lead *s, double p, double m, double phi[LEAD_TERMS])
 {
     const double slope = m - s->m1, unit = UNIT * s->s;
@@ -151,8 +153,8 @@ static double filter_step(rthyb_gain_lead *s, double *state, double *level, doub
     return low - *level;
 }
 
-/* The first pair is taken for rest, so that an offset between command and sensor starts no transient; the
- * mean of all samples so far then wears the first one's noise away. */
+/* The first pair is taken as the state of rest, so that an offset between command and sensor causes
+ * no transient; averaging over all samples so far then removes the noise of the first one. */
 static void prime(rthyb_gain_lead *s, double p, double m)
 {
     const double y = p / s->rig.gain;
@@ -164,7 +166,7 @@ static void prime(rthyb_gain_lead *s, double p, double m)
     s->p1 = s->p2 = s->m1 = s->m2 = 0.0;
 }
 
-/* Place of (i, j), i <= j, in the upper triangle. */
+/* Index of (i, j), i <= j, in the upper triangle. */
 static inline int at(int i, int j)
 {
     return i * (5 - i) / 2 + j;
@@ -179,9 +181,9 @@ static void add_products(double *r, double *q, const double *phi, double mu)
     }
 }
 
-/* What white noise on x_m alone puts into the moments, and how much the starting values count: as much as
- * measurements that put each term within its sigma. Filtered noise repeats itself over half a period of
- * the cut-off: so many samples are worth one. */
+/* Contribution of white noise on x_m alone to the moments, and the weight of the initial values:
+ * that of measurements that determine each term within its sigma. Filtered noise is correlated over
+ * half a period of the cut-off frequency: the samples within it count as one. */
 static void noise_moments(rthyb_gain_lead *s, double rest_noise_m, const double *p)
 {
     rthyb_gain_lead probe = *s;
@@ -272,7 +274,8 @@ int rthyb_gain_lead_init(rthyb_gain_lead *s, const double *p, const double *firs
 
 /* ---- learning ------------------------------------------------------------------------------------ */
 
-/* A symmetric system of three, in place, its diagonal scaled to 1; 0 where it does not tell three terms. */
+/* Solves a symmetric system of three equations in place, with the diagonal scaled to 1; 0 if it
+ * does not determine all three terms. */
 static int solve(double *a, double *x)
 {
     double scale[LEAD_TERMS];
@@ -314,7 +317,7 @@ static void learn(rthyb_gain_lead *s, const double *phi, double mu)
         s->q[i] *= s->forget;
     add_products(s->r, s->q, phi, mu);
     s->weight = s->forget * s->weight + 1.0;
-    /* One share for all, so that what is left is no less regular than it was. */
+    /* One share for all moments, so that the remaining matrix is as regular as before. */
     double share = 1.0;
     for (int i = 0; i < LEAD_TERMS; i++) {
         const double noise = s->weight * s->noise_r[at(i, i)];
@@ -367,7 +370,8 @@ void rthyb_gain_lead_rest(void *state, double x_m)
     s->offset = x_m - s->inverse.gain * (x_m + s->e1);
 }
 
-/* Gain, delay and curvature follow the estimate as far as it is allowed to move the command. */
+/* Gain, delay and curvature follow the estimate as far as it may move the command in this
+ * sample. */
 static void follow_estimate(rthyb_gain_lead *s, const double *terms, double allowed_m)
 {
     double effect = 0.0;

@@ -1,4 +1,5 @@
-/* Phase lead (Eqn 2.5) with a curvature term; delay and curvature are found by recursive least squares. */
+/* Phase lead (Eqn 2.5) with a curvature term; delay and curvature are estimated by recursive least
+ * squares. */
 #include "phase_lead.h"
 
 typedef rthyb_phase_lead alpha_beta_state;

@@ -1,4 +1,5 @@
-/* Phase lead (Eqn 2.5) with curvature and gain, found by recursive least squares; rolled off. */
+/* Phase lead (Eqn 2.5) with curvature and gain, estimated by recursive least squares; with
+ * roll-off. */
 #include "gain_lead.h"
 
 typedef rthyb_gain_lead gain_alpha_beta_state;
@@ -24,7 +25,7 @@ static int gain_alpha_beta_check(const double *p, double period_s, rthyb_law_com
 {
     const double low = p[GAIN_LEAD_LEAST], high = p[GAIN_LEAD_MOST];
     const double most = 0.5 * fmax(low * low, high * high), off = p[GAIN_LEAD_GAIN_MOST];
-    /* What neither file nor rig says yet is NaN. */
+    /* NaN: neither the test file nor the rig file has a value yet. */
     if (p[DELAY0] < low || p[DELAY0] > high) {
         *why = (rthyb_law_complaint){
             "found {} s; must be from delay_least_s = {} s to delay_most_s = {} s",

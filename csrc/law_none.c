@@ -2,7 +2,7 @@
 #include "control_law.h"
 
 typedef struct {
-    double last;        /* last good command */
+    double last;        /* last valid command */
     double alpha, beta; /* 0 */
 } none_state;
 

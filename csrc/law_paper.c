@@ -1,5 +1,5 @@
-/* Chen & Tsai (15WCEE 2012): phase lead (Eqn 2.5) whose delay the gradient law of Eqn 2.6-2.11 finds,
- * as printed. */
+/* Chen & Tsai (15WCEE 2012): phase lead (Eqn 2.5) with the delay estimated by the gradient law of
+ * Eqn 2.6-2.11, as printed. */
 #include "phase_lead.h"
 
 typedef rthyb_phase_lead paper_state;
@@ -15,7 +15,7 @@ static const rthyb_law_value paper_values[] = LEAD_VALUES;
 static int paper_init(void *state, const rthyb_law_start *start)
 {
     const double *own = start->parameters + LEAD_OWN;
-    /* The table's gain is per mm^2, the kernel's per reference^2. */
+    /* The gain of the test file is per mm^2, that of the estimator per reference^2. */
     const double mm = start->parameters[LEAD_REFERENCE] / 1e-3;
     rthyb_estimator_config cfg = rthyb_lead_settings(start, own[0] * (mm * mm));
     cfg.law = RTHYB_LAW_GRADIENT;

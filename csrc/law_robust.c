@@ -1,5 +1,5 @@
-/* Phase lead (Eqn 2.5) whose delay is found by the gradient law behind filter pair, gate, projection and
- * power normalisation. */
+/* Phase lead (Eqn 2.5) with the delay estimated by the gradient law, extended by filter pair, gate,
+ * projection and power normalisation. */
 #include "phase_lead.h"
 
 typedef rthyb_phase_lead robust_state;

@@ -1,23 +1,25 @@
-/* Velocity, acceleration and position of the commands, of all axes together.
+/* Limits of velocity, acceleration and position for the commands of all axes together.
  *
- * What holds of the commands that leave of an axis, and of nothing else: with x[k] the one that leaves as the
- * k-th, before the wire rounds it, and s[k] = x[k] - x[k-1],
+ * The following holds for the commands that are sent to an axis, and only for those: with x[k] the
+ * k-th command sent, before rounding on the wire, and s[k] = x[k] - x[k-1],
  *   |x[k] - centre| <= limit,   |s[k]| <= v_max h,   |s[k] - s[k-1]| <= a_max h^2,
- *   s[k] s[k-1] >= 0 where, with an acceleration limit, a tick without a command lies between them,
- * whatever number of ticks that is: skipped ones, and those whose command found no room. So a gap is never
- * caught up at once, and never stops the command. A limit that comes into force while the command is beyond
- * it, or too fast for it, is reached by braking with a_max: until then |s| falls by a_max h^2 a command, and
- * x keeps to the old limit. (v_max or a_max of 0: no such bound, and then nothing to brake with.) Position
- * wins over the others.
+ *   s[k] s[k-1] >= 0 if, with an acceleration limit, a tick without a command lies between them,
+ * regardless of the number of ticks between them: skipped ticks, or ticks whose command the link
+ * did not accept. So a gap is never caught up at once, and never stops the command. If a limit
+ * takes effect while the command is beyond it, or too fast for it, the command brakes with a_max:
+ * until it is within the limit, |s| decreases by a_max h^2 per command, and x keeps to the old
+ * limit. (If v_max or a_max is 0, that bound does not exist, and without a_max there is no
+ * braking.) Position has priority over the others.
  *
- * Several axes hold one specimen: where one of them has to stay behind, all do, by one factor, so that what
- * they do together keeps its direction. The steps of all axes are shortened by the smallest factor that one of
- * them needs for its velocity or its position, and so are the changes of all steps for the acceleration. What
- * is closed after a lag, and braked before a limit, is so at the pace of the axis that brakes worst. Where a
- * direction and a limit cannot both be kept (a turn in front of a limit, a gap), it is the limit.
+ * Several axes hold one specimen: if one of them has to stay behind, all do, by one factor, so that
+ * their combined motion keeps its direction. The steps of all axes are reduced by the smallest
+ * factor that any of them needs for its velocity or its position, and the changes of all steps
+ * likewise for the acceleration. Closing a lag, and braking before a limit, takes place at the pace
+ * of the axis that brakes worst. Where direction and limit cannot both be kept (a reversal in front
+ * of a limit, a gap), the limit is kept.
  *
- * The same holds of the pose that the commands of all axes have the specimen in: |q_j| <= limit_j along each
- * interface that has one, and above the limits of velocity and acceleration. */
+ * The same holds for the pose that corresponds to the commands of all axes: |q_j| <= limit_j along
+ * each interface that has a limit, with priority over the limits of velocity and acceleration. */
 #include "limiter.h"
 
 #include <string.h>
@@ -27,7 +29,7 @@
 enum { MOST = RTHYB_COUPLED_MAX };
 
 #define DIRECTION_LOOKS 3
-#define AT_DIRECTION 1e-6 /* m or rad: as near to the limit of a direction as counts as at it */
+#define AT_DIRECTION 1e-6 /* m or rad: distance that counts as being at the limit */
 
 void limiter_rest(rthyb_limiter *l, double x_m)
 {
@@ -52,8 +54,8 @@ void limiter_stayed(rthyb_limiter *l)
     l->gap = 1;
 }
 
-/* All of `to` come back towards `from` by one factor, until each lies within its bounds. The one that needs
- * it most ends on its bound, to the last digit. */
+/* Moves all of `to` back towards `from` by one factor, until each is within its bounds. The one
+ * that determines the factor ends exactly on its bound. */
 PER_COUNT void draw_back(int n, const double *from, const double *low, const double *high,
                          double *to)
 {
@@ -75,27 +77,28 @@ PER_COUNT void draw_back(int n, const double *from, const double *low, const dou
                                   : clamp(from[i] + least * (to[i] - from[i]), low[i], high[i]);
 }
 
-/* The step that closes a lag and can still be braked away with half the acceleration limit. */
+/* Step that closes a lag and can still be braked with half the acceleration limit. */
 static double catch_up(double lag, double a_max, double h)
 {
     const double brake = 0.5 * a_max, half = 0.5 * brake * h;
     return copysign(h * (sqrt(2.0 * brake * fabs(lag) + half * half) - half), lag);
 }
 
-/* No faster towards a limit than can be braked before it, with some of the deceleration to spare. */
+/* Largest step towards a limit from which the command can still brake before it, with some
+ * deceleration to spare. */
 static double before_the_end(double room, double a_max, double h)
 {
     return room > 0.0 ? catch_up(room, 1.6 * a_max, h) : 0.0;
 }
 
-/* How far from the clamp's centre a command may be. */
+/* Largest distance of a command from the centre of the clamp. */
 static double position_limit(const rthyb_axis_control *cfg)
 {
     return cfg->clamp_m > 0.0 ? cfg->clamp_m : COMMAND_MAX_M;
 }
 
-/* The steps that catch up with what is wanted, no faster than they can be braked: else the commands would
- * swing about that for ever. */
+/* Steps that catch up with the wanted commands, no faster than they can be braked: otherwise the
+ * commands would oscillate about them for ever. */
 PER_COUNT void close_lags(int n, const rthyb_controller *c, const double *wanted, double *step)
 {
     double closing[MOST], share[MOST], least = HUGE_VAL;
@@ -115,7 +118,7 @@ PER_COUNT void close_lags(int n, const rthyb_controller *c, const double *wanted
     }
 }
 
-/* What an axis can brake with while it keeps pace with all others. */
+/* Acceleration with which an axis can brake while it keeps pace with all others. */
 PER_COUNT double joint_acceleration(int n, const rthyb_controller *c, const double *step, int axis)
 {
     double most = c->cfg.axis[axis].acceleration_limit_m_per_s2;
@@ -127,7 +130,7 @@ PER_COUNT double joint_acceleration(int n, const rthyb_controller *c, const doub
     return most;
 }
 
-/* Steps that can still be braked before the position limits; `alone`: each axis by itself. */
+/* Steps that can still be braked before the position limits; `alone`: each axis individually. */
 PER_COUNT void brake_in_time(int n, const rthyb_controller *c, double *step, int alone)
 {
     const double h = c->cfg.period_s, none[MOST] = {0.0};
@@ -160,7 +163,7 @@ PER_COUNT void limit_velocity(int n, const rthyb_controller *c, double *step)
     draw_back(n, none, low, high, step);
 }
 
-/* After a gap no step goes the other way at once. */
+/* After a gap, no step reverses at once. */
 PER_COUNT void keep_way(int n, const rthyb_controller *c, double *step)
 {
     for (int i = 0; i < n; i++) {
@@ -170,7 +173,7 @@ PER_COUNT void keep_way(int n, const rthyb_controller *c, double *step)
     }
 }
 
-/* From the steps of before; one that braked for its own position limit keeps to that. */
+/* Relative to the previous steps; an axis that brakes for its own position limit still does so. */
 PER_COUNT void limit_acceleration(int n, const rthyb_controller *c, double *step)
 {
     const double h = c->cfg.period_s;
@@ -189,9 +192,9 @@ PER_COUNT void limit_acceleration(int n, const rthyb_controller *c, double *step
         step[i] = clamp(step[i], low[i], high[i]);
 }
 
-/* Of a limit that was drawn in behind it, or close before it, the command comes back on its own course
- * and not at once: with an acceleration limit it may go on as far as it needs to brake, but never beyond
- * a limit that was there before. */
+/* If a limit is moved behind the command, or close in front of it, the command returns along its
+ * own path, not at once: with an acceleration limit, it may continue for its braking distance, but
+ * never beyond the previous limit. */
 static void draw_bounds(const rthyb_axis_control *cfg, double h, rthyb_limiter *l)
 {
     const double per_tick2 = cfg->acceleration_limit_m_per_s2 * h * h;
@@ -202,7 +205,7 @@ static void draw_bounds(const rthyb_axis_control *cfg, double h, rthyb_limiter *
     l->lower_m = less_of(centre - limit, greater_of(l->lower_m, l->x_lim + less_of(0.0, braked)));
 }
 
-/* Whether an axis has a limit of its acceleration, and one of its velocity. */
+/* Whether any axis has an acceleration limit; below: a velocity limit. */
 PER_COUNT int accelerates(int n, const rthyb_controller *c)
 {
     int any = 0;
@@ -229,7 +232,7 @@ static int has_directions(int n, const rthyb_controller *c)
     return any;
 }
 
-/* Where commands have the specimen, found from where it is asked to be; 0 where they have it nowhere. */
+/* Pose that corresponds to commands, searched for from the commanded pose; 0 if there is none. */
 static int pose_of(int n, const rthyb_controller *c, const double *x, double *pose)
 {
     memcpy(pose, x, (size_t)n * sizeof *pose);
@@ -241,7 +244,7 @@ static int pose_of(int n, const rthyb_controller *c, const double *x, double *po
     return rthyb_kinematics_pose(&trial, x, pose) == RTHYB_OK;
 }
 
-/* What the commands of a tick are along the interfaces: where they come from, and where they go. */
+/* Commands of a tick in interface coordinates: the previous ones and the new ones. */
 typedef struct {
     double from[MOST], to[MOST];
 } ways;
@@ -256,7 +259,8 @@ static int find_ways(int n, const rthyb_controller *c, const double *step, ways 
     return pose_of(n, c, from, way->from) && pose_of(n, c, to, way->to);
 }
 
-/* What a direction can be braked with while the axes keep pace: the one that brakes worst decides. */
+/* Acceleration with which a direction can be braked while the axes keep pace; the axis that brakes
+ * worst determines it. */
 static double direction_acceleration(int n, const rthyb_controller *c, const double *step,
                                      double way)
 {
@@ -269,7 +273,8 @@ static double direction_acceleration(int n, const rthyb_controller *c, const dou
     return most;
 }
 
-/* Steps that can still be braked before the limits of the directions, all by one factor. */
+/* Steps that can still be braked before the limits of the interface coordinates, all by one
+ * factor. */
 static void brake_directions(int n, const rthyb_controller *c, double *step)
 {
     ways way;
@@ -288,8 +293,8 @@ static void brake_directions(int n, const rthyb_controller *c, double *step)
         step[i] *= least;
 }
 
-/* What one direction lets through of a way: all of it, or as far as its limit. One that is beyond it already comes
- * back, and goes no further. */
+/* Share of a change that the limit of one interface coordinate permits: all of it, or as far as the
+ * limit. A coordinate that is already beyond its limit may return but go no further out. */
 static double let_through(double limit, double from, double to)
 {
     const double bound = copysign(fmax(limit, fabs(from)), to);
@@ -297,8 +302,8 @@ static double let_through(double limit, double from, double to)
     return out > 0.0 ? clamp((bound - from) / (to - from), 0.0, 1.0) : 1.0;
 }
 
-/* And in spite of everything: commands that would lead beyond go so far as the limit, all by one factor. Where the
- * geometry is curved the second look finds what the first has left. */
+/* Final bound: commands that would lead beyond a limit end at the limit, all by one factor. If the
+ * geometry is curved, later passes correct what the first one leaves. */
 static void keep_directions(int n, rthyb_controller *c, const double *wanted, double *command)
 {
     double step[MOST] = {0.0}, beyond[MOST] = {0.0};
@@ -345,8 +350,9 @@ PER_COUNT void limit_steps(int n, const rthyb_controller *c, const double *wante
     }
 }
 
-/* An axis that its own position limit stops at once holds the others on the straight way, but no faster than each
- * of them brakes: one that is nowhere near a limit does not leap. */
+/* An axis that its own position limit stops at once keeps the others on the straight line, but
+ * brakes each of them no faster than its limit permits: an axis that is nowhere near a limit does
+ * not jump. */
 PER_COUNT void spare_the_others(int n, const rthyb_controller *c, const double *low,
                                 const double *high, double *command)
 {
@@ -361,7 +367,8 @@ PER_COUNT void spare_the_others(int n, const rthyb_controller *c, const double *
     }
 }
 
-/* It goes on from what it wanted itself: from a coarse wire's rounding a slow command would never get away. */
+/* Continues from its own unrounded result: from a value rounded on a coarse wire, a slow command
+ * would never move on. */
 PER_COUNT void limit_all(int n, rthyb_controller *c, const double *wanted, double *command)
 {
     double step[MOST] = {0.0}, from[MOST] = {0.0}, low[MOST] = {0.0}, high[MOST] = {0.0};
@@ -381,7 +388,7 @@ PER_COUNT void limit_all(int n, rthyb_controller *c, const double *wanted, doubl
     }
 }
 
-/* Where there is one axis, and the compiler knows it, no loop is left. */
+/* If there is one axis, and the compiler knows it, no loops remain. */
 void limiter_commands(int n, rthyb_controller *c, const double *wanted, double *command)
 {
     if (n == 1)

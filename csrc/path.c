@@ -1,4 +1,4 @@
-/* Ways between two states of motion: quintics, raised cosines, and brakes. */
+/* Paths between two states of motion: quintics, half-cosine ramps, and brakes. */
 #include "path.h"
 
 #include <string.h>
@@ -7,20 +7,20 @@
 
 enum { MOST = RTHYB_COUPLED_MAX };
 
-#define SEARCH_STEPS 80 /* of 1.25 each: from 8 ms to longer than any test */
-/* Pins: by what factor a way is made longer at once, and how often: three times in all, for the axes of a specimen
- * that turns by 80 mrad are 5 to 10 % faster than where it stands straight. */
+#define SEARCH_STEPS 80 /* factors of 1.25: from 8 ms to longer than any test */
+/* Pins: factor by which a path is lengthened each time, and how often; in total by a factor of 3.
+ * The axes of a specimen that rotates by 80 mrad are 5 to 10 % faster than in its upright pose. */
 #define STRETCH 1.08
 #define STRETCHES 15
-#define POINTS 32          /* of a way, at which the axes are looked at, */
-#define PEAK_BETWEEN 1.005 /* by what a quintic's acceleration may be larger between two of them */
+#define POINTS 32          /* of a path, at which the axes are checked */
+#define PEAK_BETWEEN 1.005 /* factor for a higher acceleration of a quintic between two points */
 
 static int64_t whole_ticks(double duration_s, double h)
 {
     return (int64_t)clamp(ceil(duration_s / h - 1e-9), 1.0, 1e15);
 }
 
-/* Quintic from (x0, v0, a0) to (x1, v1, a1) in so many ticks of h. */
+/* Quintic from (x0, v0, a0) to (x1, v1, a1) in the given number of ticks of h. */
 static rthyb_path quintic(const double from[3], const double to[3], int64_t ticks, double h)
 {
     const double T = (double)ticks * h;
@@ -34,7 +34,7 @@ static rthyb_path quintic(const double from[3], const double to[3], int64_t tick
     };
 }
 
-/* x or its first or second derivative by u (order 0, 1, 2) of a polynomial path. */
+/* x, or its first or second derivative with respect to u (order 0, 1, 2), of a polynomial path. */
 static double polynomial(const rthyb_path *p, double u, int order)
 {
     double sum = 0.0;
@@ -45,8 +45,8 @@ static double polynomial(const rthyb_path *p, double u, int order)
     return sum;
 }
 
-/* Displacement, velocity and acceleration on a brake after so many ticks: its acceleration goes over into the
- * deceleration, stays, and goes over into 0. */
+/* Displacement, velocity and acceleration after the given number of ticks of a brake: its
+ * acceleration changes linearly to the deceleration, stays constant, and changes linearly to 0. */
 static void braked(const rthyb_path *p, double ticks, double h, double now[3])
 {
     const double turn = (double)p->turn * h, steady = (double)(p->ticks - 2 * p->turn) * h;
@@ -63,7 +63,7 @@ static void braked(const rthyb_path *p, double ticks, double h, double now[3])
     }
 }
 
-/* The same of any way. */
+/* The same for a path of any kind. */
 static void path_at(const rthyb_path *p, double ticks, double h, double now[3])
 {
     const double T = (double)p->ticks * h, u = ticks / (double)p->ticks;
@@ -86,7 +86,7 @@ void path_along(const rthyb_path *p, double h, double now[3])
     path_at(p, (double)p->elapsed, h, now);
 }
 
-/* Of each axis, where the directions move by that. */
+/* Values of the axes for values in interface coordinates. */
 static void of_axes(const path_limits *limits, const double *direction, double *axis)
 {
     for (int i = 0; i < limits->axes; i++) {
@@ -96,7 +96,8 @@ static void of_axes(const path_limits *limits, const double *direction, double *
     }
 }
 
-/* Velocity (order 1) or acceleration (order 2) of each axis, that number of every direction's state. */
+/* Velocity (order 1) or acceleration (order 2) of each axis, for a state in interface
+ * coordinates. */
 static void states_of_axes(const path_limits *limits, const double state[][3], int order,
                            double *axis)
 {
@@ -106,7 +107,8 @@ static void states_of_axes(const path_limits *limits, const double state[][3], i
     of_axes(limits, direction, axis);
 }
 
-/* The largest share of the limits that polynomial paths take; up to 1 they are within them. */
+/* Largest ratio of velocity or acceleration to its limit along polynomial paths; up to 1, they are
+ * within the limits. */
 static double path_share(const path_limits *limits, const rthyb_path *paths, const double *v_max,
                          const double *a_max)
 {
@@ -129,7 +131,8 @@ static double path_share(const path_limits *limits, const rthyb_path *paths, con
     return share;
 }
 
-/* Velocity and acceleration of each axis in a state of all directions: as it is with pins, at that pose. */
+/* Velocity and acceleration of each axis, for a state in interface coordinates; with pins, at that
+ * pose. */
 static void rates_of_axes(const path_limits *limits, const double state[][3], double *v, double *a)
 {
     double pose[MOST] = {0.0}, velocity[MOST] = {0.0}, acceleration[MOST] = {0.0};
@@ -146,7 +149,8 @@ static void rates_of_axes(const path_limits *limits, const double state[][3], do
     rthyb_kinematics_rates(limits->pins, pose, velocity, acceleration, v, a);
 }
 
-/* What the axes take of limits at most, all along a way of any kind. */
+/* Largest ratios of the axes' velocity and acceleration to their limits, along a path of any
+ * kind. */
 typedef struct {
     double velocity, acceleration;
 } shares;
@@ -181,7 +185,7 @@ static void quintics(const path_limits *limits, const double from[][3], const do
         paths[j] = quintic(from[j], to[j], whole_ticks(T, h), h);
 }
 
-/* What the axes keep to: where the end states themselves are beyond a limit, their values. */
+/* Limits that the axes keep to: if an end state itself exceeds a limit, its value instead. */
 static void keep_to(const path_limits *limits, const double from[][3], const double to[][3],
                     double *v_max, double *a_max)
 {
@@ -195,8 +199,8 @@ static void keep_to(const path_limits *limits, const double from[][3], const dou
     }
 }
 
-/* Makes a way longer until the axes keep to their limits all along it; one that never does so becomes the one that
- * exceeds them least. */
+/* Lengthens a path until the axes keep to their limits everywhere along it; if no length does, the
+ * path becomes the one that exceeds them least. */
 static void stretch(const path_limits *limits, const double from[][3], const double to[][3],
                     const double *v_max, const double *a_max, rthyb_path *paths)
 {
@@ -213,10 +217,10 @@ static void stretch(const path_limits *limits, const double from[][3], const dou
     }
 }
 
-/* The shortest quintics, within a factor of 1.25, that keep to the path limits; where the end states
- * themselves are beyond them, they keep to their values. A way to a point that is near but left at speed may
- * be short of time and of room at once, and a longer one only swings the farther: then those that exceed
- * the limits least. */
+/* The shortest quintics, within a factor of 1.25, that keep to the path limits; if an end state
+ * itself exceeds a limit, its value is used instead. A path to a nearby point that is to be passed
+ * at speed may lack both time and room, and a longer one only swings farther: then the quintics
+ * that exceed the limits least. */
 void path_between(const path_limits *limits, const double from[][3], const double to[][3],
                   rthyb_path *paths)
 {
@@ -238,8 +242,9 @@ void path_between(const path_limits *limits, const double from[][3], const doubl
         stretch(limits, from, to, v_max, a_max, paths);
 }
 
-/* Accelerations that a brake begins with: what an axis has beyond its limit is cut off, in every direction
- * alike. One direction of one axis alone ends on the limit, to the last digit. */
+/* Accelerations at the beginning of a brake: if an axis exceeds its limit, the accelerations in all
+ * directions are reduced by the same factor. For a single axis and direction, the result is exactly
+ * the limit. */
 static void begin_braking(const path_limits *limits, const double from[][3], double *a)
 {
     double axis[MOST], factor = 1.0;
@@ -253,7 +258,8 @@ static void begin_braking(const path_limits *limits, const double from[][3], dou
         a[0] = clamp(from[0][2], -limits->brake_m_per_s2[0], limits->brake_m_per_s2[0]);
 }
 
-/* How long an axis of that velocity and acceleration brakes: ticks of a change, and of the steady part. */
+/* Duration of a brake for the velocity and acceleration of an axis: ticks of each change, and of
+ * the steady part. */
 typedef struct {
     int64_t turn, steady;
 } braking;
@@ -290,8 +296,9 @@ static braking longest(const path_limits *limits, const double from[][3], const 
     return most;
 }
 
-/* Brakes from (x, v, a) in each direction to rest. A step of the acceleration would be a leap behind the phase
- * lead: each change takes `turn`, less for a motion that is over sooner: v = (b - a / 2) turn. */
+/* Brakes from (x, v, a) in each direction to rest. A step of the acceleration would become a jump
+ * behind the phase lead, so each change takes `turn` ticks, fewer for a motion that ends sooner: v
+ * = (b - a / 2) turn. */
 static void brakes(const path_limits *limits, const double from[][3], const double *a,
                    const braking *brake, rthyb_path *paths)
 {
@@ -311,8 +318,8 @@ static void brakes(const path_limits *limits, const double from[][3], const doub
     }
 }
 
-/* As of a way, but braked in a longer time. What the turning of the axes adds to their acceleration while they are
- * fast no brake takes away. */
+/* Like `stretch`, but lengthens a brake. No brake can remove the acceleration that the rotation of
+ * the axes adds while they are fast. */
 static void soften(const path_limits *limits, const double from[][3], const double *a,
                    braking brake, rthyb_path *paths)
 {
@@ -346,7 +353,7 @@ rthyb_path path_ramp(double a, double b, int64_t ticks)
     return (rthyb_path){.c = {0.5 * (a + b), 0.5 * (a - b)}, .end = b, .ticks = ticks, .cosine = 1};
 }
 
-/* Of a ramp all velocities go by 1 / T, and all accelerations by 1 / T^2. */
+/* All velocities of a ramp are proportional to 1 / T, and all accelerations to 1 / T^2. */
 static int64_t stretched_ramp(const path_limits *limits, const double *way, int64_t ticks)
 {
     rthyb_path paths[MOST];
@@ -358,7 +365,8 @@ static int64_t stretched_ramp(const path_limits *limits, const double *way, int6
     return (int64_t)clamp(ceil((double)ticks * longer), (double)ticks, 1e15);
 }
 
-/* Peak velocity pi/2 way/T and acceleration pi^2/2 way/T^2 of that wave within the limits. */
+/* Duration that keeps the peak velocity pi/2 way/T and the peak acceleration pi^2/2 way/T^2 of the
+ * ramp within the limits. */
 int64_t path_ramp_ticks(const path_limits *limits, const double *way)
 {
     double axis[MOST];

@@ -17,7 +17,7 @@ int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why)
                                      {high, low}};
         return LEAD_ALPHA_MAX;
     }
-    /* Where neither file nor rig says it yet it is NaN. */
+    /* NaN: neither the test file nor the rig file has a value yet. */
     if (alpha0 < low || alpha0 > high) {
         *why = (rthyb_law_complaint){"found {}; must be from alpha_min = {} to alpha_max = {} "
                                      "samples of controller.delay_estimator",
@@ -40,8 +40,8 @@ int rthyb_lead_check_filtered(const double *p, double period_s, rthyb_law_compla
     return rthyb_lead_check(p, period_s, why);
 }
 
-/* A slope per sample is the smaller the shorter the sample: in units of a reference that shrinks with it,
- * phi is the same at any rate. And what is learnt in a sample is as much less as there are more of them. */
+/* The change per sample is proportional to the period. The reference is scaled likewise, so that
+ * phi is the same at any sampling rate; and the gain, so that adaptation per second is the same. */
 rthyb_estimator_config rthyb_lead_settings(const rthyb_law_start *start, double gain)
 {
     const double *p = start->parameters;
@@ -80,12 +80,12 @@ int rthyb_lead_observe(void *state, double x_p_m, double x_m_m, int frozen)
     return rthyb_estimator_step(&lead->estimator, x_p_m, x_m_m, frozen);
 }
 
-/* alpha and beta follow the estimator as far as it is allowed to move the command. */
+/* alpha and beta follow the estimator as far as it may move the command in this sample. */
 static void follow_estimate(rthyb_phase_lead *lead, double x_c_m, double allowed_m)
 {
     const rthyb_estimator *est = &lead->estimator;
     const rthyb_plc *plc = &lead->plc;
-    /* The printed law knows no bounds; what the compensator is given has them. */
+    /* The printed law has no bounds; the values passed to the compensator have. */
     const double alpha = clamp(est->alpha, est->cfg.alpha_min, est->cfg.alpha_max);
     if (isinf(allowed_m)) {
         lead->alpha = alpha;

@@ -8,7 +8,7 @@
 
 int rthyb_plc_is_stable(double w1, double w2)
 {
-    /* Jury's conditions on z^2 + (W2/W1) z + 1/W1; false for NaN and inf. */
+    /* Jury's conditions for z^2 + (W2/W1) z + 1/W1; false for NaN and inf. */
     return isfinite(w1) && isfinite(w2) && fabs(w1) > 1.0 && fabs(w2) < fabs(w1 + 1.0);
 }
 
@@ -31,7 +31,7 @@ int rthyb_plc_step(rthyb_plc *plc, double alpha, double beta, double x_c_m, doub
     const double w1 = plc->w1, w2 = plc->w2, s = w1 + w2 + 1.0;
     const double slope = x - plc->x1;
     const double curvature = slope - (plc->x1 - plc->x2);
-    /* Eqn 2.5 as a recursion, the deviation from x alone so that a command at rest stays exact. */
+    /* Eqn 2.5 as a recursion for the deviation from x, so that a command at rest stays exact. */
     const double lead = a * s * slope + b * s * curvature;
     const double y = x + (lead - w2 * (plc->y1 - plc->x1) - (plc->y2 - plc->x2)) / w1;
     plc->x2 = plc->x1;

@@ -1,24 +1,27 @@
-/* Restoring-force compensator. What the equation of motion is given instead of the measured force
- * is f + k_exp (x_c - x_m) (Eqn 3.2), with the tangent stiffness k_exp of the last T0 samples
- * (Eqn 3.3) held between 0 and k_e. The window is summed anew every sample: a running sum would
- * keep the trace of one absurd sample for ever.
+/* Restoring-force compensator. The equation of motion uses, instead of the measured force, f +
+ * k_exp (x_c - x_m) (Eqn 3.2), with the tangent stiffness k_exp of the last T0 samples (Eqn 3.3)
+ * limited to 0 ... k_e. The window is summed anew in every sample: a running sum would keep the
+ * trace of a single implausible sample for ever.
  *
- * Beyond the paper, where its settings ask for it: f + k_exp (LP(x_c - x_m) + tau v_c).
- * LP, a low-pass: what x_m has above its cut-off (noise, a resonance of actuator and specimen) is no error
- * that the structure should feel; with the whole band of it the loop keeps f - k_e x_m, the specimen's
- * inertia force alone, which grows with the square of the frequency.
+ * Beyond the paper, if the settings ask for it: f + k_exp (LP(x_c - x_m) + tau v_c).
+ * LP, a low-pass: the part of x_m above its cut-off (noise, a resonance of actuator and specimen)
+ * is not an error that the structure should feel. If that part were included, f - k_e x_m would
+ * remain in the loop, the inertia force of the specimen alone, which grows with the square of the
+ * frequency.
  * tau: f is the force at x_m(t - tau), so the force at x_c(t) is
  *   f + k (x_c(t) - x_m(t - tau)) = f + k (x_c - x_m)(t) + k (x_m(t) - x_m(t - tau)),
- * the last of which is k tau x_m' to first order; x_c' stands for x_m', which has noise. */
+ * whose last term is k tau x_m' to first order; x_m' is noisy and is replaced by x_c'. */
 #include "lowpass.h"
 
 #define RATIO_MAX 1e15
 #define VELOCITY_MAX 1e9 /* m/s */
-#define LATENESS_MAX 1.0 /* s, either way */
-#define SPREAD_GATE 16.0 /* least squares: variance of x_m in the window over that of its noise */
+#define LATENESS_MAX 1.0 /* s, positive or negative */
+#define SPREAD_GATE                                                                                \
+    16.0 /* least squares: least variance of x_m in the window, as a multiple of its               \
+          * noise */
 
-/* Sums over a window run in pairs of lanes of 16 bytes, which every 64-bit processor has: that fixes
- * their order and lets several additions be under way at once. */
+/* Sums over a window use pairs of lanes of 16 bytes, which every 64-bit processor supports: this
+ * fixes the order of the additions, and several of them can run in parallel. */
 typedef double lanes __attribute__((vector_size(16)));
 
 static inline lanes load(const double *p)
@@ -65,7 +68,8 @@ static double low_passed(rthyb_rfc *rfc, double difference)
                                     : difference;
 }
 
-/* The window keeps the T0 samples before the newest one: what is read is never what was just written. */
+/* The window contains the T0 samples before the newest one, so a value is never read right after it
+ * was written. */
 static void push(rthyb_rfc *rfc, double x, double f)
 {
     const uint32_t length = (uint32_t)rfc->cfg.window;
@@ -92,7 +96,7 @@ static double window_sum(const double *x, uint32_t n)
     return i < n ? sum + x[i] : sum;
 }
 
-/* Eqn 3.3. Where x_m stands still the term is 0/0: it takes the value of the term before it. */
+/* Eqn 3.3. If x_m has not changed, the term is 0/0 and takes the value of the previous term. */
 static double mean_of_ratios(rthyb_rfc *rfc, double dx, double df)
 {
     if (dx != 0.0)
@@ -103,8 +107,8 @@ static double mean_of_ratios(rthyb_rfc *rfc, double dx, double df)
     return sum / (rfc->cfg.divisor == RTHYB_DIVISOR_PRINTED && before > 0 ? before : before + 1);
 }
 
-/* Slope of the regression line of f on x_m over the same T0 + 1 samples; holds k while x_m has not
- * moved beyond its noise. Sums are taken from the newest sample to keep their digits. */
+/* Slope of the regression line of f on x_m over the same T0 + 1 samples; keeps k while x_m has not
+ * moved beyond its noise. Sums are formed relative to the newest sample, to avoid cancellation. */
 static double least_squares(rthyb_rfc *rfc, double x, double f)
 {
     const uint32_t before = rfc->filled;
@@ -136,7 +140,7 @@ static double least_squares(rthyb_rfc *rfc, double x, double f)
     const double n = before + 1.0;
     const double spread = sxx - sx * sx / n;
     const double noise = rfc->cfg.rest_noise_m;
-    /* Rounding leaves spread of a frozen window within 1e-14 of sxx + x^2. */
+    /* For a window of constant x_m, rounding leaves a spread of up to 1e-14 (sxx + x^2). */
     if (!(spread > SPREAD_GATE * n * noise * noise + 1e-14 * (sxx + x * x)))
         return rfc->k_n_per_m;
     return (sxf - sx * sf / n) / spread;
@@ -155,7 +159,8 @@ int rthyb_rfc_step(rthyb_rfc *rfc, double x_c_m, double v_c_m_per_s, double x_m_
     const double k = rfc->cfg.tangent == RTHYB_TANGENT_LEAST_SQUARES
                          ? least_squares(rfc, x, f)
                          : mean_of_ratios(rfc, x - rfc->x1, f - rfc->f1);
-    /* Stage 1: t <= 2 T0 dt, stage 3: t >= t_ex: k_e. Stage 2: Eqn 3.3 between 0 and k_e. */
+    /* k_e in stage 1 (t <= 2 T0 dt) and stage 3 (t >= t_ex). In stage 2, Eqn 3.3 between 0 and
+     * k_e. */
     if (n <= 2 * (uint64_t)rfc->cfg.window || n >= rfc->cfg.end_tick)
         rfc->k_n_per_m = k_e;
     else if (!frozen && code == RTHYB_OK)

@@ -1,17 +1,17 @@
-/* States, limits and faults: what may happen when, and what happens when something goes wrong.
+/* States, limits and faults: which transitions are allowed, and how the station reacts to a fault.
  *
  *   IDLE -> ZEROED -> ARMED -> RAMP_IN -> RUNNING (<-> HOLD) -> RAMP_OUT -> IDLE
- *   TRIPPED from anywhere: three more commands with the last position, then silence until RESET.
+ *   any state -> TRIPPED: three more commands with the last position, then none until RESET.
  *
- * The station decides which displacement comes next: the equation of motion while RUNNING, a path
- * of limited velocity and acceleration otherwise. The first cause that took a test off its course
- * is latched. Everything is a function of (state, input); the clock and the wire are elsewhere. */
+ * The station determines the next displacement: from the equation of motion while RUNNING, from a
+ * path of limited velocity and acceleration otherwise. The first cause that interrupts a test is
+ * latched. Everything is a function of state and input; clock and wire are handled elsewhere. */
 #include <string.h>
 
 #include "station.h"
 
 #define TRIP_FRAMES 3
-#define RESET_FRAMES 3 /* one that is lost does not matter */
+#define RESET_FRAMES 3 /* losing one does not matter */
 
 enum { MOST = RTHYB_COUPLED_MAX };
 
@@ -66,7 +66,8 @@ static int config_error(const rthyb_station_config *c)
     return ticks_ok ? 0 : RTHYB_E_LIMIT;
 }
 
-/* The sensors' ranges are the station's to judge, before the tare is taken off. */
+/* The station checks the sensors' ranges, before the tare is subtracted; the controller does not
+ * check them again. */
 static int fresh_controller(rthyb_station *s)
 {
     const int error = rthyb_controller_init(&s->controller, &s->cfg.controller);
@@ -75,7 +76,7 @@ static int fresh_controller(rthyb_station *s)
     return error;
 }
 
-/* What is told by time, in ticks of the station's own. */
+/* Durations, converted to ticks of this station. */
 static rthyb_station_ticks station_ticks(double h)
 {
     const uint32_t lost = ticks_of(RTHYB_LOST_TICKS * STANDARD_S, h), recent = ticks_of(1.0, h);
@@ -130,7 +131,8 @@ static double acceleration_of(const rthyb_parameters *p, int axis)
     return own ? own->acceleration_limit_m_per_s2 : p->acceleration_limit_m_per_s2;
 }
 
-/* What lags behind its course under a limit would leap there without it. */
+/* Whether a set of parameters would switch off a limit: a command that lags because of that limit
+ * would then jump. */
 static int switches_off(const rthyb_station *s, const rthyb_parameters *p)
 {
     int off = 0;
@@ -185,8 +187,8 @@ void station_enter(rthyb_station *s, int state)
     s->nearest_m = INFINITY;
 }
 
-/* The first cause stays. That a test was over, or that the operator wanted it to be, is none that a
- * fault on the way out would hide behind. */
+/* The first cause is kept. Exception: COMPLETED and OPERATOR are replaced by a fault that occurs
+ * during the ramp-out, because they would hide it. */
 void station_blame(rthyb_station *s, finding found)
 {
     if (s->cause > RTHYB_CAUSE_OPERATOR)
@@ -206,7 +208,8 @@ static void forget_cause(rthyb_station *s)
     s->cause_axis = s->cause_interface = -1;
 }
 
-/* A pair of every axis, of numbers that it can be, none of them at the end of its sensor's range. */
+/* Whether every axis has a pair of plausible values, none of them at the end of its sensor's
+ * range. */
 static int is_sound(const rthyb_station *s, const rthyb_station_input *in)
 {
     int sound = 1;
@@ -216,7 +219,8 @@ static int is_sound(const rthyb_station *s, const rthyb_station_input *in)
     return sound;
 }
 
-/* 1 + the first axis of which this is so; 0: of none. */
+/* 1 + index of the first axis whose link is down, 0 if there is none; the next two functions
+ * correspondingly. */
 static int first_down(const rthyb_station *s, const rthyb_station_input *in)
 {
     for (int i = 0; i < axes_of(s); i++)
@@ -252,14 +256,14 @@ static void note_clocks(rthyb_station *s, const rthyb_station_input *in)
     s->apart_axis = is_apart(in) ? in->apart - 1 : -1;
 }
 
-/* Without an axis, and 0 ticks, where the counts have not been compared yet. */
+/* If the counts have not been compared yet: 0 ticks, and no axis. */
 static finding came_apart(const rthyb_station *s)
 {
     const int where = s->apart_axis < 0 ? 0 : of_axis(s->apart_axis);
     return (finding){RTHYB_CAUSE_APART, (double)s->apart, s->ticks.lost, where};
 }
 
-/* Where the specimen is read to be. */
+/* Sets the commands to the measured positions. */
 static void settle_at_readings(rthyb_station *s, const rthyb_station_input *in)
 {
     double x[MOST];
@@ -299,9 +303,10 @@ static int refuse(rthyb_station *s, finding found)
     return 0;
 }
 
-/* Back to the state of a fresh start; what a recording needs of the last test stays readable until
- * then. Tare survives, the readings survive, and so do the commands: the ramp begins where the drives were
- * told to be, for what lies between that and the readings would leave in one step. */
+/* Returns to the initial state; what a recording needs from the last test stays readable until
+ * then. The tare, the readings and the commands are kept: the ramp begins at the last commands of
+ * the drives, because the difference between those and the readings would otherwise be sent as a
+ * single step. */
 static void begin_test(rthyb_station *s)
 {
     const uint32_t generation = s->controller.generation;
@@ -336,9 +341,9 @@ static void begin_zero(rthyb_station *s)
         axis_begin_tare(&s->axis[i]);
 }
 
-/* A drive takes up where it stands: it must stand, and where must be known. What pulls at the specimen
- * beyond the rig's own limit would trip it again at once. At rest there is nothing to reset but a drive
- * that has stopped by itself. */
+/* A drive resumes from where it stands, so it must be at rest at a known position. A force beyond
+ * the rig's own limit would cause another trip at once. In IDLE, only a drive that has stopped on
+ * its own can be reset. */
 static int can_reset(rthyb_station *s, const rthyb_station_input *in)
 {
     finding found;
@@ -357,13 +362,13 @@ static int can_reset(rthyb_station *s, const rthyb_station_input *in)
     return rests;
 }
 
-/* What leads to motion needs drives at the other end that follow. */
+/* Commands that lead to motion require drives that follow. */
 static int needs_drive(int command)
 {
     return command == RTHYB_CMD_ZERO || command == RTHYB_CMD_ARM || command == RTHYB_CMD_START;
 }
 
-/* Drives of one clock, or one axis alone. */
+/* Whether all drives count on one clock; always true for a single axis. */
 static int is_one_clock(const rthyb_station *s, const rthyb_station_input *in)
 {
     return s->apart < s->ticks.lost && in->apart != RTHYB_APART_UNKNOWN;
@@ -430,7 +435,7 @@ static void stop(rthyb_station *s)
     }
 }
 
-/* Obeys an operator; 0 if the command is not for this state, or cannot be carried out. */
+/* Executes an operator's command; 0 if it is not allowed in this state or cannot be carried out. */
 static int obey(rthyb_station *s, const rthyb_station_input *in)
 {
     if (in->command == RTHYB_CMD_NONE)
@@ -467,7 +472,7 @@ static int obey(rthyb_station *s, const rthyb_station_input *in)
 
 /* ---- one tick --------------------------------------------------------------------------------- */
 
-/* Keeps the bit of each tick of the last second. */
+/* Stores one bit for this tick in the map of the last second. */
 static void remember(rthyb_recent *recent, uint64_t tick, uint32_t length, int is_set)
 {
     const uint64_t at = tick % length;
@@ -486,7 +491,8 @@ static void note_tick(rthyb_station *s, int was_skipped)
     s->in_state++;
 }
 
-/* What a tare of these sums would leave of a command: 0 where the drive is known to be where it was told. */
+/* Command, after tare, that a tare with these sums would leave: 0 if the command is known from an
+ * earlier tare or station, because the tare then makes it the zero. */
 static double left_of_command(const rthyb_station *s, int axis)
 {
     const rthyb_axis *a = &s->axis[axis];
@@ -510,8 +516,8 @@ static int tare_is_refused(const rthyb_station *s, finding *found)
     return !rthyb_controller_has_pose(&s->controller, x);
 }
 
-/* Mean of tare_ticks readings, of all axes over the same ticks, unless they move; a tick without one is none
- * of them. */
+/* Tare: mean of tare_ticks readings, of all axes over the same ticks; fails if they move. Ticks
+ * without a reading do not count. */
 static void take_tare(rthyb_station *s, const rthyb_station_input *in)
 {
     const rthyb_axis_config *cfg = s->cfg.axis;
@@ -562,7 +568,7 @@ static void note_reading(rthyb_station *s, const rthyb_station_input *in)
         take_tare(s, in);
 }
 
-/* A trip that its own record shows. */
+/* Trips, and marks the record of this tick with the reason. */
 static void trip_at(rthyb_station *s, finding found, int bit, rthyb_record *record)
 {
     if (s->state == RTHYB_TRIPPED)
@@ -571,7 +577,7 @@ static void trip_at(rthyb_station *s, finding found, int bit, rthyb_record *reco
     station_trip(s, found);
 }
 
-/* The axis that has been without a pair for longest. */
+/* 1 + index of the axis that has been without a pair for longest. */
 static int longest_missing(const rthyb_station *s)
 {
     int longest = 0;
@@ -581,7 +587,8 @@ static int longest_missing(const rthyb_station *s)
     return of_axis(longest);
 }
 
-/* Why no pair was taken for so long: one axis has none, or what all of them have is no pose. */
+/* Why no pair was accepted for so long: an axis has none, or those of all axes correspond to no
+ * pose. */
 static finding not_taken(const rthyb_station *s)
 {
     const int axis = longest_missing(s);
@@ -591,7 +598,7 @@ static finding not_taken(const rthyb_station *s)
                      cause == RTHYB_CAUSE_LINK_LOST ? axis : 0};
 }
 
-/* The axis that told something that is no number; 0: none did. */
+/* 1 + index of the first axis with a value that is not finite; 0: none. */
 static int not_finite(const rthyb_station *s, const rthyb_input *in)
 {
     for (int i = 0; i < axes_of(s); i++) {
@@ -603,7 +610,7 @@ static int not_finite(const rthyb_station *s, const rthyb_input *in)
     return 0;
 }
 
-/* What further axes have beside the record that was just written. */
+/* Writes the values of further axes, which the record does not contain, to the channels. */
 static void note_channels(rthyb_station *s)
 {
     const rthyb_controller *c = &s->controller;
@@ -622,14 +629,14 @@ static void note_channels(rthyb_station *s)
         s->channel[s->cfg.axis_channel + k] = value[k];
 }
 
-/* Where the drives are told to be stays what has left last. */
+/* The commands in effect at the drives remain those that were sent last. */
 static void keep_commands(rthyb_station *s, const double *sent)
 {
     for (int i = 0; i < axes_of(s); i++)
         s->controller.axis[i].x_cmd = s->controller.axis[i].limiter.x_lim = sent[i];
 }
 
-/* Of several axes a row says which one, or which interface, the cause belongs to. */
+/* Cause for the row; with several axes, including the axis or interface that it belongs to. */
 static uint32_t placed_cause(const rthyb_station *s)
 {
     const int interface = s->cause_interface >= 0;
@@ -665,7 +672,7 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
     if (code & RTHYB_S_NOT_FINITE)
         trip_at(s, (finding){.cause = RTHYB_CAUSE_NOT_FINITE, .where = not_finite(s, in)},
                 RTHYB_S_NOT_FINITE, record);
-    /* An arrival moves the command to its goal: not in a tick that sends nothing. */
+    /* Arrival moves the command to the end of its path, so not in a tick that sends nothing. */
     if (s->state != RTHYB_TRIPPED && !blind)
         course_arrive(s);
     if (s->state == RTHYB_TRIPPED)
@@ -683,12 +690,13 @@ static rthyb_input at_tick(const rthyb_station *s, const double *ag, size_t n)
     return in;
 }
 
-/* Makes up for skipped ticks: extrapolated, nothing learnt, nothing sent. */
+/* Processes skipped ticks late: readings are extrapolated, nothing is learnt, nothing is sent. */
 static uint32_t blind_steps(rthyb_station *s, uint32_t skipped, const double *ag, size_t n,
                             rthyb_record *records)
 {
     const uint32_t made_up = skipped < s->ticks.lost ? skipped : s->ticks.lost;
-    /* More than the map of recent ticks holds are only counted: a long sleep is no long loop. */
+    /* Beyond the length of the map of recent ticks, they are only counted, so that a long
+     * suspension does not cause a long loop. */
     const uint32_t noted = skipped < s->ticks.recent ? skipped : s->ticks.recent;
     const uint32_t counted = skipped - noted;
     for (uint32_t i = 0; i < noted; i++) {
@@ -726,7 +734,7 @@ static void watch_surroundings(rthyb_station *s, const rthyb_station_input *in, 
         station_enter(s, RTHYB_ZEROED);
 }
 
-/* Of several axes a row says which drives have stopped. */
+/* With several axes: flags of the drives that have stopped. */
 static uint32_t stopped_flags(const rthyb_station *s, const rthyb_station_input *in)
 {
     uint32_t flags = 0;
@@ -735,7 +743,7 @@ static uint32_t stopped_flags(const rthyb_station *s, const rthyb_station_input 
     return flags;
 }
 
-/* And which links are down, and whose count has come apart. */
+/* With several axes: bits of the links that are down, and the axis whose count differs. */
 static uint32_t place_bits(const rthyb_station *s, const rthyb_station_input *in)
 {
     uint32_t places = axes_of(s) > 1 ? ((uint32_t)in->apart & 7u) << RTHYB_APART_BIT : 0u;
@@ -744,7 +752,7 @@ static uint32_t place_bits(const rthyb_station *s, const rthyb_station_input *in
     return places;
 }
 
-/* What the station was told in this tick, as the record shows it. */
+/* The station's inputs in this tick, as flags of the record. */
 static uint32_t input_flags(const rthyb_station *s, const rthyb_station_input *in, int refused,
                             int took_over)
 {
@@ -762,7 +770,8 @@ static uint32_t input_flags(const rthyb_station *s, const rthyb_station_input *i
            ((uint32_t)in->command & UINT8_MAX) << RTHYB_F_COMMAND_BIT;
 }
 
-/* Which axes have a reading in this tick, and which of those are at the end of a range; 1 if all have one. */
+/* Stores which axes have a reading in this tick, and which readings are at the end of a range; 1 if
+ * all axes have one. */
 static int look_at(rthyb_station *s, const rthyb_station_input *in)
 {
     int all = 1;
@@ -777,7 +786,7 @@ static int look_at(rthyb_station *s, const rthyb_station_input *in)
     return all;
 }
 
-/* The pairs of this tick, as the controller gets them. A pair of which one half leaps is not taken. */
+/* The pairs of this tick, as passed to the controller. A pair is rejected if either half jumps. */
 static rthyb_input take_pairs(rthyb_station *s, const rthyb_station_input *in, const double *ag,
                               size_t n)
 {
@@ -797,8 +806,8 @@ static rthyb_input take_pairs(rthyb_station *s, const rthyb_station_input *in, c
     return pairs;
 }
 
-/* While a drive stands by itself its command goes where the specimen is, so that nothing leaps when it is
- * released. */
+/* While a drive has stopped on its own, its command follows the measured position, so that nothing
+ * jumps when the drive is released. */
 static void stand_by(rthyb_station *s, const rthyb_station_input *in)
 {
     double x[MOST];
@@ -813,8 +822,8 @@ static void stand_by(rthyb_station *s, const rthyb_station_input *in)
     rthyb_controller_rest(&s->controller, x);
 }
 
-/* With the first readings that are sound: what is taken over before would wait, unsent, for who knows how
- * long. 1 if it was taken over. */
+/* Takes over the drives' commands, with the first valid readings: earlier, they would wait unsent
+ * for an unknown time. Returns 1 if they were taken over. */
 static int take_over(rthyb_station *s, const rthyb_station_input *in)
 {
     double x[MOST];

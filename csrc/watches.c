@@ -1,17 +1,19 @@
-/* What is not as it should be, and what happens then: limits, sensors, forces, shares of the last second. */
+/* Monitoring of limits, sensors, forces and shares of the last second, and the reactions to what it
+ * finds. */
 #include "station.h"
 
-#define JUMP_TAKEN 3      /* readings in a row that make a new level, at any rate */
-#define OVERLOAD 1.5      /* times a force's limit: not even one tick */
-#define START_SPREADS 5.0 /* times rest_spread_m: how far from the command START may find x_m */
+#define JUMP_TAKEN 3 /* consecutive readings at a new level that establish it, at any rate */
+#define OVERLOAD 1.5 /* times the force limit: reacts without delay */
+#define START_SPREADS                                                                              \
+    5.0 /* times rest_spread_m: largest distance of x_m from the command at START */
 #define ALL_AXES (~0u)
-#define SKIPS_SHARE (50.0 / 1024.0) /* of the last second, where nothing else is said */
+#define SKIPS_SHARE (50.0 / 1024.0) /* of the last second, if no other limit is given */
 
 /* ---- reactions --------------------------------------------------------------------------------- */
 
 static void react(rthyb_station *s, finding found, int reaction)
 {
-    /* While ramping in there is no course yet that could be resumed. */
+    /* During ramp-in there is no test yet that could be resumed after a hold. */
     const int ends_it = (reaction == RTHYB_REACT_RAMP_OUT && is_moving(s->state)) ||
                         (reaction == RTHYB_REACT_HOLD && s->state == RTHYB_RAMP_IN);
     if (reaction == RTHYB_REACT_TRIP) {
@@ -53,7 +55,7 @@ static int check_axis(rthyb_station *s, int axis, int cause, double value, int b
 
 /* ---- before it moves --------------------------------------------------------------------------- */
 
-/* Whether something lies beyond a limit that takes a test off its course; *found says what. */
+/* Whether a value exceeds a limit that would interrupt a test; if so, *found describes it. */
 static int ends_beyond(const rthyb_station *s, int axis, int cause, double value, finding *found)
 {
     const rthyb_watch *watch = watch_of(s, axis, cause);
@@ -77,7 +79,7 @@ int watch_rig_trips(const rthyb_station *s, int axis, double f_n, finding *found
            ends_beyond(s, axis, RTHYB_CAUSE_RIG_FORCE, f_n, found);
 }
 
-/* A reading at the end of its range says nothing of what lies beyond. */
+/* A reading at the end of its range does not show how far beyond it the true value lies. */
 static int axis_finds(const rthyb_station *s, int i, finding *found)
 {
     const rthyb_axis *a = &s->axis[i];
@@ -98,7 +100,7 @@ static int axis_finds(const rthyb_station *s, int i, finding *found)
            ends_beyond(s, i, RTHYB_CAUSE_RIG_POSITION, x + a->tare_cmd, found);
 }
 
-/* What an interface's own limit says of a pose or a force that is there already. */
+/* Whether a pose or a force that is already present exceeds the limit of its interface. */
 static int interface_beyond(const rthyb_watch *watch, int cause, int interface, double value,
                             finding *found)
 {
@@ -117,7 +119,7 @@ int watch_interface_overload(const rthyb_station *s, const double *force, findin
     return 0;
 }
 
-/* Pose and forces of the last readings; a rig of one axis has its own limits for both. */
+/* Pose and forces of the last readings; with one axis, the limits of the axis apply instead. */
 static int interfaces_find(const rthyb_station *s, finding *found)
 {
     double x[RTHYB_COUPLED_MAX], f[RTHYB_COUPLED_MAX];
@@ -161,14 +163,14 @@ int watch_wandered(const rthyb_station *s, finding *found)
 
 /* ---- while it moves ---------------------------------------------------------------------------- */
 
-/* Where nothing is left that a hold or a ramp-out would do: at rest, held, on the way out. */
+/* Whether a hold or a ramp-out would change nothing: at rest, held, or already ramping out. */
 static int is_off_course(int state)
 {
     return state != RTHYB_RAMP_IN && state != RTHYB_RUNNING;
 }
 
-/* A force beyond its limit. What is to hold or to ramp out has nothing left but a trip where the force stays,
- * or grows, in spite of it. One at the end of the sensor's range may be any force. */
+/* A force beyond its limit. If the force stays or grows although the test is held or ramps out,
+ * only a trip remains. A force at the end of the sensor's range may be of any magnitude. */
 static int check_force(rthyb_station *s, const rthyb_watch *watch, finding found, int off_scale,
                        rthyb_overload *over)
 {
@@ -207,7 +209,7 @@ static int check_forces(rthyb_station *s, const rthyb_record *r, uint32_t axes)
         rthyb_axis *a = &s->axis[i];
         if (!(axes >> i & 1u))
             continue;
-        /* The reading counts though its pair was not taken: what pulls at the specimen need not be
+        /* The reading counts even if its pair was rejected: the force on the specimen need not be
          * smooth. */
         const double f = a->has_reading ? a->reading_f_n - a->tare_f : r->axis[i].f_meas_n;
         if (s->tared)
@@ -217,8 +219,8 @@ static int check_forces(rthyb_station *s, const rthyb_record *r, uint32_t axes)
     return code;
 }
 
-/* The same of each direction, whose force is that of all axes: it is known while all of them have one, and at
- * the end of a range where one is. */
+/* The same for each interface, whose force is computed from all axes: it is known only if every
+ * axis has a reading, and counts as saturated if one of them is at the end of its range. */
 static int check_interface_forces(rthyb_station *s)
 {
     int code = RTHYB_OK;
@@ -240,7 +242,7 @@ int watch_off_scale(const rthyb_station *s)
     return bits;
 }
 
-/* A displacement at the end of its sensor's range is as one beyond the position limit. */
+/* A displacement at the end of its sensor's range is treated like one beyond the position limit. */
 static int check_off_scale(rthyb_station *s, uint32_t axes)
 {
     int code = RTHYB_OK;
@@ -257,14 +259,15 @@ static int check_off_scale(rthyb_station *s, uint32_t axes)
     return code;
 }
 
-/* Where an axis is: what another one lacks is made up for all, but not what this one says of itself. */
+/* Measured position of an axis. If another axis has no pair, the values of all axes are predicted,
+ * but the reading of this axis is used here. */
 static double measured_x(const rthyb_station *s, const rthyb_record *r, int axis)
 {
     const rthyb_axis *a = &s->axis[axis];
     return s->controller.axis[axis].missing ? r->axis[axis].x_meas_m : a->reading_x_m - a->tare_x;
 }
 
-/* By what was asked of each axis for this tick. */
+/* Deviation of each axis from its command for this tick. */
 static int check_tracking(rthyb_station *s, const rthyb_record *r, int at_rest, uint32_t axes)
 {
     int code = RTHYB_OK;
@@ -283,8 +286,8 @@ static uint32_t all_axes(const rthyb_station *s)
     return (1u << axes_of(s)) - 1u;
 }
 
-/* Bit i: the drive of axis i follows, and its sensors say something. That another one's do not is no reason to
- * overlook what this one says. */
+/* Bit i: the drive of axis i follows, and its sensors give readings. Missing readings of another
+ * axis are no reason to ignore these. */
 static uint32_t axes_to_watch(const rthyb_station *s)
 {
     uint32_t axes = 0;
@@ -295,8 +298,8 @@ static uint32_t axes_to_watch(const rthyb_station *s)
     return axes;
 }
 
-/* Commands leave, and nothing moves: a force, or a drive that lets go of where it was told to be. What was
- * never zeroed has no zero to be far from. */
+/* Commands are sent, and nothing should move: checks the forces, and whether each drive stays at
+ * its command. Before zeroing, there is no zero from which to measure a deviation. */
 void watch_at_rest(rthyb_station *s, rthyb_record *r)
 {
     const uint32_t axes = axes_to_watch(s);
@@ -352,7 +355,7 @@ void watch_moving(rthyb_station *s, rthyb_record *r, double indicator_before)
 
 /* ---- sensors ----------------------------------------------------------------------------------- */
 
-/* A sensor that repeats itself while the command has moved on. */
+/* A sensor that repeats its reading although the command has moved on. */
 static void check_stuck(rthyb_station *s, int i, int cause, rthyb_stillness *still, double reading)
 {
     const rthyb_watch *watch = watch_of(s, i, cause);
@@ -368,8 +371,8 @@ void watch_stuck(rthyb_station *s, int axis, double x_m, double f_n)
     check_stuck(s, axis, RTHYB_CAUSE_FORCE_STUCK, &s->axis[axis].still_f, f_n);
 }
 
-/* 1 unless a sensor leapt. In ticks without a pair the specimen may have moved on, in each by as much as
- * in one. Another level is believed when it stays, unless a leap is to end the test. */
+/* 1 unless a sensor has jumped. During ticks without a pair, the specimen may have moved by as much
+ * in each as in one. A new level is accepted if it persists, unless a jump ends the test. */
 static int is_steady(rthyb_station *s, int i, int cause, rthyb_leaps *leaps, double seen,
                      double reading)
 {
@@ -397,7 +400,7 @@ uint32_t watch_leaps(rthyb_station *s, const rthyb_station_input *in)
         finding found;
         const double x = in->axis[i].x_m, f = in->axis[i].f_n;
         int good = is_steady(s, i, RTHYB_CAUSE_SENSOR_JUMP, &a->leaps_x, a->seen_x, x);
-        /* A force beyond its limit is that first, however it came there. */
+        /* A force beyond its limit is reported as such, even if it jumped there. */
         if (!watch_overload(s, i, f, &found))
             good &= is_steady(s, i, RTHYB_CAUSE_FORCE_JUMP, &a->leaps_f, a->seen_f, f);
         leapt |= good ? 0u : 1u << i;
