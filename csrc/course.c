@@ -299,14 +299,16 @@ static int has_arrived(rthyb_station *s)
     return 0;
 }
 
-/* At rest nothing confines it: what a limit has kept it from is not gone to after all. */
+/* At rest nothing confines the commands: they are not sent to where a limit has kept them from after all, and a
+ * compensator that still remembers the way does not swing out again. */
 static void stay_there(rthyb_station *s)
 {
     double x[MOST];
     int kept = 0;
     for (int i = 0; i < axes_of(s); i++) {
-        x[i] = s->controller.axis[i].limiter.x_lim;
-        kept |= fabs(x[i] - s->controller.axis[i].x_plc) > ARRIVED_M;
+        const rthyb_controller_axis *a = &s->controller.axis[i];
+        x[i] = a->limiter.x_lim;
+        kept |= fabs(x[i] - a->x_plc) > ARRIVED_M || fabs(a->x_plc - a->target) > ARRIVED_M;
     }
     if (kept)
         rthyb_controller_rest(&s->controller, x);
@@ -316,6 +318,8 @@ static void stay_there(rthyb_station *s)
  * is monitored as during motion. */
 void course_arrive(rthyb_station *s)
 {
+    if (s->state == RTHYB_IDLE)
+        stay_there(s);
     const int waits = (s->state == RTHYB_RAMP_IN && s->leg == 0) ||
                       (s->state == RTHYB_RAMP_OUT && s->leg == 1) ||
                       (s->state == RTHYB_RAMP_OUT && s->cfg.stay);

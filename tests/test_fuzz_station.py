@@ -110,6 +110,24 @@ def test_what_is_broken_on_purpose_of_several_axes_is_found(
     assert again.returncode == 1
 
 
+SWINGS = "0xe83b635f2b49f390"
+"""The day of a Darby law at 54 ms, which remembers the ramp when it is over."""
+
+
+def test_a_compensator_that_remembers_the_ramp_does_not_swing_out_again_at_rest(
+    fuzz: Fuzz, tmp_path: Path
+) -> None:
+    assert fuzz("episode", SWINGS, axes=True).returncode == 0
+    source = (CORE / "course.c").read_text()
+    text = "    if (s->state == RTHYB_IDLE)\n        stay_there(s);\n"
+    assert source.count(text) == 1
+    changed = tmp_path / "course.c"
+    changed.write_text(source.replace(text, ""))
+    swings = fuzz("episode", SWINGS, axes=True, course=compiled(changed, tmp_path / "course.o"))
+    assert swings.returncode == 1
+    assert told(swings.stdout)["commands at rest stand"][1]
+
+
 def test_a_seed_gives_the_same_days_again(fuzz: Fuzz) -> None:
     first, again = (told(fuzz("ticks", "20000", SEED).stdout) for _ in range(2))
     assert first == again

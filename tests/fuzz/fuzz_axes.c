@@ -25,9 +25,9 @@
 #pragma GCC diagnostic pop
 
 #define WIRE_M 1e-9 /* of its steps */
-/* What a command may still move once its path has ended and all axes have come within 1 um of that, for a law that
- * swings is there in passing. The most that ten million ticks had was 5.9 um. */
-#define SETTLES_M 1e-5
+/* What a command at rest may still move: it comes within 1 um of where its path has ended, is there in passing if its
+ * law swings, and stands once it is further away. The most that 15 million ticks had was 2.0 um. */
+#define SETTLES_M 5e-6
 
 enum { MOST = RTHYB_COUPLED_MAX, ROWS = 1 << 14, WAY_BACK = 32, PARTS = 2 };
 
@@ -520,6 +520,13 @@ static int longest_missing(const axes_episode *e)
     return longest;
 }
 
+/* A sound reading that leaps is not taken either, and of those no book is kept here. */
+static int may_leap(const axes_episode *e, int axis)
+{
+    return axis >= 0 && (axis_watch(e, axis, RTHYB_CAUSE_SENSOR_JUMP)->value > 0.0 ||
+                         axis_watch(e, axis, RTHYB_CAUSE_FORCE_JUMP)->value > 0.0);
+}
+
 static void judge_faults_of_axes(axes_episode *e, const rthyb_station_input *in, found_faults f,
                                  int was, int cause_before)
 {
@@ -537,7 +544,7 @@ static void judge_faults_of_axes(axes_episode *e, const rthyb_station_input *in,
     const int trips_now = was != RTHYB_TRIPPED && s->state == RTHYB_TRIPPED && clean;
     if (trips_now && f.missing)
         axes_must(e, AXES_MISSING, s->cause != RTHYB_CAUSE_NO_POSE, s->cause, f.missing - 1);
-    if (trips_now && s->cause == RTHYB_CAUSE_LINK_LOST)
+    if (trips_now && s->cause == RTHYB_CAUSE_LINK_LOST && !may_leap(e, s->cause_axis))
         axes_must(e, AXES_MISSING, s->cause_axis == longest_missing(e), s->cause_axis,
                   longest_missing(e));
     if (surroundings_fault && was != RTHYB_IDLE && s->state != RTHYB_IDLE)
