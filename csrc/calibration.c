@@ -1,4 +1,4 @@
-/* What stands between the numbers on the wire and the structure's own. */
+/* Conversion between the numbers on the wire and those of the structure. */
 #include "numeric.h"
 
 #define GAIN_MIN 1e-9

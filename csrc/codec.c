@@ -1,26 +1,26 @@
-/* Numbers to frames and back: the frames of hw/rthyb.dbc by hand, serial packets, any DBC by table.
- * Pure functions; nothing is read or written outside the bytes of a frame. */
+/* Conversion of numbers to frames and back: the frames of hw/rthyb.dbc in code, serial packets, any
+ * other DBC by table. Pure functions; they read and write only the bytes of a frame. */
 #include <float.h>
 #include <string.h>
 
 #include "numeric.h"
 
-#define UNIT_X_M 1e-9 /* of our own frames */
+#define UNIT_X_M 1e-9 /* of the program's own frames */
 #define UNIT_F_N 1e-3
-#define NO_NUMBER INT32_MIN /* of a displacement or force on our own wire */
+#define NO_NUMBER INT32_MIN /* in these, in place of a missing displacement or force */
 #define CAN_LENGTH 8
 #define CAN_CRC_AT 7
 #define PACKET_COMMAND 0x01 /* low byte of RTHYB_ACT_CMD */
 #define PACKET_FEEDBACK 0x81
 #define PACKET_COMMAND_LENGTH 8 /* without CRC */
 #define PACKET_FEEDBACK_LENGTH 12
-#define EXACT_BITS 53 /* whole numbers that a double holds */
+#define EXACT_BITS 53 /* of integers that a double represents exactly */
 #define ID_MASK 0x1fffffffu
 #define ID_STANDARD 0x7ffu
 
 /* ---- bits of a frame ---------------------------------------------------------------------------- */
 
-/* The next piece of a signal that lies within one byte. */
+/* The next part of a signal that is within one byte. */
 typedef struct {
     int32_t byte, shift, bits;
 } piece;
@@ -33,7 +33,7 @@ static piece piece_at(const rthyb_signal *s, int32_t position, int32_t left)
     return (piece){byte, s->big_endian ? bit + 1 - bits : bit, bits};
 }
 
-/* Big-endian signals go down within a byte and then on to the top of the next. */
+/* A big-endian signal continues downwards within a byte, and then at the top of the next one. */
 static int32_t next_position(const rthyb_signal *s, int32_t position, int32_t bits)
 {
     return s->big_endian ? 8 * (position / 8 + 1) + 7 : position + bits;
@@ -118,14 +118,15 @@ static double greatest_raw(const rthyb_signal *s)
     return fmin(s->high, s->kind == RTHYB_FLOAT ? greatest_float(s) : width);
 }
 
-/* What was sent before and comes back through its calibration, or a limit that is a frame's own, is off by
- * some last digits: that is no step of the wire. */
+/* Rounding error of a command that was sent before and has passed through its calibration, or of a
+ * limit that is exactly a value of the frame: it must not count as a step of the wire. */
 static double round_off(const rthyb_signal *s, double raw)
 {
     return (s->kind == RTHYB_FLOAT ? 0.0 : 1e-6) + 1e-14 * fabs(raw);
 }
 
-/* Packs a value in SI, the nearest one that the signal can hold; *packed is what will be read. */
+/* Packs a value in SI units, rounded to the nearest one that the signal can represent; *packed is
+ * what will be read back. */
 static int put_value(uint8_t *data, const rthyb_signal *s, double value, double *packed)
 {
     const double wanted = (value - s->offset) / s->scale;
@@ -142,7 +143,7 @@ static int put_value(uint8_t *data, const rthyb_signal *s, double value, double 
     return fabs(raw - wanted) <= round_off(s, raw) ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
 }
 
-/* The displacement of a command in our own frames. */
+/* Displacement of a command in the program's own frames. */
 static const rthyb_signal OWN_X = {
     .kind = RTHYB_SIGNED,
     .length = 32,
@@ -151,13 +152,13 @@ static const rthyb_signal OWN_X = {
     .high = (double)INT32_MAX,
 };
 
-/* What the signal makes of a raw value. */
+/* A raw value, as rounded by the signal. */
 static double rounded(const rthyb_signal *s, double raw)
 {
     return s->kind == RTHYB_FLOAT ? float_value(s, float_bits(s, raw)) : rint(raw);
 }
 
-/* The value on the other side of the one that was rounded. */
+/* The neighbouring raw value on the other side of `wanted`. */
 static double other_side(const rthyb_signal *s, double raw, double wanted)
 {
     if (s->kind == RTHYB_FLOAT && s->length == 64)
@@ -167,7 +168,7 @@ static double other_side(const rthyb_signal *s, double raw, double wanted)
     return raw > wanted ? raw - 1.0 : raw + 1.0;
 }
 
-/* Raw values between which a command may lie. */
+/* Range of raw values permitted for a command. */
 typedef struct {
     double low, high;
 } window;
@@ -199,7 +200,7 @@ double rthyb_command_within(const rthyb_codec *codec, double x_m, double low_m, 
     return good ? other * s->scale + s->offset : (double)NAN;
 }
 
-/* Packs "no number"; 0 if the signal has no way to say so. */
+/* Packs "no number"; 0 if the signal has no value for it. */
 static int put_none(uint8_t *data, const rthyb_signal *s)
 {
     if (s->has_none)
@@ -277,7 +278,7 @@ static int is_feedback(const rthyb_message *m, enum rthyb_field value)
            is_whole(m, RTHYB_FIELD_ECHO, 0) && is_whole(m, RTHYB_FIELD_STATUS, 0);
 }
 
-/* None, or one that fits its signal and means nothing else. */
+/* Whether a raw state is none (0), or fits its signal and has no other meaning. */
 static int notice_is_valid(const rthyb_codec *codec, uint32_t raw, uint32_t other)
 {
     const int32_t bits = codec->command.field[RTHYB_FIELD_STATE].length;
@@ -290,7 +291,7 @@ static int32_t feedback_length(const rthyb_codec *codec)
     return PACKET_FEEDBACK_LENGTH + 4 * (int32_t)codec->extra_count;
 }
 
-/* Each fits the frame, or the packet behind what is always in it. */
+/* Whether each extra channel fits its frame, or the packet after its fixed part. */
 static int are_extras(const rthyb_codec *codec)
 {
     if (codec->extra_count > RTHYB_EXTRAS_MAX ||
@@ -361,7 +362,8 @@ static int recognise(const rthyb_message *m, const rthyb_frame *frame)
     return sound ? 0 : RTHYB_W_CRC;
 }
 
-/* What this drive has for it; where it has nothing, nothing is to happen at it. */
+/* The drive's own value for a state. If it has none for a notice, 0 (IDLE) is sent, which has no
+ * effect. */
 static uint32_t state_to_table(const rthyb_codec *codec, uint32_t state)
 {
     if (state == RTHYB_NOTICE_RESET)
@@ -375,7 +377,7 @@ static uint32_t state_from_table(const rthyb_codec *codec, uint32_t raw)
         return RTHYB_NOTICE_RESET;
     if (raw != 0 && raw == codec->leaving)
         return RTHYB_NOTICE_LEAVING;
-    /* A number of ours that this table gives no meaning has none. */
+    /* The program's own value of a notice has no meaning in this table. */
     return raw == RTHYB_NOTICE_RESET || raw == RTHYB_NOTICE_LEAVING ? UINT32_MAX : raw;
 }
 
@@ -413,7 +415,7 @@ static int put_reading(uint8_t *data, const rthyb_signal *s, double value)
     return 1;
 }
 
-/* The extra channels that are in a frame: both, or those of one of two. */
+/* Packs the extra channels that are in a frame: all of them, or those of one of two frames. */
 static void put_extras(const rthyb_codec *codec, const rthyb_reading *reading, int x, int f,
                        uint8_t *data)
 {
@@ -422,7 +424,8 @@ static void put_extras(const rthyb_codec *codec, const rthyb_reading *reading, i
             (void)put_reading(data, &codec->extra[i].signal, reading->extra[i]);
 }
 
-/* Nothing depends on them: one that is no number, or out of its range, refuses no frame. */
+/* Nothing depends on extra channels: one that is not a number, or out of range, does not make the
+ * frame invalid. */
 static void get_extras(const rthyb_codec *codec, const uint8_t *data, int x, int f,
                        rthyb_reading *reading)
 {
@@ -507,7 +510,7 @@ static int32_t get_i32(const uint8_t *data)
     return value;
 }
 
-/* In units of the wire; saturates one short of NO_NUMBER. */
+/* In units of the wire; saturates one step before NO_NUMBER. */
 static int32_t to_wire(double value, double unit)
 {
     if (!isfinite(value))
@@ -522,7 +525,7 @@ static int from_wire(const uint8_t *data, double unit, double *value)
     return raw == NO_NUMBER ? RTHYB_W_NOT_FINITE : 0;
 }
 
-/* x i32, seq u16, state u8: CAN bytes 0-6, and the packet behind its type. */
+/* x i32, seq u16, state u8: bytes 0 to 6 of the CAN frame, and of the packet after its type. */
 static int put_command(uint8_t *data, const rthyb_setpoint *setpoint, double *sent_m)
 {
     const int32_t raw = to_wire(setpoint->x_m, UNIT_X_M);

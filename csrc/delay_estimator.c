@@ -1,30 +1,30 @@
-/* Adaptive delay estimator. The parametric model of Eqn 2.6-2.8, with the curvature term,
+/* Adaptive delay estimator, for the parametric model of Eqn 2.6-2.8 with the curvature term,
  *   mu = alpha phi1 + beta phi2
- *   mu   = W1 x_p[n] + W2 x_p[n-1] + x_p[n-2] - (the same of x_m)
+ *   mu   = W1 x_p[n] + W2 x_p[n-1] + x_p[n-2] - (the same for x_m)
  *   phi1 = S (x_m[n] - x_m[n-1]),   phi2 = S (x_m[n] - 2 x_m[n-1] + x_m[n-2]),   S = W1+W2+1
- * in units of reference_m, so that the normalisation 1 + phi^2 of Eqn 2.9 has a stated unit.
+ * in units of reference_m, so that the normalisation 1 + phi^2 of Eqn 2.9 has a defined unit.
  *
- * Robust and RLS see x_p and x_m through one and the same band-pass, which leaves the model true,
- * takes the noise out of phi that would pull alpha to -1/12 (errors in variables), and the offset
- * of an untared sensor out of mu. */
+ * Robust and RLS pass x_p and x_m through the same band-pass. The model remains valid, while the
+ * noise that would pull alpha towards -1/12 (errors in variables) is removed from phi, and the
+ * offset of a sensor without tare from mu. */
 #include "lowpass.h"
 
-#define ALPHA_GUARD 1e4        /* the printed law has no projection; its state is still finite */
-#define POWER_TIME_S 2.0       /* mean of phi^2 in the normalisation of the robust law */
-#define OFFSET_TIME_S 3.2      /* lower end of the pair: 0.05 Hz */
-#define GATE_TIME_S 0.2        /* mean of phi^2 that the gate looks at */
+#define ALPHA_GUARD 1e4        /* the printed law has no projection; keeps its state finite */
+#define POWER_TIME_S 2.0       /* averaging time of phi^2 in the normalisation of the robust law */
+#define OFFSET_TIME_S 3.2      /* lower end of the filter pair: 0.05 Hz */
+#define GATE_TIME_S 0.2        /* averaging time of phi^2 for the gate */
 #define RESPONSE_S 8.0         /* length of the impulse response summed by _init, */
-#define RESPONSE_MAX 32768u    /* and the most samples of it: at 4096 Hz */
-#define PRIOR_S (1.0 / 1024.0) /* how far alpha starts from the truth, beside a quarter of itself */
-#define QUIET_M 1e-6     /* no displacement channel of an actuator is quieter: an encoder's step */
-#define RIDGE_FLOOR 1e-9 /* reference^2: keeps the normal equations regular without noise */
-#define NOISE_SHARE_MAX 0.5 /* of a moment that noise compensation may take away */
+#define RESPONSE_MAX 32768u    /* and its largest number of samples: at 4096 Hz */
+#define PRIOR_S (1.0 / 1024.0) /* initial uncertainty of alpha, in addition to a quarter of alpha */
+#define QUIET_M 1e-6           /* no displacement channel has less noise: the step of an encoder */
+#define RIDGE_FLOOR 1e-9       /* reference^2: keeps the normal equations regular without noise */
+#define NOISE_SHARE_MAX 0.5 /* largest fraction of a moment that noise compensation may subtract */
 
 typedef struct {
     double mu, phi1, phi2;
 } regressor;
 
-/* The pair's band-pass: low-pass, then the slow mean taken off. */
+/* The band-pass of the pair: low-pass, then subtraction of the slow mean. */
 static double filter_step(const rthyb_estimator *est, double *s, double *level, double x)
 {
     const double low = lowpass_step(&est->filter, s, x);
@@ -32,8 +32,8 @@ static double filter_step(const rthyb_estimator *est, double *s, double *level, 
     return low - *level;
 }
 
-/* The first pair is taken for rest, so that an offset between command and sensor starts no
- * transient; the mean of all samples so far then wears the first one's noise away. */
+/* The first pair is taken as the state of rest, so that an offset between command and sensor causes
+ * no transient; averaging over all samples so far then removes the noise of the first one. */
 static void prime(rthyb_estimator *est, double p, double m)
 {
     lowpass_rest(&est->filter, est->filter_p, p);
@@ -76,11 +76,12 @@ static regressor form_regressor(rthyb_estimator *est, double p, double m)
     return g;
 }
 
-/* What white noise of rest_noise_m on x_m alone puts into the products of mu, phi1, phi2.
+/* Contribution of white noise of rest_noise_m on x_m alone to the products of mu, phi1, phi2.
  *
- * The weight of the starting values follows from that noise. A rig that states none, or less than any has,
- * gets QUIET_M for it: else the first nanometres of a motion, in which the actuator is still at rest and the
- * model not true yet, would outweigh them, and the estimate would leap between its bounds. */
+ * The weight of the initial values follows from that noise. If the rig file states none, or less
+ * than any sensor has, QUIET_M is used for it: otherwise, the first nanometres of a motion, in
+ * which the actuator is still at rest and the model does not hold yet, would outweigh the initial
+ * values, and the estimate would jump between its bounds. */
 static void noise_moments(rthyb_estimator *est)
 {
     const double noise_m = fmax(est->cfg.rest_noise_m, QUIET_M);
@@ -109,9 +110,9 @@ static void noise_moments(rthyb_estimator *est)
     est->noise1 *= share * share;
     est->noise2 *= share * share;
     est->gate_power = est->cfg.gate_factor * est->noise11;
-    /* The starting values count as much as measurements that put alpha within 1 ms + alpha0/4 and
-     * beta within the square of that. Filtered noise repeats itself over half a period of the
-     * cut-off: so many samples are worth one. */
+    /* The initial values have the weight of measurements that determine alpha within 1 ms +
+     * alpha0/4 and beta within the square of that. Filtered noise is correlated over half a period
+     * of the cut-off frequency: the samples within it count as one. */
     const double repeats = 0.5 / (est->cfg.cutoff_hz * est->cfg.period_s);
     const double sigma_alpha = PRIOR_S / est->cfg.period_s + 0.25 * fabs(est->cfg.alpha0);
     const double sigma_beta = sigma_alpha * sigma_alpha;
@@ -187,7 +188,8 @@ static double project(const rthyb_estimator *est, double alpha)
     return clamp(alpha, est->cfg.alpha_min, est->cfg.alpha_max);
 }
 
-/* The same law with m_s^2 = mean power of phi: no unit left, the gain is a rate per sample. */
+/* The same law with m_s^2 = mean power of phi: no unit remains, and the gain is a rate per
+ * sample. */
 static void robust_update(rthyb_estimator *est, regressor g)
 {
     const double phi_sq = g.phi1 * g.phi1;
@@ -204,8 +206,8 @@ static double less_noise(double moment, double noise)
     return moment - fmin(noise, NOISE_SHARE_MAX * moment);
 }
 
-/* Exponentially weighted least squares, with the moments of the rest noise taken out again. The
- * normal equations are kept, not their inverse: two numbers to solve for, and no wind-up. */
+/* Exponentially weighted least squares, with the moments of the noise at rest subtracted. The
+ * normal equations are kept, not their inverse: there are only two unknowns, and no wind-up. */
 static void rls_update(rthyb_estimator *est, regressor g)
 {
     const double l = est->forget;

@@ -1,16 +1,16 @@
-/* The other end of the wire: an actuator controller with its load cell, their watchdog, and all that
- * can go wrong with them and with the cable. */
+/* The other end of the wire: an actuator controller with load cell and watchdog, and everything
+ * that can go wrong with them and with the cable. */
 
 #include "internal.h"
 #include "numeric.h"
 
-#define SEQ_BITS 16         /* of our own frames */
-#define DRIFT_MAX_PPM 199.0 /* what a ticker can be trimmed by */
+#define SEQ_BITS 16         /* of the program's own frames */
+#define DRIFT_MAX_PPM 199.0 /* limit of a ticker's trim */
 #define TWO_TO_53 9007199254740992.0
 
 /* ---- faults ----------------------------------------------------------------------------------- */
 
-/* splitmix64: the same faults for the same seed */
+/* splitmix64: the same seed gives the same faults */
 static uint64_t random_bits(rthyb_drive *d)
 {
     d->random += 0x9e3779b97f4a7c15u;
@@ -25,7 +25,7 @@ static int happens(rthyb_drive *d, double probability)
     return (double)(random_bits(d) >> 11) / TWO_TO_53 < probability;
 }
 
-/* The fault of a kind that is in force in this tick, NULL for none. */
+/* The fault of this kind that is active in this tick; NULL if there is none. */
 static const rthyb_fault *fault(const rthyb_drive *d, int kind)
 {
     for (size_t i = 0; i < d->fault_count; i++) {
@@ -99,15 +99,16 @@ int rthyb_drive_init(rthyb_drive *drive)
 
 /* ---- commands --------------------------------------------------------------------------------- */
 
-/* Newer than the last one; to a drive that stands, a controller that begins anew is as fresh. */
+/* Newer than the last command. To a stopped drive, any other number is new, because the controller
+ * may have been restarted. */
 static int is_fresh(const rthyb_drive *d, uint32_t seq)
 {
     const uint32_t steps = (seq - d->seq) & d->seq_mask;
     return steps != 0 && (d->phase == RTHYB_DRIVE_STOPPED || steps <= d->seq_mask / 2);
 }
 
-/* After a stop of its own it is its operator's to have it follow again; a controller that comes anew, after
- * a crash perhaps, is not asked. */
+/* After a drive has stopped on its own, only its operator lets it follow again; a controller that
+ * was restarted, perhaps after a crash, does not. */
 static int is_released(const rthyb_drive *d)
 {
     return d->state == RTHYB_NOTICE_RESET || (d->state == RTHYB_IDLE && !d->latched);
@@ -182,7 +183,7 @@ static void watch(rthyb_drive *d)
     d->latched = d->state != RTHYB_NOTICE_LEAVING;
 }
 
-/* One tick of braking from the velocity of the last two targets. */
+/* One tick of braking, from the velocity of the last two targets. */
 static double brake(rthyb_drive *d)
 {
     const double next = braked_target(d->target_m, d->target1_m, d->stop_decel_m_per_s2,
@@ -214,14 +215,14 @@ static double stuck(rthyb_drive *d, double x_m)
     return d->stuck_m;
 }
 
-/* Displacement and force as sensors that are mounted as the calibration says have them. */
+/* Displacement and force as read by sensors that are mounted according to the calibration. */
 static void to_wire(const rthyb_calibration *c, rthyb_reading *r)
 {
     r->x_m = (r->x_m - c->x_offset_m) / c->x_gain;
     r->f_n = (r->f_n - c->f_offset_n) / c->f_gain;
 }
 
-/* What the sensors of its axis have, as the drive tells it. */
+/* Readings of the axis' sensors, as reported by the drive. */
 static rthyb_reading measure(rthyb_drive *d, double x_m, double f_n)
 {
     rthyb_reading r = {.has = RTHYB_HAS_X | RTHYB_HAS_F, .echo = d->seq};
@@ -276,7 +277,7 @@ static void send_held(rthyb_drive *d, rthyb_held *h)
     h->count = 0;
 }
 
-/* What is due, in the order of due times; held-back ones after the others of their tick. */
+/* Sends what is due, in the order of due times; swapped frames after the others of their tick. */
 static void send_due(rthyb_drive *d)
 {
     for (;;) {
@@ -323,7 +324,7 @@ static void reply(rthyb_drive *d, double x_m, double f_n)
     d->tick++;
 }
 
-/* All commands are there before the rig moves, and it moves once. */
+/* All commands are received before the rig moves, and it moves only once. */
 static void tick_all(rthyb_drive *const *drives, int count)
 {
     double target[RTHYB_COUPLED_MAX] = {0.0}, x[RTHYB_COUPLED_MAX], f[RTHYB_COUPLED_MAX];
@@ -354,7 +355,8 @@ void rthyb_drives_tick(rthyb_drives *drives)
     tick_all(drives->drive, drives->count);
 }
 
-/* Whole ns of what its clock gains in a tick; the rest waits for the next. */
+/* Trims by the whole nanoseconds that the drive's clock gains in a tick; the remainder is carried
+ * over. */
 static void drift(rthyb_drive *d, rthyb_ticker *ticker)
 {
     d->gained_ns += d->drift_ppm * rthyb_plant_period_s(&d->plant) * 1e3;

@@ -1,13 +1,14 @@
-/* Solving L D L' x = b for a structure's matrix of the step (rthyb_sparse.h).
+/* Solves L D L' x = b for the matrix of a structure's time step (rthyb_sparse.h).
  *
- * Elimination leaves runs of columns with the same rows below them: panels. Of a panel each index is read once
- * for all its columns, and its numbers lie side by side, so that the two passes are sums over what lies in a
- * row. Most of a large frame's factor is in a few dozen of them. */
+ * Elimination produces runs of columns with the same rows below them, called panels. Within a
+ * panel, each row index is read once for all columns, and the values of a column are contiguous, so
+ * that both passes are sums over contiguous memory. A few dozen panels contain most of a large
+ * frame's factor. */
 #include "factored.h"
 
 enum {
-    CHUNK = 256,     /* rows of a panel at a time: what they add up to stays in the first cache */
-    LANES = 4,       /* sums that do not wait for one another */
+    CHUNK = 256,     /* rows of a panel at a time, whose sums stay in the first-level cache */
+    LANES = 4,       /* independent partial sums */
     FEW_COLUMNS = 3, /* narrower panels than this gain nothing */
 };
 
@@ -74,7 +75,7 @@ static void up_columns(const rthyb_symmetric *l, int32_t first, int32_t end, dou
     }
 }
 
-/* What all columns of a panel have below it: rows at[0] ... of `rows`, in pieces. */
+/* Subtracts what all columns of a panel contribute to the rows at[0] ... below it, in chunks. */
 static void down_panel(const rthyb_symmetric *l, int32_t first, int32_t end, double *restrict y)
 {
     const int32_t rows = l->start[end] - l->start[end - 1];

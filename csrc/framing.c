@@ -1,4 +1,4 @@
-/* What protects and delimits frames: CRC-8/SAE-J1850, CRC-16/CCITT-FALSE, COBS (Cheshire & Baker,
+/* Protection and delimiting of frames: CRC-8/SAE-J1850, CRC-16/CCITT-FALSE, COBS (Cheshire & Baker,
  * Consistent Overhead Byte Stuffing, 1999). */
 #include "rthyb.h"
 
@@ -35,7 +35,7 @@ uint16_t rthyb_crc16(const uint8_t *bytes, size_t n)
 
 size_t rthyb_cobs_encode(const uint8_t *bytes, size_t n, uint8_t *out)
 {
-    size_t code = 0, at = 1; /* out[code] counts the bytes up to the next 0 */
+    size_t code = 0, at = 1; /* out[code] will hold the distance to the next 0 */
     for (size_t i = 0; i < n; i++) {
         if (bytes[i]) {
             out[at++] = bytes[i];
@@ -57,11 +57,11 @@ static void push(rthyb_deframer *d, uint8_t byte)
         d->too_long = 1;
 }
 
-/* The 0 has come: judges what lies before it. */
+/* After the delimiter, a 0: checks what was received before it. */
 static int finish(const rthyb_deframer *d, rthyb_frame *packet)
 {
     if (!d->begun)
-        return 0; /* two delimiters in a row: an idle line, or a sender that begins with one */
+        return 0; /* two delimiters in a row: an idle line, or a sender that starts with one */
     if (d->too_long)
         return RTHYB_W_LENGTH;
     if (d->left)
@@ -89,7 +89,7 @@ int rthyb_deframer_byte(rthyb_deframer *d, uint8_t byte, rthyb_frame *packet)
         d->left--;
     } else {
         if (d->begun)
-            push(d, 0); /* that the code before stood for */
+            push(d, 0); /* the zero that the previous code stands for */
         d->begun = 1;
         d->left = (uint8_t)(byte - 1);
     }

@@ -1,5 +1,5 @@
-/* How punctual is this PC? A thread that carries a payload so many times a second, and beside it, in
- * the same seconds and half a period apart, one that carries nothing. */
+/* How punctual is this PC? One thread executes a payload at the given rate; at the same time, half
+ * a period later, another one executes nothing. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
 #include <errno.h>
@@ -20,12 +20,12 @@ typedef struct {
     double x_m, f_n;
 } pair;
 
-/* What the threads of one run share. */
+/* Shared by the threads of one run. */
 typedef struct {
     rthyb_jitter *jitter;
-    int sockets[2];   /* ours, the rig's */
-    uint32_t ready;   /* threads that wait for the start */
-    int64_t start_ns; /* 0: not yet */
+    int sockets[2];   /* the controller's, the rig's */
+    uint32_t ready;   /* threads waiting for the start */
+    int64_t start_ns; /* 0: not set yet */
 } meeting;
 
 typedef struct {
@@ -49,7 +49,7 @@ static uint32_t prepare(const rthyb_jitter *jitter, int32_t cpu)
     return rthyb_thread_become_real_time(jitter->priority, cpu, jitter->latency_fd, STACK_TOUCHED);
 }
 
-/* Says that this thread is ready; gives the time of the first tick, 0 for none. */
+/* Reports that this thread is ready; returns the time of the first tick, 0 if there is none. */
 static int64_t meet(meeting *m)
 {
     int64_t start_ns = 0;
@@ -68,14 +68,14 @@ static double excitation_at(const rthyb_jitter *jitter, uint64_t k)
     return jitter->excitation[k % jitter->excitation_count];
 }
 
-/* What the tick thread does with its record as well. */
+/* What the tick thread of a test also does with its record. */
 static void keep(const rthyb_jitter *jitter, const rthyb_record *record)
 {
     if (jitter->ring)
         rthyb_ring_push(jitter->ring, record, NULL);
 }
 
-/* The ticks that were skipped do not happen: timing is asked for here, not motion. */
+/* Skipped ticks are not made up for: this measures timing, not motion. */
 static void sample(rthyb_jitter *jitter, const rthyb_tick *tick)
 {
     rthyb_record record;
@@ -86,7 +86,7 @@ static void sample(rthyb_jitter *jitter, const rthyb_tick *tick)
     keep(jitter, &record);
 }
 
-/* Drain, newest wins; compute; send. None of it waits. */
+/* Receives everything and keeps the newest; computes; sends. None of this waits. */
 static void exchange(rthyb_jitter *jitter, const rthyb_tick *tick, int socket)
 {
     rthyb_record record;
@@ -199,7 +199,7 @@ static void give_start(meeting *m, uint32_t count)
     __atomic_store_n(&m->start_ns, rthyb_now_ns() + HEAD_START_NS, __ATOMIC_RELEASE);
 }
 
-/* The rig waits for commands, and for the end of the link when there are no more. */
+/* The rig waits for commands; its thread ends when the link is closed after the last one. */
 static void join_all(const team *crew, const meeting *m)
 {
     for (uint32_t i = 0; i < crew->count; i++) {

@@ -1,24 +1,25 @@
 /* Kinematics of several actuators at one specimen.
  *
- * Pins: the coupler moves in its plane by (x, y) and turns by theta, so that a pin p moves by
+ * Pins: the coupler moves in its plane by (x, y) and rotates by theta, so that a pin p moves by
  *   d = (x, y) + (R(theta) - 1) p,
  * and its axis, from base to pin r at rest, becomes longer by
  *   |r + d| - |r| = d (2 r + d) / (|r + d| + |r|),
- * which keeps its digits however small d is. A far axis has its direction e for ever: e d. The way back is
- * Newton's, two steps from the last pose: within a sample a specimen moves by less than a millimetre, and each
- * step squares what is left. */
+ * which remains accurate however small d is. A far axis keeps its direction e: e d. The inverse is
+ * found by Newton's method, with two steps from the last pose: within a sample, a specimen moves by
+ * less than a millimetre, and each step squares the remaining error. */
 #include "numeric.h"
 #include "small_solve.h"
 
-#define ANGLE_MAX 1.5 /* rad: beyond, something has broken */
-/* Of the Jacobian, its columns in lengths of the coupler: a twentieth of a degree between two axes. */
+#define ANGLE_MAX 1.5 /* rad: beyond, something is broken */
+/* Of the Jacobian, with rotations in lengths of the coupler: a twentieth of a degree between two
+ * axes. */
 #define PIVOT_MIN 1e-3
 #define NEWTON_STEPS 2
-/* What two steps may leave of the way. With e1 = C e0^2 they leave (C e0)^3 of it: less is left wherever
- * C e0 < .2, and from there Newton converges. */
+/* Share of the distance that two steps may leave. With e1 = C e0^2, they leave (C e0)^3 of it: less
+ * than this if C e0 < 0.2, and from there Newton's method converges. */
 #define CONVERGES 1e-2
-#define FOUND_M 1e-9    /* above the rounding of bases 1e6 m away, below any sensor */
-#define SEARCH_STEPS 16 /* from any pose to any other that a rig has */
+#define FOUND_M 1e-9    /* above rounding for bases 1e6 m away, below any sensor's noise */
+#define SEARCH_STEPS 16 /* from any pose to any other that a rig can have */
 
 enum { MOST = RTHYB_COUPLED_MAX };
 
@@ -43,7 +44,7 @@ static plane plane_of(const rthyb_kinematics *s, const double *pose)
     return at;
 }
 
-/* How much an axis counts at that pose; and its derivatives by the coordinates. */
+/* Displacement of an axis at a pose, and its derivatives with respect to the coordinates. */
 static double reach(const rthyb_kinematics *s, const plane *at, int axis, double *slope)
 {
     const double px = s->cfg.pin_m[axis][0], py = s->cfg.pin_m[axis][1];
@@ -52,7 +53,7 @@ static double reach(const rthyb_kinematics *s, const plane *at, int axis, double
     const double rx = s->reach[axis][0], ry = s->reach[axis][1];
     const int far = s->cfg.far[axis];
     const double length = far ? 1.0 : hypot(rx + dx, ry + dy);
-    /* A pin in its own base has no direction: the axis keeps the one it had at rest. */
+    /* A pin at its own base has no direction: the axis keeps the one that it had at rest. */
     const int stands = far || !(length > 0.0);
     const double unit = stands && !far ? s->rest_m[axis] : length;
     const double ex = (stands ? rx : rx + dx) / unit, ey = (stands ? ry : ry + dy) / unit;
@@ -78,9 +79,10 @@ static void multiply(const double *matrix, const double *x, int n, double *out)
 
 /* ---- rates ----------------------------------------------------------------------------------------- */
 
-/* With q the pin as it is turned, w = theta', the pin moves by v = (x', y') + w x q and is accelerated by
- * a = (x", y") + w' x q - w^2 q; its axis, of direction e and length L, becomes longer by e v and by
- * e a + (v^2 - (e v)^2) / L, which is the turning of the axis itself. */
+/* With q the rotated pin and w = theta', the pin has the velocity v = (x', y') + w x q and the
+ * acceleration a = (x", y") + w' x q - w^2 q; its axis, with direction e and length L, becomes
+ * longer at the rate e v, with the acceleration e a + (v^2 - (e v)^2) / L, whose last term is due
+ * to the rotation of the axis itself. */
 static void pin_rates(const rthyb_kinematics *s, int axis, const plane *at, const plane *by,
                       const plane *change, double *velocity, double *acceleration)
 {
@@ -236,7 +238,8 @@ int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_
     return code;
 }
 
-/* What the axes are away from where a pose has them; and the Jacobian there, if asked for. */
+/* Differences of the axes' displacements from those at a pose, and the largest of them; on request,
+ * also the Jacobian there. */
 static double left_at(const rthyb_kinematics *s, const double *pose, double *jacobian, double *left)
 {
     const int n = s->cfg.size;
@@ -249,7 +252,8 @@ static double left_at(const rthyb_kinematics *s, const double *pose, double *jac
     return most;
 }
 
-/* So many steps of Newton; what is left of the axes' way before and after them. 0 where they lead to nothing. */
+/* Executes Newton steps; gives the largest difference before and after them. 0 if they do not lead
+ * to a pose. */
 static int go_by_newton(const rthyb_kinematics *s, int steps, double *pose, double *before,
                         double *after)
 {
@@ -272,7 +276,8 @@ static int go_by_newton(const rthyb_kinematics *s, int steps, double *pose, doub
     return 1;
 }
 
-/* Two steps of Newton; the last pose stays where they lead to nothing, or take less than CONVERGES of the way. */
+/* Two Newton steps; the last pose is kept if they lead to none, or leave more than CONVERGES of the
+ * difference. */
 static int pose_by_newton(rthyb_kinematics *s)
 {
     const int n = s->cfg.size;

@@ -2,9 +2,9 @@
 #include "relaxed.h"
 #include "rthyb.h"
 
-#define SUB_BITS 5 /* 32 buckets to a doubling */
+#define SUB_BITS 5 /* 32 buckets per doubling */
 #define SUBS (1u << SUB_BITS)
-#define TOP_BIT 36 /* what reaches 2^36 ns overflows */
+#define TOP_BIT 36 /* 2^36 ns and above overflow */
 
 static uint32_t bucket_of(uint64_t ns)
 {
@@ -33,7 +33,7 @@ void rthyb_latency_record(rthyb_latency *latency, int64_t ns)
     raise_to(&latency->max_ns, time_ns);
 }
 
-/* The buckets' own sum: count may be one ahead or behind while another thread records. */
+/* The sum of the buckets: `count` may differ from it by one while another thread records. */
 static uint64_t recorded(const rthyb_latency *latency)
 {
     uint64_t total = 0;
@@ -42,7 +42,7 @@ static uint64_t recorded(const rthyb_latency *latency)
     return total;
 }
 
-/* How many of total do not exceed the fraction's value; at least the first. */
+/* How many of `total` values do not exceed the quantile of this fraction; at least 1. */
 static uint64_t rank_of(double fraction, uint64_t total)
 {
     const double share = fraction * (double)total;

@@ -1,13 +1,13 @@
-/* Extrapolation by velocity and acceleration over a delay that is corrected on the way (Ahmadizadeh, Mosqueda
- * & Reinhorn, EESD 37 (2008) 21):
+/* Extrapolation by velocity and acceleration, over a delay that is corrected during the test
+ * (Ahmadizadeh, Mosqueda & Reinhorn, EESD 37 (2008) 21):
  *   x_p = x_c + tau x_c' + tau^2 / 2 x_c'',   tau += g mean((x_c - x_m) / v)
- * with v the velocity of x_c; the mean goes over those samples of a window in which command and measurement
- * move the same way and fast enough. Window, gain and threshold are this program's, for motions of
- * millimetres. */
+ * with v the velocity of x_c; the mean is over those samples of a window in which command and
+ * measurement move in the same direction and fast enough. Window, gain and threshold were chosen
+ * for this program, for motions of millimetres. */
 #include "derivative_lead.h"
 
 #define TERMS 3
-#define SLOPE_S 0.005 /* over which the measured velocity is taken: noise divides by it */
+#define SLOPE_S 0.005 /* over which the measured velocity is computed, to reduce its noise */
 #define SLOPE_MAX 32u
 
 enum { DELAY, WINDOW, GAIN, SLOWEST, DELAY_MAX };
@@ -24,9 +24,9 @@ static const rthyb_law_parameter ahmadizadeh_parameters[] = {
 
 typedef struct {
     rthyb_derivative_lead lead;
-    double m[SLOPE_MAX]; /* the newest readings */
+    double m[SLOPE_MAX]; /* newest readings */
     double delay, most, gain, slowest;
-    double sum, count; /* of the window so far */
+    double sum, count; /* in the window so far */
     double last_u, last_m;
     uint32_t window, since, span, at;
     int32_t primed;
@@ -82,7 +82,7 @@ static void ahmadizadeh_rest(void *state, double x_m)
     rthyb_derivative_rest(&((ahmadizadeh_state *)state)->lead, x_m);
 }
 
-/* The pair of this tick: x_c and its velocity are those of the last lead. */
+/* Processes the pair of this tick: x_c and its velocity are those of the last call of `lead`. */
 static void learn(ahmadizadeh_state *s, double measured_slope)
 {
     const double x = s->lead.before.d[0], v = s->lead.before.d[1];

@@ -1,15 +1,17 @@
 /* Adaptive inverse compensation (Chen & Ricles, J. Struct. Eng. 136 (2010) 1432):
  *   x_p[n] = x[n] + (alpha - 1) (x[n] - x[n-1]),   alpha = alpha_es + kp TI + ki integral of TI
- * with the tracking indicator of Mercan & Ricles (EESD 36 (2007) 1523), half the difference of the areas that
- * command and measurement enclose,
- *   dA = (c[n] + c[n-1]) (m[n] - m[n-1]) / 2,   dTA = (m[n] + m[n-1]) (c[n] - c[n-1]) / 2,   TI = (A - TA) / 2,
- * which rises while m lags c. It goes with the square of the motion: here TI is over that of a reference
- * displacement, and kp, ki are of samples of 1/1024 s. alpha - 1 is the delay in samples. */
+ * with the tracking indicator of Mercan & Ricles (EESD 36 (2007) 1523), half the difference of the
+ * areas enclosed by command and measurement,
+ *   dA = (c[n] + c[n-1]) (m[n] - m[n-1]) / 2,   dTA = (m[n] + m[n-1]) (c[n] - c[n-1]) / 2,
+ *   TI = (A - TA) / 2,
+ * which increases while m lags c. It is proportional to the square of the motion; here TI is
+ * relative to that of a reference displacement, and kp and ki refer to samples of 1/1024 s. alpha -
+ * 1 is the delay in samples. */
 #include "control_law.h"
 
 enum { DELAY, KP, KI, REFERENCE, DELAY_MAX };
 
-#define INDICATOR_MAX 1e6 /* of reference displacements squared: what is beyond tells nothing */
+#define INDICATOR_MAX 1e6 /* in reference displacements squared; larger values are meaningless */
 
 /* clang-format off */
 static const rthyb_law_parameter aic_parameters[] = {
@@ -22,12 +24,12 @@ static const rthyb_law_parameter aic_parameters[] = {
 /* clang-format on */
 
 typedef struct {
-    double h, kp, ki, first, most; /* s a unit of TI; s a unit and second; s; s */
+    double h, kp, ki, first, most; /* s per unit of TI; s per unit and second; s; s */
     double unit;                   /* reference displacement squared */
-    double indicator, integral;    /* in units */
-    double learnt, used;           /* the delay, s */
+    double indicator, integral;    /* in that unit */
+    double learnt, used;           /* delay, s */
     double x1;                     /* x_c[n-1] at lead, x_c[n] at observe */
-    double c1, m1, last_u;         /* of the sample before; the last good command */
+    double c1, m1, last_u;         /* at the previous sample; last valid command */
     int32_t primed;
     double alpha, beta; /* reported */
 } aic_state;
@@ -87,7 +89,7 @@ static int aic_observe(void *state, double x_p_m, double x_m_m, int frozen)
         s->indicator =
             clamp(s->indicator + 0.5 * (area - tracked) / s->unit, -INDICATOR_MAX, INDICATOR_MAX);
         const double wanted = s->first + s->kp * s->indicator + s->ki * s->integral;
-        /* At a bound the integral goes no further. */
+        /* At a bound, the integral grows no further. */
         if (!((wanted > s->most && s->indicator > 0.0) || (wanted < 0.0 && s->indicator < 0.0)))
             s->integral += s->h * s->indicator;
         s->learnt = clamp(wanted, 0.0, s->most);

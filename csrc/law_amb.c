@@ -1,10 +1,11 @@
-/* Adaptive model-based compensation (Galmez & Fermandois, EESD 51 (2022) 1045): the inverse of an actuator of
- * third order,
+/* Adaptive model-based compensation (Galmez & Fermandois, EESD 51 (2022) 1045): the inverse of a
+ * third-order actuator,
  *   x_p = a0 x_c + a1 x_c' + a2 x_c'' + a3 x_c'''
- * with backward differences, learnt by a normalised gradient: behind the same low-pass of fourth order, p the
- * command and phi = (m, m', m'', m''') of the measurement,
+ * with backward differences, adapted by a normalised gradient: after the same fourth-order
+ * low-pass, with p the command and phi = (m, m', m'', m''') from the measurement,
  *   e = (p - a . phi) / (1 + phi . phi),   da/dt = Gamma e phi,   a >= 0,
- * in metres and seconds, Gamma diagonal. Numbers as in the authors' own model of the benchmark. */
+ * in metres and seconds, Gamma diagonal. The numbers are those of the authors' own model of the
+ * benchmark. */
 #include "derivative_lead.h"
 #include "filter_pair.h"
 
@@ -34,7 +35,7 @@ typedef struct {
     rthyb_filter_pair pair;
     double step[TERMS], high[TERMS]; /* gain times sampling period; upper bounds */
     rthyb_derivative_lead lead;      /* a0 to a3 */
-    rthyb_differences m;             /* of x_m behind the low-pass */
+    rthyb_differences m;             /* of x_m after the low-pass */
 } amb_state;
 
 /* clang-format off */

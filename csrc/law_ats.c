@@ -1,17 +1,18 @@
 /* Adaptive time series (Chae, Kazemibidokhti & Ricles, EESD 42 (2013) 1697; Chalarca et al.):
  *   x_p = a0 x_c + a1 x_c' + a2 x_c''
- * with backward differences, and (a0, a1, a2) the least squares of what was commanded over
- * (x_m, x_m', x_m'') in a window that moves, command and measurement behind the same low-pass:
+ * with backward differences, and (a0, a1, a2) the least-squares fit of the command to (x_m, x_m',
+ * x_m'') in a moving window, command and measurement after the same low-pass:
  *   A = (X' X)^-1 X' U
- * They are held while the measurement has moved less than a threshold, kept within bounds, and change no
- * faster than given. At first a0 = 1, a2 = a1^2 / 2 or another share. Numbers as in the authors' own set-up file. */
+ * The coefficients are held while the measurement has moved less than a threshold, are kept within
+ * bounds, and change no faster than a given rate. Initially a0 = 1, and a2 = a1^2 / 2 or another
+ * share. The numbers are those of the authors' own set-up file. */
 #include "derivative_lead.h"
 #include "filter_pair.h"
 
 #define SECTIONS 3    /* of the low-pass: sixth order */
 #define ROWS_MAX 320u /* of the window */
 #define TERMS 3
-#define PIVOT_MIN 1e-12 /* of columns of unit length: less is no motion of three parts */
+#define PIVOT_MIN 1e-12 /* of columns of unit length: below, the three terms are indistinct */
 
 enum {
     A1,
@@ -48,19 +49,19 @@ static const rthyb_law_parameter ats_parameters[] = {
 /* clang-format on */
 
 typedef struct {
-    double m[TERMS]; /* x_m, x_m', x_m'' behind the low-pass */
-    double u;        /* the command behind it */
+    double m[TERMS]; /* x_m, x_m', x_m'' after the low-pass */
+    double u;        /* the command after it */
 } row;
 
 typedef struct {
     rthyb_filter_pair pair;
     double h;                                    /* sampling period */
-    double low[TERMS], high[TERMS], most[TERMS]; /* bounds; change from row to row */
+    double low[TERMS], high[TERMS], most[TERMS]; /* bounds; largest change per row */
     double threshold;
     rthyb_derivative_lead lead;  /* a0, a1, a2 */
-    rthyb_differences m;         /* of x_m behind the low-pass */
-    uint32_t spacing, since;     /* ticks from row to row; since the last one */
-    uint32_t size, head, filled; /* rows of the window, the next to be overwritten, those there */
+    rthyb_differences m;         /* of x_m after the low-pass */
+    uint32_t spacing, since;     /* ticks between rows; ticks since the last row */
+    uint32_t size, head, filled; /* rows in the window; next one to be overwritten; rows filled */
     row rows[ROWS_MAX];
 } ats_state;
 
@@ -129,7 +130,8 @@ static void ats_rest(void *state, double x_m)
     rthyb_derivative_rest(&((ats_state *)state)->lead, x_m);
 }
 
-/* X'X and X'U over the window, columns scaled to unit length; 0 where they do not tell three parts. */
+/* Solves for X'X and X'U over the window, columns scaled to unit length; 0 if the three terms
+ * cannot be distinguished. */
 static int solve(const ats_state *s, double *a)
 {
     double n[TERMS][TERMS + 1] = {{0.0}}, scale[TERMS];

@@ -1,8 +1,8 @@
-/* Inverse compensation, as in Chen & Ricles, EESD 38 (2009) 1237: the actuator as
- *   m[n+1] = m[n] + (c[n+1] - m[n]) / alpha
- * which a straight motion leaves alpha - 1 samples behind; its inverse
+/* Inverse compensation, as in Chen & Ricles, EESD 38 (2009) 1237. The model of the actuator,
+ *   m[n+1] = m[n] + (c[n+1] - m[n]) / alpha,
+ * lags a motion of constant velocity by alpha - 1 samples; its inverse is
  *   C(z) = (alpha z - (alpha - 1)) / z:   x_p[n] = x[n] + (alpha - 1) (x[n] - x[n-1])
- * It does not learn. */
+ * It does not adapt. */
 #include "control_law.h"
 
 enum { DELAY };

@@ -1,9 +1,9 @@
-/* Polynomial extrapolation whose delay is corrected by the tracking error (Darby, Williams & Blakeborough,
- * J. Eng. Mech. 128 (2002) 1306):
+/* Polynomial extrapolation over a delay that is corrected by the tracking error (Darby, Williams &
+ * Blakeborough, J. Eng. Mech. 128 (2002) 1306):
  *   tau[n+1] = tau[n] + Cp tanh(Cv v) (x_c - x_m)
- * with v the velocity of x_c, and x_p from the polynomial of degree N through x_c now and one, two, ... tau ago
- * (Horiuchi et al. 1999), between samples by straight lines. Cp is per sample of 1/1024 s; both constants are
- * this program's, for motions of millimetres. */
+ * with v the velocity of x_c, and x_p from the polynomial of degree N through x_c now and one, two,
+ * ... tau ago (Horiuchi et al. 1999), with linear interpolation between samples. Cp is per sample
+ * of 1/1024 s; both constants were chosen for this program, for motions of millimetres. */
 #include "control_law.h"
 
 #define HISTORY 1536u
@@ -27,7 +27,7 @@ typedef struct {
     double weight[ORDER_MAX + 1];
     double x[HISTORY];
     double h, cp, cv, least, most;
-    double learnt, used; /* the delay, s */
+    double learnt, used; /* delay, s */
     double last_u, last_m;
     uint32_t order, at;
     double alpha, beta; /* reported */
@@ -115,7 +115,8 @@ static double extrapolated(const darby_state *s, double delay_s)
     return led;
 }
 
-/* As far towards the delay that was learnt as the command may move; where that cannot be found, not at all. */
+/* The delay moves towards the estimate as far as the command may move; if no such step is found, it
+ * stays. */
 static double approached(const darby_state *s, double allowed_m)
 {
     const double held = extrapolated(s, s->used);

@@ -1,11 +1,12 @@
-/* Polynomial extrapolation (Horiuchi, Inoue, Konno & Namita, EESD 28 (1999) 1121): the polynomial of degree
- * N through x[n], x[n-D], ... x[n-ND], D samples of delay apart, read D samples ahead:
+/* Polynomial extrapolation (Horiuchi, Inoue, Konno & Namita, EESD 28 (1999) 1121): the polynomial
+ * of degree N through x[n], x[n-D], ... x[n-ND], with the delay of D samples as spacing, evaluated
+ * D samples ahead:
  *   x_p[n] = sum_i (-1)^i binom(N+1, i+1) x[n-iD]
- * N = 1: 2, -1;  N = 2: 3, -3, 1;  N = 3: 4, -6, 4, -1. It does not learn. Motions faster than about
- * 1 / (4 delay) are amplified. */
+ * N = 1: 2, -1;  N = 2: 3, -3, 1;  N = 3: 4, -6, 4, -1. It does not adapt. Motions of a frequency
+ * above about 1 / (4 delay) are amplified. */
 #include "control_law.h"
 
-#define HISTORY 1536u /* samples back: an eighth of a second at 4096 Hz, three times */
+#define HISTORY 1536u /* samples: three times an eighth of a second at 4096 Hz */
 #define ORDER_MAX 3
 
 enum { DELAY, ORDER };
@@ -20,7 +21,7 @@ static const rthyb_law_parameter horiuchi_parameters[] = {
 typedef struct {
     double weight[ORDER_MAX + 1];
     double x[HISTORY];
-    uint32_t delay, order, at; /* samples; degree; the newest of x */
+    uint32_t delay, order, at; /* samples; degree; index of the newest x */
     double alpha, beta;        /* reported */
 } horiuchi_state;
 

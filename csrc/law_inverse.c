@@ -1,4 +1,5 @@
-/* The rig's response undone as it was identified, and what that leaves by gain, delay and curvature. */
+/* Inverse of the rig's identified response; gain, delay and curvature compensate for the
+ * remainder. */
 #include "gain_lead.h"
 
 typedef rthyb_gain_lead inverse_state;
@@ -12,7 +13,8 @@ enum { FIT_ROLL_OFF = GAIN_LEAD_OWN, B0 };
 /* clang-format on */
 
 static const rthyb_law_parameter inverse_parameters[] = {
-    /* What the inverse leaves is learnt up to the cut-off of the filter pair, and led up to twice that. */
+    /* The remainder is learnt up to the cut-off of the filter pair, and compensated up to twice
+     * that frequency. */
     GAIN_LEAD_PARAMETERS("inverse", -0.05859375, 20.0, NULL),
     {"inverse.fit_roll_off_hz", "Hz", 1.0, 400.0, 120.0, "the roll-off of the fitted inverse", 0,
      NULL, NULL},

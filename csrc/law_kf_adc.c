@@ -1,11 +1,11 @@
-/* Adaptive inverse of four samples by Kalman's filter (Ning, Wang, Ding & others 2020): p = th' (m[n], m[n-d],
- * ...) + noise, the th a random walk. Form and filter are published; the numbers for noise and walk are this
- * program's, for motions of millimetres. */
+/* Adaptive inverse with four samples, by a Kalman filter (Ning, Wang, Ding & others 2020): p = th'
+ * (m[n], m[n-d], ...) + noise, with th a random walk. The form and the filter are published; the
+ * values of noise and walk were chosen for this program, for motions of millimetres. */
 #include "fir_lead.h"
 
 enum { DELAY, APART, CUTOFF, NOISE, WALK, MOST };
 
-#define FIRST_DEVIATION 10.0 /* of each coefficient, as at the first sample */
+#define FIRST_DEVIATION 10.0 /* initial standard deviation of each coefficient */
 
 /* clang-format off */
 static const rthyb_law_parameter kf_adc_parameters[] = {

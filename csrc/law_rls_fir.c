@@ -1,7 +1,8 @@
-/* Inverse of four samples by recursive least squares (Quiroz, Galmez & Fermandois, "Robust decentralized
- * adaptive compensation", 2024, of one axis): without forgetting, behind a low-pass of fourth order, from an
- * offline calibration that tells sum and delay of the four apart from what it does not know. P begins with that
- * of the authors' two actuators, in 1/m^2. */
+/* Inverse with four samples, by recursive least squares (Quiroz, Galmez & Fermandois, "Robust
+ * decentralized adaptive compensation", 2024, for one axis): without forgetting, after a
+ * fourth-order low-pass, starting from an offline calibration that knows the sum and the delay of
+ * the four coefficients better than the rest. The initial P is that of the authors' two actuators,
+ * in 1/m^2. */
 #include "fir_lead.h"
 
 enum { DELAY, APART, CUTOFF, P_SUM, P_DELAY, P_REST, MOST };

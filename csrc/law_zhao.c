@@ -1,6 +1,7 @@
-/* First-order lead (Zhao, French, Shield & Posbergh, EESD 32 (2003) 1773): the inverse of 1 / (tau s + 1),
+/* First-order lead (Zhao, French, Shield & Posbergh, EESD 32 (2003) 1773): the inverse of 1 / (tau
+ * s + 1),
  *   C(s) = (1 + tau s) / (1 + tau_f s)
- * by backward Euler; tau_f rolls it off. It does not learn. */
+ * by backward Euler; tau_f provides the roll-off. It does not adapt. */
 #include "control_law.h"
 
 enum { TAU, FILTER };
@@ -14,7 +15,7 @@ static const rthyb_law_parameter zhao_parameters[] = {
 
 typedef struct {
     double h, tau, filter;
-    double x1, d;       /* x_c[n-1], and how far the command was ahead of it */
+    double x1, d;       /* x_c[n-1], and the lead of the command over it */
     double alpha, beta; /* reported */
 } zhao_state;
 

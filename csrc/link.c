@@ -1,5 +1,5 @@
-/* Exchange of frames over a descriptor that somebody else opened. Nothing here but rthyb_link_wait
- * waits, and what the kernel says of a broken link is kept until something comes or goes again. */
+/* Exchange of frames over a descriptor that the caller has opened. Only rthyb_link_wait waits. If
+ * the kernel reports a broken link, that is remembered until data is received or sent again. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
 #include <errno.h>
@@ -46,7 +46,7 @@ static void go_down(rthyb_link *link, int fault)
     put(&link->down, (uint64_t)fault);
 }
 
-/* 1 if the error is one of want of room or data, which passes. */
+/* 1 if the error is a temporary lack of space or data. */
 static int passes(int error)
 {
     return error == EAGAIN || error == EWOULDBLOCK || error == ENOBUFS || error == EINTR ||
@@ -72,8 +72,8 @@ static void note_error_frame(rthyb_link *link, uint32_t id)
         go_down(link, RTHYB_LINK_BUS_OFF);
 }
 
-/* Its size tells a CAN FD frame from a classic one. A length beyond the frame's own becomes one that
- * no codec takes. */
+/* The size distinguishes a CAN FD frame from a classic one. A length that exceeds the frame's
+ * maximum is replaced by 0, which no codec accepts. */
 static void unpack(const struct canfd_frame *raw, size_t size, rthyb_frame *frame)
 {
     const int fd = size == CANFD_MTU, most = fd ? CANFD_MAX_DLEN : CAN_MAX_DLEN;
@@ -118,7 +118,8 @@ static ssize_t send_can(const rthyb_link *link, const rthyb_frame *frame)
 
 /* ---- stream ----------------------------------------------------------------------------------- */
 
-/* A tty reads nothing both when nothing came and when it is gone. */
+/* Reading from a terminal returns nothing both when no data has arrived and when the device is
+ * gone. */
 static int hung_up(const rthyb_link *link)
 {
     struct pollfd look = {.fd = link->fd, .events = POLLIN};
@@ -143,7 +144,8 @@ static int receive_stream(rthyb_link *link, rthyb_frame *frame)
     return 0;
 }
 
-/* All of a packet or an error; what was torn off is ended by a 0 before the next one. */
+/* Sends a whole packet or returns an error; a packet that was sent in part is terminated by a 0
+ * before the next one. */
 static ssize_t send_stream(rthyb_link *link, const rthyb_frame *frame)
 {
     uint8_t bytes[RTHYB_FRAME_MAX + 1] = {0};
@@ -177,7 +179,7 @@ int rthyb_link_send(rthyb_link *link, const rthyb_frame *frame)
         add(&link->counters.pieces_out, 1);
         if (can)
             add(&link->counters.bytes_out, (uint64_t)sent);
-        if (peek(&link->down) != RTHYB_LINK_BUS_OFF) /* a full queue of a controller off the bus */
+        if (peek(&link->down) != RTHYB_LINK_BUS_OFF) /* off the bus, frames only fill a queue */
             put(&link->down, RTHYB_LINK_UP);
         return 1;
     }

@@ -1,5 +1,5 @@
-/* The tick: clock, link, station, record. Between waking up and waiting again it makes no system
- * call but those of the clock and the link, allocates nothing and takes no lock. */
+/* The tick: clock, link, station, record. Between waking up and waiting again, it makes no system
+ * calls except those of the clock and the link, allocates no memory and takes no lock. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
 #include <errno.h>
@@ -15,16 +15,15 @@
 #include "relaxed.h"
 
 #define HEAD_START_NS 20000000 /* from the thread being ready to the first tick */
-#define LISTEN_NS 2000000      /* before the first tick, at least: what comes from then on counts */
-#define SIGHTINGS 16           /* pairs by whose arrivals the first tick is set */
+#define LISTEN_NS 2000000      /* shortest time before the first tick in which data is accepted */
+#define SIGHTINGS 16           /* pairs whose arrival times determine the first tick */
 #define SECOND_NS 1000000000
 #define STACK_BYTES (1u << 18)
 #define STACK_TOUCHED (1u << 16)
 #define COMMAND_BITS 8
 #define STALE_ECHO 32 /* samples of 1/1024 s by which commands may arrive later than at rest */
-#define ASLEEP_NS 100000000 /* no suspension is shorter; a stall may be, between two clocks */
-#define RESYNC_AGE                                                                                 \
-    20 /* ticks, at any rate, of silence after which the drive's count may have wrapped */
+#define ASLEEP_NS 100000000 /* no suspension is shorter; a stall between two clock reads may be */
+#define RESYNC_AGE 20       /* ticks without data after which the drive's count may have wrapped */
 
 _Static_assert(sizeof(pthread_t) <= sizeof(uint64_t), "a thread's name fits its place in the loop");
 
@@ -33,7 +32,9 @@ size_t rthyb_loop_size(void)
     return sizeof(rthyb_loop);
 }
 
-/* An echo of few bits tells of half their round and no more; at 1024 Hz and below that is enough, or never was. */
+/* With few bits, an echo is ambiguous for long delays, so above 1024 Hz the limit is lowered to a
+ * quarter of its range. At 1024 Hz and below it is never lowered: either the bits suffice, or they
+ * never did. */
 static int32_t stale_samples(const rthyb_wire *wire, double h)
 {
     const uint32_t wanted = standard_ticks(STALE_ECHO, h), unambiguous = wire->echo_mask / 4;
@@ -41,7 +42,8 @@ static int32_t stale_samples(const rthyb_wire *wire, double h)
     return (int32_t)(wanted < most ? wanted : most);
 }
 
-/* Its slots are as long as a row of so many axes: what is pushed into one for others is no row. */
+/* The slots of a ring are as long as a row for its number of axes; a row for another number does
+ * not fit into them. */
 static int ring_fits(const rthyb_ring *ring, int32_t axes)
 {
     return !ring || ring->record_words * sizeof(uint64_t) == record_bytes(axes);
@@ -121,8 +123,9 @@ int rthyb_loop_loaded(const rthyb_loop *loop, uint64_t generation)
     return answer & 1u ? 2 : 1;
 }
 
-/* The drive goes on following: what the last station told it is where the next one begins. One that was
- * replaced before its first reading has told it nothing, and passes on what it was to begin with. */
+/* The drives keep following: the next station begins with the last commands of the previous one. A
+ * station that was replaced before its first reading has sent no command, and passes on those that
+ * it was given itself. */
 static void hand_over(rthyb_loop *loop, const rthyb_station *next)
 {
     const rthyb_station *last = loop->cfg.station;
@@ -218,9 +221,9 @@ static int heartbeat_late(rthyb_loop *loop, uint64_t ticks)
 
 /* ---- one tick --------------------------------------------------------------------------------- */
 
-/* A tick that woke late, or after others that it slept through, says nothing about the drive's clock: it
- * may have taken a sample that was the next one's. One that waits for a sample and not for the time says
- * nothing ever. */
+/* A tick that woke up late, or after skipped ticks, does not show anything about the drive's clock:
+ * it may have taken the sample that belongs to the next tick. A tick that waits for a sample rather
+ * than for a time never shows anything. */
 static int is_punctual(const rthyb_loop *loop, const rthyb_tick *tick)
 {
     const int timeless = loop->cfg.unpaced && loop->ticker.clock == RTHYB_CLOCK_STEPPED;
@@ -235,7 +238,7 @@ static void know_offset(rthyb_loop_way *way, int64_t offset)
     memset(way->vote_map, 0, sizeof way->vote_map);
 }
 
-/* Keeps the votes of the last RTHYB_SLIP_WINDOW ticks that had one. */
+/* Stores the votes of the last RTHYB_SLIP_WINDOW ticks that had one. */
 static void vote(rthyb_loop_way *way, int for_it)
 {
     uint64_t *word = &way->vote_map[(way->voted / 64) % (RTHYB_SLIP_WINDOW / 64)];
@@ -245,9 +248,9 @@ static void vote(rthyb_loop_way *way, int for_it)
     way->voted++;
 }
 
-/* The two clocks against each other; 1 for a slip. A lost or a late pair changes nothing. Where a
- * sample arrives as the tick is due, jitter decides on which side it falls, now here, now there: a
- * slip is one that a clear majority of the last ticks has seen. */
+/* Compares the two clocks; 1 for a slip. Lost and late pairs have no effect. If a sample arrives
+ * just as the tick is due, jitter decides on which side of it the sample falls: only a change that
+ * a clear majority of the last ticks has seen is a slip. */
 static int has_slipped(rthyb_loop *loop, rthyb_loop_way *way, const rthyb_feedback *feedback,
                        uint64_t k, uint32_t age)
 {
@@ -266,20 +269,20 @@ static int has_slipped(rthyb_loop *loop, rthyb_loop_way *way, const rthyb_feedba
     return 1;
 }
 
-/* What a tick finds of one axis, */
+/* What a tick receives from one axis, */
 typedef struct {
     rthyb_feedback feedback;
     int lost;
 } arrival;
 
-/* and of all of them. */
+/* and from all axes. */
 typedef struct {
     arrival axis[RTHYB_COUPLED_MAX];
     int slipped;
     int32_t apart;
 } arrivals;
 
-/* What came at this instant or before it. */
+/* Receives what has arrived at this instant or before. */
 static void take_in(rthyb_loop *loop, int axis, int64_t now_ns)
 {
     const rthyb_loop_axis *at = &loop->cfg.axis[axis];
@@ -294,8 +297,9 @@ static int is_at_rest(const rthyb_station *s)
     return s->state == RTHYB_IDLE || s->state == RTHYB_ZEROED || s->state == RTHYB_ARMED;
 }
 
-/* A drive that acts on old commands is as good as out of reach, however fresh its readings are. One that
- * hears none says so before: its own watchdog is the shorter. What is usual is what was so at rest. */
+/* A drive that acts on old commands counts as unreachable, however new its readings are. (If it
+ * receives no commands at all, its own watchdog stops it earlier.) The reference is the delay at
+ * rest. */
 static int is_belated(const rthyb_loop *loop, rthyb_loop_way *way, const rthyb_feedback *feedback)
 {
     if (feedback->delay < 0)
@@ -327,8 +331,9 @@ static void take_axis(rthyb_loop *loop, int axis, const rthyb_tick *tick, arriva
         all->slipped |= has_slipped(loop, way, &found->feedback, tick->k, age);
 }
 
-/* Whether the drives are still on one clock. A tick in which an axis has no pair says nothing of it. After a trip
- * it begins anew, and where a count may have wrapped: in a long silence, or while the PC slept. */
+/* Whether the drives are still on one clock. A tick in which an axis has no pair is not evaluated.
+ * The comparison starts again after a trip and, at rest, when a count may have wrapped: after a
+ * long silence, or a suspension of the PC. */
 static int32_t compare_clocks(rthyb_loop *loop, const rthyb_tick *tick, const arrivals *all)
 {
     const rthyb_station *s = loop->cfg.station;
@@ -377,7 +382,7 @@ static int send_command(rthyb_loop *loop, int axis, const rthyb_station_output *
     return sent;
 }
 
-/* Flags of what did not leave. */
+/* Flags of the commands that were not sent. */
 static uint32_t send_commands(rthyb_loop *loop, const rthyb_station_output *out)
 {
     uint32_t unsent = 0;
@@ -450,15 +455,16 @@ static void publish(rthyb_loop *loop)
     add(&loop->counters.records, loop->record_count);
     if (!loop->cfg.ring || loop->record_count == 0)
         return;
-    /* Of what was slept through nobody knows more than its record. */
+    /* For skipped ticks, nothing is known except the record. */
     const uint32_t last = loop->record_count - 1;
     for (uint32_t i = 0; i < last; i++)
         rthyb_ring_push(loop->cfg.ring, &loop->records[i], NULL);
     rthyb_ring_push(loop->cfg.ring, &loop->records[last], loop->cfg.station->channel);
 }
 
-/* Also if it was down and is back already: between two ticks, a lot can happen to a plug. And if it took
- * no command for as long as the drive's own watchdog waits: a drive that cannot say so has stopped. */
+/* Also if the link was down and is up again: between two ticks, a lot can happen to a plug. And if
+ * it has accepted no command for as long as the drive's own watchdog waits: the drive has stopped
+ * then, even if it cannot report that. */
 static int is_down(rthyb_loop *loop, int axis)
 {
     const rthyb_link *link = loop->cfg.axis[axis].link;
@@ -469,8 +475,8 @@ static int is_down(rthyb_loop *loop, int axis)
     return again || peek(&link->down) != RTHYB_LINK_UP;
 }
 
-/* Whether the station is to go on with the commands that the drives have. Until the readings are good enough for
- * it nothing is sent: a drive that stops, or moves, meanwhile has that command no more. */
+/* Whether the station continues with the commands that the drives have. Nothing is sent until the
+ * readings allow it; if a drive stops or moves in the meantime, that command is no longer valid. */
 static int takes_over(rthyb_loop *loop, const arrivals *found, const rthyb_station_input *in)
 {
     int stopped = 0, elsewhere = 0, lost = 0;
@@ -496,8 +502,8 @@ static void note_delays(rthyb_loop *loop, const arrivals *found)
     }
 }
 
-/* Ticks that the station has to be told of as skipped. The clock of the ticks stands still while the PC is
- * suspended, the drive does not. */
+/* Number of skipped ticks for the station. While the PC is suspended, the clock of the ticks stands
+ * still, but the drive does not. */
 static uint32_t skipped_ticks(rthyb_loop *loop, const rthyb_tick *tick)
 {
     const int timeless = loop->ticker.clock == RTHYB_CLOCK_STEPPED && !loop->cfg.unpaced;
@@ -579,8 +585,9 @@ void rthyb_loop_step(rthyb_loop *loop)
 
 /* ---- its thread ------------------------------------------------------------------------------- */
 
-/* Until the tick is due: takes in what comes of the first axis, whose drive the ticks follow, and notes when. A link that babbles wakes it so many
- * times and no more; what it brings after that has no stamp. */
+/* Until the tick is due, receives data from the first axis, whose drive the ticks follow, and
+ * stores the arrival times. A link that sends continuously wakes the thread only a limited number
+ * of times; what it sends after that has no arrival time. */
 static void listen(rthyb_loop *loop)
 {
     loop->flooded = 0;
@@ -601,7 +608,8 @@ static int wait_for_tick(rthyb_loop *loop, rthyb_tick *tick)
     return rthyb_ticker_wait(&loop->ticker, tick);
 }
 
-/* A packet that came in part goes on: its rest shall not count as damage. */
+/* A packet that has arrived in part is continued, so that the rest of it does not count as
+ * damaged. */
 static void drop_old(rthyb_loop *loop, int axis)
 {
     rthyb_frame frame, packet;
@@ -621,8 +629,9 @@ void rthyb_loop_drop_old(rthyb_loop *loop)
         drop_old(loop, i);
 }
 
-/* When the next pairs of the first axis arrive, SIGHTINGS of them at most; how many did, in twice their time. They
- * are for nobody else: what the wire knows begins with the first tick. */
+/* Arrival times of the next pairs of the first axis, at most SIGHTINGS; returns how many arrived
+ * within twice the time they should take. The pairs are not used otherwise: the state of the wire
+ * begins with the first tick. */
 static uint32_t sight(rthyb_loop *loop, int64_t *arrived_ns)
 {
     const rthyb_loop_axis *at = &loop->cfg.axis[0];
@@ -643,8 +652,9 @@ static uint32_t sight(rthyb_loop *loop, int64_t *arrived_ns)
     return count;
 }
 
-/* When the first tick is due, from `from_ns` on. That of the link clock is where the drive's samples have it: to get
- * there by trims alone takes seconds, 10 of them from half a period off at 256 Hz. */
+/* When the first tick is due, not before `from_ns`. With the link clock, it is placed according to
+ * the drive's samples: by trimming alone this would take seconds, 10 s from half a period off at
+ * 256 Hz. */
 static int64_t first_due(rthyb_loop *loop, int64_t from_ns, const int64_t *arrived_ns,
                          uint32_t count)
 {
@@ -656,7 +666,7 @@ static int64_t first_due(rthyb_loop *loop, int64_t from_ns, const int64_t *arriv
     return wanted_ns + llrint(fmax(periods, 0.0) * loop->phase.period_ns);
 }
 
-/* The first tick is one like all others: what it takes came just before it. */
+/* The first tick is like all others: what it takes has arrived just before it. */
 static void set_off(rthyb_loop *loop)
 {
     int64_t arrived_ns[SIGHTINGS];
@@ -723,7 +733,7 @@ int rthyb_loop_last(const rthyb_loop *loop, rthyb_last_command *last)
     return s->seen && is_at_rest(s);
 }
 
-/* What has left once is on a value of the wire. */
+/* This command was sent before, so the wire can represent it exactly. */
 static int take_leave(const rthyb_loop *loop, int axis)
 {
     const rthyb_station *s = loop->cfg.station;

@@ -47,7 +47,7 @@ static int config_error(const rthyb_motion_config *c)
                         c->k_e_n_per_m <= 1e15 && c->rho_inf >= 0.0 && c->rho_inf <= 1.0;
     if (!mass_ok || !rest_ok)
         return RTHYB_E_MOTION;
-    /* A negative stiffness may not take the effective mass of an implicit step away. */
+    /* A negative stiffness must not cancel the effective mass of an implicit step. */
     const double h = c->period_s, mass = c->mass_kg + c->added_mass_kg;
     const double stiffness = c->stiffness_n_per_m + c->k_e_n_per_m;
     return 4.0 * mass + h * h * fmin(stiffness, 0.0) > 0.0 ? 0 : RTHYB_E_MOTION;
@@ -76,7 +76,7 @@ int rthyb_motion_init(rthyb_motion *motion, const rthyb_motion_config *cfg, doub
     return 0;
 }
 
-/* x' by the central difference, which makes the damping term implicit. */
+/* x' by central difference, which makes the damping term implicit. */
 static double central_difference(rthyb_motion *s, double net, double mass)
 {
     const double h = s->cfg.period_s, half = 0.5 * h * s->cfg.damping_n_s_per_m;
@@ -86,7 +86,7 @@ static double central_difference(rthyb_motion *s, double net, double mass)
     return next;
 }
 
-/* The paper's: both right-hand sides at t_n. Its damping is short of the true one by omega h/2. */
+/* As in the paper: both right-hand sides at t_n. Its damping is too low by omega h/2. */
 static double forward_euler(rthyb_motion *s, double net)
 {
     const double h = s->cfg.period_s;
@@ -120,7 +120,7 @@ static double kr_step(rthyb_motion *s, double net, double mass)
     return next;
 }
 
-/* An unstable test ends at rest at the edge of what is sensible, not in inf. */
+/* An unstable test ends at rest at the limit of plausible values, not at infinity. */
 static void store(rthyb_motion *s, double next, int *code)
 {
     int bad = RTHYB_OK;
@@ -175,8 +175,9 @@ double rthyb_motion_velocity(const rthyb_motion *motion)
 {
     if (motion->cfg.integrator == RTHYB_FORWARD_EULER)
         return motion->v;
-    /* Central difference has no velocity at t_n before x[n+1] is known, and v of CR and KR-alpha is
-     * (x[n] - x[n-1]) / h, half a step old: second-order backward difference. */
+    /* With central differences, the velocity at t_n is not known before x[n+1]; v of CR and
+     * KR-alpha is (x[n] - x[n-1]) / h, half a step old. Hence a backward difference of second
+     * order. */
     return (3.0 * motion->x - 4.0 * motion->x1 + motion->x2) / (2.0 * motion->cfg.period_s);
 }
 

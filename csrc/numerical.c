@@ -1,4 +1,5 @@
-/* Numerical parts by kind. A new one is a file of its own, a number in rthyb.h and a row here. */
+/* Numerical parts by kind. A new kind needs a file of its own, a number in rthyb.h and a row
+ * here. */
 #include "numerical.h"
 
 #include <string.h>

@@ -1,9 +1,9 @@
-/* A linear numerical part of up to RTHYB_DENSE_MAX degrees of freedom,
+/* A linear numerical part with up to RTHYB_DENSE_MAX degrees of freedom,
  *   M x'' + C x' + K x + e force = -load ag,   e = 1 at the interface,
- * of which the specimen is driven by one. Every linear integrator with a force and an excitation that are
- * held over the step is one matrix for (x, v):
+ * one of which drives the specimen. With force and excitation held over the step, every linear
+ * integrator is one matrix for (x, v):
  *   s[n+1] = s[n] + D s[n] + b_f force[n] + b_a ag[n],
- * so that x_c[n+1] is known but for two products when the force comes in. */
+ * so that once the force is known, x_c[n+1] takes only two more products. */
 #include <string.h>
 
 #include "numeric.h"
@@ -13,7 +13,7 @@ enum { N_MAX = RTHYB_DENSE_MAX, S_MAX = 2 * RTHYB_DENSE_MAX };
 
 #define VELOCITY_MAX 1e9
 
-/* Square matrices here have rows of the part's own size n, one after the other. */
+/* Square matrices are stored row by row, with rows of the part's own size n. */
 static void multiply(const double *a, const double *b, size_t n, double *out)
 {
     for (size_t i = 0; i < n; i++)
@@ -43,7 +43,7 @@ static void swap_rows(double *a, size_t n, size_t i, size_t j)
     }
 }
 
-/* a^-1 b by elimination with partial pivoting; both are used up, b holds the answer. 0, or
+/* a^-1 b by elimination with partial pivoting; both are overwritten, b by the result. 0, or
  * RTHYB_E_MOTION for a singular matrix. */
 static int solve(double *a, double *b, size_t n)
 {
@@ -102,7 +102,7 @@ static int config_error(const rthyb_dense_config *c)
     return specimen_ok ? 0 : RTHYB_E_MOTION;
 }
 
-/* Accelerations of unit states and inputs: M^-1 K, M^-1 C, M^-1 e, M^-1 load. */
+/* Accelerations for unit states and inputs: M^-1 K, M^-1 C, M^-1 e, M^-1 load. */
 typedef struct {
     double k[N_MAX * N_MAX], c[N_MAX * N_MAX], e[N_MAX], load[N_MAX];
 } accelerations;
@@ -130,7 +130,7 @@ static int accelerations_of(const rthyb_dense_config *cfg, accelerations *out)
 
 /* Chen & Ricles (2008) for many degrees of freedom: x += h v + h^2 alpha a, v += h alpha a with
  *   alpha = (4 M + 2 h C + h^2 K)^-1 4 M
- * of the structure with the specimen in it. */
+ * of the structure including the specimen. */
 static int cr_alpha(const rthyb_dense_config *cfg, double *alpha)
 {
     const int n = cfg->size, at = cfg->at * n + cfg->at;
@@ -175,8 +175,9 @@ static int cr_step_matrix(rthyb_dense *s, const accelerations *acc)
     return 0;
 }
 
-/* The classical Runge-Kutta method is the first terms of exp(z), z = h times the matrix of the system; for an
- * input that is held D = z + z^2/2 + z^3/6 + z^4/24, b = h (1 + z/2 + z^2/6 + z^3/24) input. */
+/* The classical Runge-Kutta method consists of the first terms of exp(z), with z = h times the
+ * system matrix; for a constant input D = z + z^2/2 + z^3/6 + z^4/24, b = h (1 + z/2 + z^2/6 +
+ * z^3/24) input. */
 static void rk4_step_matrix(rthyb_dense *s, const accelerations *acc)
 {
     const int n = s->cfg.size, rows = 2 * n;
@@ -256,7 +257,8 @@ int rthyb_dense_answer(rthyb_dense *s, double excitation, double force_n, double
     return code | bad;
 }
 
-/* A part that grows without end comes to rest at the edge of what is sensible, not in inf. */
+/* A part that grows without bound ends at rest at the limit of plausible values, not at
+ * infinity. */
 static int stop_at_the_edge(rthyb_dense *s, int code)
 {
     const int n = s->cfg.size;
@@ -278,7 +280,7 @@ int rthyb_dense_advance(rthyb_dense *s)
     const double v = s->s[n + at];
     for (int i = 0; i < rows; i++)
         s->s[i] = confine(next[i], i < n ? RTHYB_DISPLACEMENT_MAX_M : VELOCITY_MAX, &code);
-    s->s[at] = s->x; /* as it was answered */
+    s->s[at] = s->x; /* as answered */
     s->a = (s->s[n + at] - v) / s->cfg.period_s;
     if (code != RTHYB_OK)
         code = stop_at_the_edge(s, code);
@@ -310,7 +312,7 @@ static int advance(const rthyb_numerical *part)
     return rthyb_dense_advance(part->state);
 }
 
-/* The force before the first sample that goes on is the one that the path ended with. */
+/* The force before the first sample after a path is the last one of the path. */
 static void freeze(const rthyb_numerical *part, const double *force_n)
 {
     rthyb_dense *s = part->state;
@@ -318,7 +320,7 @@ static void freeze(const rthyb_numerical *part, const double *force_n)
     s->last_force = accept(*force_n, RTHYB_FORCE_MAX_N, s->last_force, &code);
 }
 
-/* Like motion.c: the velocity of CR is (x[n] - x[n-1]) / h, half a step old. */
+/* As in motion.c: the velocity of CR is (x[n] - x[n-1]) / h, half a step old. */
 static void look(const rthyb_numerical *part, rthyb_interface *at)
 {
     const rthyb_dense *s = part->state;

@@ -1,5 +1,5 @@
-/* An FMU for co-simulation, FMI 2 or 3, as a numerical part: forces in, one step of a sampling period,
- * displacements out. All of its work stands between force and command. */
+/* An FMU for co-simulation, FMI 2 or 3, as a numerical part: forces in, one step of a sampling
+ * period, displacements out. All of its work takes place between force and command. */
 #include <math.h>
 #include <stdbool.h>
 #include <stdio.h>
@@ -8,7 +8,7 @@
 
 #include "rthyb.h"
 
-enum { OK, WARNING }; /* statuses of the standard that leave a result */
+enum { OK, WARNING }; /* statuses of the standard with a valid result */
 enum { CO_SIMULATION = 1 };
 #define AT_REST_M 1e-6
 
@@ -40,7 +40,7 @@ typedef int (*fmi3_get)(void *, const uint32_t *, size_t, double *, size_t);
 typedef int (*fmi3_step)(void *, double, double, bool, bool *, bool *, bool *, double *);
 typedef void (*fmi_free)(void *);
 
-/* A function by its address, called as what the standard says it is. */
+/* Calls a function by its address, with the type that the standard defines. */
 #define AS(type, function) ((type)(function))
 
 static int went_well(int status)
@@ -57,7 +57,7 @@ static void note(rthyb_fmu *fmu, int status, const char *message)
     (void)snprintf(fmu->said, sizeof fmu->said, "%s", message);
 }
 
-/* The message may have places for more arguments; which they are it alone knows. */
+/* The message may contain placeholders for further arguments, whose types are not known here. */
 static void note_log2(void *fmu, const char *instance, int status, const char *category,
                       const char *message, ...)
 {
@@ -72,7 +72,7 @@ static void note_log3(void *fmu, int status, const char *category, const char *m
     note(fmu, status, message);
 }
 
-/* FMI 2 wants them at a place that outlives the instance. */
+/* FMI 2 requires them at an address that outlives the instance. */
 static const fmi2_callbacks *callbacks_of(rthyb_fmu *fmu)
 {
     const fmi2_callbacks made = {.logger = note_log2, .allocate = calloc, .free = free, .fmu = fmu};

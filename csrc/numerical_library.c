@@ -1,4 +1,4 @@
-/* A numerical part that is the user's own: what comes from it is believed only as far as it is sensible. */
+/* A user's own numerical part: its values are accepted only if they are plausible. */
 #include <string.h>
 
 #include "numeric.h"
@@ -13,7 +13,7 @@ typedef struct {
     double x[RTHYB_INTERFACES_MAX], x1[RTHYB_INTERFACES_MAX], x2[RTHYB_INTERFACES_MAX];
     double force[RTHYB_INTERFACES_MAX];
     double excitation;
-    int64_t refused; /* what its init returned */
+    int64_t refused; /* return value of its init */
 } library_state;
 
 static void *state_of(const rthyb_numerical *part)
@@ -53,7 +53,8 @@ int32_t rthyb_library_refusal(const rthyb_numerical *part)
     return (int32_t)((const library_state *)part->state)->refused;
 }
 
-/* What was not written, or is no number, leaves the interface where it is; what runs off stops at the edge. */
+/* If a value was not written, or is not a number, the interface stays where it is; a value that is
+ * too large is limited. */
 static double taken(double next, double before, int *code)
 {
     if (isnan(next)) {
@@ -103,7 +104,7 @@ static void freeze(const rthyb_numerical *part, const double *force_n)
         c->calls.freeze(state_of(part), s->force);
 }
 
-/* Of a part that says nothing but where it is. */
+/* For a part that reports only its position. */
 static void look(const rthyb_numerical *part, rthyb_interface *at)
 {
     config *c = part->cfg;

@@ -1,15 +1,17 @@
 /* A numerical part of any size,
  *   M x'' + C x' + K x + (elements) + B force = -load ag,
- * by KR-alpha (Kolay & Ricles 2014) as one sparse solve a step. With ()_f = (1 - a_f) now + a_f before,
+ * by KR-alpha (Kolay & Ricles 2014), with one sparse solution per step. With ()_f = (1 - a_f) now +
+ * a_f before,
  *   S q = F_f - r_f - C (v_f + a_f gamma h q') - K (x_f + a_f beta h^2 q') - a_m M q',
  *   x += h v + (1/2 + gamma) h^2 q,   v += h q,
- * q' the last q. With a_m = a_f = 0, gamma = 1/2 it is the method of Chen & Ricles (2008) for beta = 1/4, and
- * the central difference for beta = 0. Nothing is divided by a mass, so that a degree of freedom may have none.
- * S, K at q' and the elements' part have the initial stiffness of the elements and of the specimen; the
- * equation has only what is really there.
+ * where q' is the previous q. With a_m = a_f = 0 and gamma = 1/2, this is the method of Chen &
+ * Ricles (2008) for beta = 1/4, and the central difference for beta = 0. Nothing is divided by a
+ * mass, so a degree of freedom may have none. S, K multiplied with q', and the elements' part
+ * include the initial stiffness of the elements and of the specimen; the equation contains only
+ * what is really present.
  *
- * Between force and command stands x[n+1] = base + gain force + pull ag; all else waits until the command has
- * left. */
+ * Between force and command, only x[n+1] = base + gain force + pull ag is computed; everything else
+ * waits until the command has been sent. */
 #include <string.h>
 
 #include "factored.h"
@@ -27,10 +29,10 @@ typedef const rthyb_sparse_config config;
 enum { VECTORS = 6 };
 
 typedef struct {
-    double *x, *v, *q;   /* at t_n; q: of the last step, and then without force and excitation */
+    double *x, *v, *q;   /* at t_n; q: of the next step, without its force and excitation */
     double *last;        /* q' */
-    double *to_k, *to_c; /* what K and C are multiplied with */
-    double *joint_force; /* of each element at t_n */
+    double *to_k, *to_c; /* vectors to be multiplied with K and C */
+    double *joint_force; /* of each element, at t_n */
     rthyb_element *element;
 } vectors;
 
@@ -86,7 +88,8 @@ static int numbers_ok(const double *values, size_t count)
     return within(values, count, VALUE_MAX);
 }
 
-/* Starts that only grow, and places from `low` of each row to below `end`. */
+/* Whether the row starts never decrease, and all indices are from 0 to below `end`; with above_row,
+ * also greater than the number of their row. */
 static int places_ok(const int32_t *start, const int32_t *at, int32_t rows, int32_t end,
                      int above_row)
 {
@@ -212,7 +215,7 @@ static void add_row(const rthyb_rows *rows, int32_t row, double by, double *x)
         x[rows->at[k]] += by * rows->weight[k];
 }
 
-/* Sherman, Morrison & Woodbury: (S0 + g U U')^-1 = S0^-1 - Z (1/g + U' Z)^-1 U' S0^-1. */
+/* Sherman-Morrison-Woodbury: (S0 + g U U')^-1 = S0^-1 - Z (1/g + U' Z)^-1 U' S0^-1. */
 void rthyb_sparse_solve(config *cfg, double *values)
 {
     const int32_t n = cfg->size, r = cfg->modes;
@@ -248,8 +251,8 @@ static void push_apart(const rthyb_joint *joint, double force, double *out)
         out[joint->below] += force;
 }
 
-/* The elements at the new x; of the old and the new force what K does not have already goes to `out`.
- * Velocity and acceleration are those that C and M see. */
+/* Evaluates the elements at the new x; adds to `out` the part of the old and the new force that K
+ * does not include. Velocity and acceleration are those used with C and M. */
 static void add_joints(config *c, vectors *s, double *restrict out)
 {
     const double h = c->period_s, af = c->alpha_f, gamma_h = c->gamma * h;
@@ -266,7 +269,8 @@ static void add_joints(config *c, vectors *s, double *restrict out)
     }
 }
 
-/* x and v of t_{n+1}, and what K and C are to be multiplied with. Returns whether all are sensible. */
+/* Computes x and v at t_{n+1}, and the vectors to be multiplied with K and C. Returns whether all
+ * values are plausible. */
 static int move(config *c, vectors *s)
 {
     const double h = c->period_s, gain = gain_of(c), af = c->alpha_f;
@@ -287,7 +291,8 @@ static int move(config *c, vectors *s)
     return ok;
 }
 
-/* A part that grows without end comes to rest at the edge of what is sensible, not in inf. */
+/* A part that grows without bound ends at rest at the limit of plausible values, not at
+ * infinity. */
 static int stop_at_the_edge(config *c, rthyb_sparse *s, vectors *all)
 {
     int code = RTHYB_S_OUT_OF_RANGE;
@@ -303,7 +308,7 @@ static int stop_at_the_edge(config *c, rthyb_sparse *s, vectors *all)
     return code;
 }
 
-/* -C to_c; Rayleigh damping goes with the other two products. */
+/* -C to_c; Rayleigh damping is included in the other two products. */
 static void damp(config *c, const double *restrict to_c, double *restrict out)
 {
     const int32_t n = c->size;
@@ -317,7 +322,7 @@ static void damp(config *c, const double *restrict to_c, double *restrict out)
     }
 }
 
-/* q of the next step as it is without its force and excitation. */
+/* q of the next step, without its force and excitation. */
 static void look_ahead(config *c, rthyb_sparse *s, vectors *all)
 {
     const int32_t n = c->size;
@@ -419,7 +424,7 @@ static void note_gains(config *c, rthyb_sparse *s)
         }
 }
 
-/* A part begins where its settings say, and the caller has no other place for it. */
+/* A part begins at the state in its settings; the caller cannot choose another one. */
 static int init(const rthyb_numerical *part, double x0_m)
 {
     config *c = part->cfg;
@@ -466,7 +471,7 @@ size_t rthyb_sparse_displacements(config *cfg, const rthyb_sparse *state, double
     return count;
 }
 
-/* Like motion.c: v is (x[n] - x[n-1]) / h, half a step old. */
+/* As in motion.c: v is (x[n] - x[n-1]) / h, half a step old. */
 static void look(const rthyb_numerical *part, rthyb_interface *at)
 {
     config *c = part->cfg;

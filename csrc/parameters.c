@@ -1,5 +1,5 @@
-/* What may be changed while a test runs, handed over whole: one writer, one tick thread, neither of
- * whom waits. The stamp is odd while a set is being written. */
+/* Parameters that may change during a test, handed over as a whole: one writer and one tick thread,
+ * neither of which waits. The stamp is odd while a set is being written. */
 #include <string.h>
 
 #include "internal.h"
@@ -62,7 +62,7 @@ void rthyb_handover_write(rthyb_handover *h, const rthyb_parameters *parameters)
     for (size_t i = 0; i < RTHYB_PARAMETER_WORDS; i++) {
         uint64_t word;
         memcpy(&word, bytes + i * sizeof word, sizeof word);
-        /* Whoever reads this word sees that the stamp is odd. */
+        /* Whoever reads this word also sees the odd stamp. */
         __atomic_store_n(&h->words[i], word, __ATOMIC_RELEASE);
     }
     __atomic_store_n(&h->stamp, stamp + 2, __ATOMIC_RELEASE);

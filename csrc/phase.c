@@ -1,18 +1,19 @@
-/* The link clock: a PI loop moves the due times so that the drive's samples arrive a set time before
- * the tick, whatever the two clocks think of one another. Pure: stamps in, trims out. */
+/* The link clock: a PI loop shifts the due times so that the drive's samples arrive a set time
+ * before the tick, whatever the difference between the two clocks. Pure: time stamps in, trims
+ * out. */
 #include "numeric.h"
 
-/* All that takes its time takes as long at every rate. */
+/* Durations are in seconds, so that they are the same at every rate. */
 #define OMEGA (2.0 * RTHYB_PI * 0.3)  /* natural frequency 0.3 Hz, damping 1 */
-#define SMOOTHING (16.0 * STANDARD_S) /* of jitter that one error is the mean of */
-#define OUTLIER_NS 100e3              /* nothing that is further off counts for more */
-#define SILENCE (20.0 * STANDARD_S)   /* without a pair, then all but the drift is forgotten */
-#define NEAR_NS 100e3                 /* smoothed error of a loop that has locked */
-#define NEAR_S 0.25                   /* without a break */
-#define FAR_NS 150e3                  /* here the trim is as large as it gets, whatever the drift */
-#define WAY_FROM (64.0 * STANDARD_S)  /* in which the speed of approach is measured */
+#define SMOOTHING (16.0 * STANDARD_S) /* averaging time of the error, against jitter */
+#define OUTLIER_NS 100e3              /* largest deviation that counts */
+#define SILENCE (20.0 * STANDARD_S)   /* without a pair, after which only the drift is kept */
+#define NEAR_NS 100e3                 /* largest smoothed error of a loop that is locked */
+#define NEAR_S 0.25                   /* within it, without interruption */
+#define FAR_NS 150e3                  /* above it the trim is at its limit, whatever the drift */
+#define WAY_FROM (64.0 * STANDARD_S)  /* interval in which the rate of approach is measured */
 #define WAY_TO (512.0 * STANDARD_S)
-#define TRIM_MEMORY 4.0 /* s that the trim shown is the mean of */
+#define TRIM_MEMORY 4.0 /* s, averaging time of the trim that is shown */
 #define LEAD_MIN_NS 10e3
 #define STAMP_MAX_NS 1e9
 
@@ -38,7 +39,7 @@ int rthyb_phase_init(rthyb_phase *phase, uint32_t rate_hz, double lead_ns)
     return 0;
 }
 
-/* The nearest of the errors that are whole periods apart. */
+/* The error less whole periods, so that its magnitude is smallest. */
 static double wrapped(const rthyb_phase *p, double ns)
 {
     return ns - p->period_ns * rint(ns / p->period_ns);
@@ -59,9 +60,10 @@ uint32_t rthyb_phase_typical(const rthyb_phase *p, const int64_t *arrived_ns, ui
     return best;
 }
 
-/* An error of half a period may be closed from either side. Against a drift one side is a third as
- * fast as the other, and which one that is shows on the way. Another side must save half a second;
- * what gets away against the largest trim will not be held from there either. */
+/* An error of half a period can be reduced in either direction. With drift, one direction is only a
+ * third as fast as the other, and which one becomes clear only on the way. Changing direction must
+ * save half a second; an error that grows despite the largest trim would not be held if approached
+ * from the other direction either. */
 static void choose_side(rthyb_phase *p)
 {
     const double size = fabs(p->error_ns);
@@ -79,8 +81,8 @@ static void choose_side(rthyb_phase *p)
         p->error_ns -= copysign(p->period_ns, p->error_ns);
 }
 
-/* The error is followed across the half period, or jitter there would turn it round again and
- * again. */
+/* The error is tracked beyond half a period; otherwise, jitter there would change its sign again
+ * and again. */
 static void follow(rthyb_phase *p, double error_ns)
 {
     if (!p->following) {

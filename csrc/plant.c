@@ -1,15 +1,16 @@
-/* Virtual rigs by kind. A new one is a file of its own, a number in rthyb_plant.h and a row here. */
+/* Virtual rigs by kind. A new kind needs a file of its own, a number in rthyb_plant.h and a row
+ * here. */
 #include <string.h>
 
 #include "internal.h"
 
 typedef struct {
-    int32_t (*axes)(const void *state); /* 0: of no use as a rig */
+    int32_t (*axes)(const void *state); /* 0: not usable as a rig */
     double (*period_s)(const void *state);
     int (*step)(void *state, const double *x_p_m, double *x_m_m, double *f_n);
     void (*reseed)(void *state);
     void (*truth)(const void *state, double *x_true_m, double *f_true_n);
-    void (*extra)(const void *state, double *values); /* NULL: it has no extra sensors */
+    void (*extra)(const void *state, double *values); /* NULL: no extra sensors */
 } plant_ops;
 
 /* ---- one actuator ------------------------------------------------------------------------------ */

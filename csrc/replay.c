@@ -1,11 +1,11 @@
-/* A recording through a fresh station: its rows are the inputs of a second pass, and what comes out
- * has to be the same rows again. */
+/* Replays a recording with a new station: the rows are the inputs of a second pass, and its output
+ * must be the same rows. */
 #include <string.h>
 
 #include "internal.h"
 #include "numeric.h"
 
-/* No tick gives more; a longer group is none that a station has written. */
+/* A tick gives no more rows than this; a longer group was not written by a station. */
 enum { GROUP_MAX = RTHYB_BLIND_MAX + 2 };
 
 static int axes_of(const rthyb_station *station)
@@ -13,8 +13,8 @@ static int axes_of(const rthyb_station *station)
     return station->cfg.controller.axis_count;
 }
 
-/* The rows of one executed tick: those of the ticks that were skipped before it, then its own. At most as many
- * as a tick can give, and one. */
+/* The rows of one executed tick: first those of the ticks that were skipped before it, then its
+ * own. Reads at most one row more than a tick can give. */
 static size_t group_of(const rthyb_replay *source, int axes, size_t from, rthyb_record *group)
 {
     size_t n = 0;
@@ -36,7 +36,8 @@ static void take_parameters(rthyb_station *station, const rthyb_replay *source, 
             (void)rthyb_station_adopt(station, &source->parameters[i]);
 }
 
-/* Why the wire of an axis had no pair. Of several axes those had none of which the row has neither number. */
+/* Why the wire of an axis had no pair. With several axes, it had none if the row contains neither
+ * of its readings. */
 static int32_t lost(const rthyb_record *row, int axis, int axes)
 {
     const rthyb_axis_record *a = &row->axis[axis];
@@ -48,7 +49,8 @@ static int32_t lost(const rthyb_record *row, int axis, int axes)
     return RTHYB_LOST | no_number | (row->code & RTHYB_S_OUT_OF_RANGE);
 }
 
-/* What a row says of all axes together comes from the one that its cause names, or from the first. */
+/* What a row says of all axes together is taken from the axis that its cause names, or from the
+ * first. */
 static int whose(const rthyb_record *row)
 {
     const int number = (int)(row->cause >> RTHYB_PLACE_BIT & 7u);
@@ -83,14 +85,14 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
     return in;
 }
 
-/* Whether the command of this axis left. */
+/* Whether the command of this axis was sent. */
 static int left(const rthyb_record *row, int axis, int axes)
 {
     const uint32_t of_axis = (uint32_t)1 << (RTHYB_F_UNSENT_BIT + axis);
     return !(row->flags & (axes > 1 ? of_axis : (uint32_t)RTHYB_F_NOT_SENT));
 }
 
-/* As the loop has sent it: rounded by the wire, or not at all. */
+/* As in the loop: rounded by the wire, or not sent. */
 static int send_again(rthyb_station *station, const rthyb_replay *source,
                       const rthyb_station_output *out, int axis, int was_sent)
 {
@@ -107,7 +109,7 @@ static int send_again(rthyb_station *station, const rthyb_replay *source,
     return sent;
 }
 
-/* What the link and the clock added to a row. */
+/* What link and clock have added to a row. */
 static void copy_surroundings(const rthyb_record *from, int axes, rthyb_record *to)
 {
     to->due_ns = from->due_ns;
@@ -125,7 +127,7 @@ static void complete(const rthyb_record *row, uint32_t unsent, rthyb_record *mad
     made->flags = (made->flags & ~UNSENT_FLAGS) | unsent;
 }
 
-/* One group again; returns how many rows it became. */
+/* Replays one group; returns the number of rows that it gave. */
 static size_t replay_group(rthyb_station *station, const rthyb_replay *source,
                            const rthyb_record *rows, size_t n, rthyb_record *made)
 {

@@ -16,9 +16,8 @@
 #define RATIO_MAX 1e15
 #define VELOCITY_MAX 1e9 /* m/s */
 #define LATENESS_MAX 1.0 /* s, positive or negative */
-#define SPREAD_GATE                                                                                \
-    16.0 /* least squares: least variance of x_m in the window, as a multiple of its               \
-          * noise */
+/* Least squares: smallest ratio of the variance of x_m in the window to that of its noise. */
+#define SPREAD_GATE 16.0
 
 /* Sums over a window use pairs of lanes of 16 bytes, which every 64-bit processor supports: this
  * fixes the order of the additions, and several of them can run in parallel. */

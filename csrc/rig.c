@@ -1,11 +1,11 @@
-/* The virtual rig: actuator, specimen, and two sensors with noise, bias, steps and an end to their
- * range. Seeded, so that a test can be repeated to the bit. */
+/* The virtual rig: actuator, specimen, and two sensors with noise, bias, quantisation and a limited
+ * range. The noise is seeded, so that a test can be repeated bit by bit. */
 #include "internal.h"
 #include "sensor.h"
 
 #define EXTRA_MAX 1e15
 
-/* What is linear of the specimen is solved together with the actuator, exactly. */
+/* The linear part of the specimen is solved exactly, together with the actuator. */
 static void join_specimen(rthyb_rig *rig, rthyb_servo_config *servo)
 {
     for (uint32_t i = 0; i < rig->cfg.element_count; i++) {
@@ -51,8 +51,8 @@ int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
     *rig = (rthyb_rig){.cfg = *cfg};
     rthyb_servo_config servo = cfg->servo;
     if (servo.kind == RTHYB_SERVO_HYDRAULIC) {
-        /* A specimen's own mass rides on the table; as a force it would need the acceleration that
-         * it decides. */
+        /* The specimen's own mass moves with the table; as a force, it would need the acceleration
+         * that it determines. */
         for (uint32_t i = 0; i < cfg->element_count; i++) {
             if (cfg->elements[i].kind != RTHYB_INERTIA)
                 continue;
@@ -70,12 +70,12 @@ int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
 void rthyb_rig_reseed(rthyb_rig *rig)
 {
     noise_seed(&rig->noise, rig->cfg.seed);
-    /* A source of their own: without them the other sensors have the same noise. */
+    /* A generator of their own, so that the other sensors have the same noise without them. */
     noise_seed(&rig->extra_noise, ~rig->cfg.seed);
 }
 
-/* What the load cell is under: the oil column's force at the actuator's end, else the specimen's.
- * The servo-hydraulic actuator has advanced the specimen to t_n already, hence its dt of 0. */
+/* Force in the load cell: at the actuator's end that of the oil column, otherwise that of the
+ * specimen. The servo-hydraulic actuator has already advanced the specimen to t_n, hence dt = 0. */
 static double load_cell_force(rthyb_rig *rig)
 {
     const rthyb_servo *servo = &rig->servo;

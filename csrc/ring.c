@@ -1,13 +1,14 @@
-/* Telemetry ring: one producer that never waits, any number of readers, in a mapped file.
+/* Telemetry ring in a mapped file: one producer that never waits, any number of readers.
  *
- * Every slot is a seqlock of its own. The producer makes the stamp odd, stores the words, makes the
- * stamp even; a reader takes the words between two looks at the stamp. Words are stored with
- * release and loaded with acquire, so that a reader that saw one word of a newer record also sees
- * that record's odd stamp, or a later one, at its second look: the copy is thrown away. That is all
- * the order needed, without a fence, and on x86-64 and for the compiler alike it costs a plain move.
+ * Every slot is a seqlock. The producer makes the stamp odd, stores the words, and makes the stamp
+ * even; a reader copies the words between two reads of the stamp. Words are stored with release and
+ * loaded with acquire, so a reader that has seen a word of a newer record also sees, at its second
+ * read, that record's odd stamp or a later one, and discards the copy. This is all the ordering
+ * that is needed, without a fence; on x86-64 it costs no more than plain moves.
  *
- * Stamps alone say what a slot holds; the count in the header only tells where to look. A producer
- * killed between any two instructions leaves at most one slot with an odd stamp. */
+ * Only the stamps say what a slot contains; the count in the header only says where to look. A
+ * producer that is killed between any two instructions leaves at most one slot with an odd
+ * stamp. */
 #include <math.h>
 #include <string.h>
 #include <sys/mman.h>
@@ -15,12 +16,12 @@
 
 #include "internal.h"
 
-#define MAGIC UINT64_C(0x676e726279687472) /* "rthybrng" where the low byte comes first */
+#define MAGIC UINT64_C(0x676e726279687472) /* "rthybrng" in little-endian order */
 #define PAGE 4096u
 #define TMPFS 0x01021994
 #define CAPACITY_MAX (1u << 24)
-#define NEWEST_TRIES 1000 /* a killed producer may have left the status page half written */
-#define LEAP_ROOM 64      /* a lapped reader goes on this part of the ring ahead of the oldest */
+#define NEWEST_TRIES 1000 /* a killed producer may have left the status page incomplete */
+#define LEAP_ROOM 64      /* a lapped reader continues 1/64 of the ring after the oldest record */
 
 _Static_assert(sizeof(rthyb_record) == RTHYB_RECORD_WORDS * sizeof(uint64_t),
                "RTHYB_RECORD_WORDS is not the record's");
@@ -92,7 +93,7 @@ void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t abou
         .record_words = (uint32_t)(record_bytes(axis_count) / sizeof(uint64_t)),
         .channel_count = channel_count,
     };
-    /* Last, so that nobody takes half a header for a ring. */
+    /* Last, so that nobody mistakes an incomplete header for a ring. */
     __atomic_store_n(&header->magic, MAGIC, __ATOMIC_RELEASE);
 }
 
@@ -135,7 +136,7 @@ static void show(rthyb_ring *ring, const rthyb_record *record, const double *cha
     store(ring, &ring->header->newest, ring->shown++, record, channels);
 }
 
-/* The black box: what led to a TRIP, and a second of what came after. */
+/* The black box: what led to a trip, and one second of what followed. */
 static void push_tripped(rthyb_ring *ring, const rthyb_record *record, const double *channels)
 {
     if (ring->tripped == RTHYB_RING_AFTER_TRIP) {
@@ -145,7 +146,8 @@ static void push_tripped(rthyb_ring *ring, const rthyb_record *record, const dou
     append(ring, record, channels);
     if (++ring->tripped < RTHYB_RING_AFTER_TRIP)
         return;
-    /* Page before phase, here and below record before phase: what a reader finds never gets older. */
+    /* Page before phase, here, and record before phase, below: what a reader finds never becomes
+     * older. */
     show(ring, record, channels);
     set_phase(ring, RTHYB_RING_FROZEN);
 }
@@ -182,7 +184,8 @@ void rthyb_ring_close(rthyb_ring *ring)
 
 /* ---- reader ----------------------------------------------------------------------------------- */
 
-/* Of one axis or of several, with or without channels: which ones the description says. */
+/* A row of one or several axes, with or without channels; the description in the file says
+ * which. */
 static int is_row(uint32_t bytes)
 {
     return bytes >= row_bytes(1, 0) && bytes <= row_bytes(RTHYB_COUPLED_MAX, RTHYB_CHANNELS_MAX) &&
@@ -243,7 +246,8 @@ int rthyb_ring_attach(rthyb_ring_reader *reader, const void *map, size_t bytes)
     return 0;
 }
 
-/* Copies the words; 0, and nonsense in the row, if the slot did not keep that stamp meanwhile. */
+/* Copies the words; returns 0, with an invalid row, if the stamp of the slot has changed
+ * meanwhile. */
 static int copy(const rthyb_ring_reader *reader, const rthyb_ring_slot *slot, uint64_t stamp,
                 char *bytes)
 {
@@ -271,7 +275,7 @@ static enum found look(const rthyb_ring_reader *reader, char *row)
     return stamp == wanted && copy(reader, slot, stamp, row) ? HERE : GONE;
 }
 
-/* Past a half-written record by one; a lapped reader to where it is not lapped again at once. */
+/* Skips one half-written record; a lapped reader continues where it is not lapped again at once. */
 static void leap(rthyb_ring_reader *reader)
 {
     const uint64_t first = oldest(reader);
@@ -318,8 +322,8 @@ int rthyb_ring_newest(const rthyb_ring_reader *reader, void *row)
         const uint64_t stamp = __atomic_load_n(&slot->stamp, __ATOMIC_ACQUIRE);
         if (stamp == 0)
             return 0;
-        /* A slot that was lapped since may be ahead of the count, and a phase that changed since
-         * ahead of the page: the next look would find something older. */
+        /* A slot that was overwritten meanwhile may be newer than the count, and a phase that has
+         * changed meanwhile newer than the page: the next call would then find something older. */
         const int counted = frozen ? stamp % 2 == 0 : stamp == 2 * last + 2;
         if (counted && copy(reader, slot, stamp, row) &&
             (rthyb_ring_phase(reader) & RTHYB_RING_FROZEN) == frozen)

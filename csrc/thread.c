@@ -1,5 +1,5 @@
-/* Makes one thread punctual. What was obtained is looked up afterwards wherever it can be: a
- * container may grant a call and mean nothing by it. */
+/* Makes a thread real-time. Wherever possible, the result is read back afterwards: a container may
+ * accept a call without any effect. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
 #include <pthread.h>
@@ -14,7 +14,8 @@
 
 #define PAGE_BYTES 4096
 
-/* Of a copy of this thread only; and what it starts does not become real-time with it. */
+/* Affects the calling thread only; threads and processes that it starts do not inherit the
+ * priority. */
 static uint32_t become_fifo(int32_t priority)
 {
     struct sched_param wanted = {.sched_priority = priority}, found;
@@ -46,7 +47,7 @@ void rthyb_memory_unlock(void)
     munlockall();
 }
 
-/* The device gives the value in force as four bytes. */
+/* The device returns the value in effect as four bytes. */
 static uint32_t processors_stay_awake(int32_t latency_fd)
 {
     int32_t value = -1;
@@ -65,14 +66,15 @@ static uint32_t block_signals(void)
                                                                                  : 0;
 }
 
-/* Page by page and deeper each time, so that no page of it is met for the first time later. */
+/* Page by page, one level deeper in each call, so that no page is accessed for the first time
+ * later. */
 static void touch_stack(size_t bytes)
 {
     volatile char page[PAGE_BYTES];
     page[0] = 0;
     if (bytes > sizeof page)
         touch_stack(bytes - sizeof page);
-    page[sizeof page - 1] = page[0]; /* the frame is needed until here */
+    page[sizeof page - 1] = page[0]; /* keeps this frame until here */
 }
 
 uint32_t rthyb_thread_become_real_time(int32_t priority, int32_t cpu, int32_t latency_fd,
@@ -80,7 +82,8 @@ uint32_t rthyb_thread_become_real_time(int32_t priority, int32_t cpu, int32_t la
 {
     uint32_t got = block_signals() | lock_memory() | processors_stay_awake(latency_fd);
     touch_stack(stack_bytes);
-    /* Without FIFO the kernel may bundle timers by 50 us; this takes no privilege. */
+    /* Without FIFO, the kernel may delay timers by 50 us to group them; this call needs no
+     * privilege. */
     prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);
     if (cpu >= 0 && cpu < CPU_SETSIZE)
         got |= stay_on(cpu);

@@ -1,4 +1,4 @@
-/* The ticker: so many due times a second, exactly, and what to do when one was slept through. */
+/* The ticker: an exact number of due times per second, and what happens if one was missed. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-dcl37-c,cert-dcl51-cpp) */
 
 #include <errno.h>
@@ -13,7 +13,7 @@
 #include "rthyb.h"
 
 #define SECOND_NS 1000000000
-#define RATE_TOLERANCE 1e-9 /* of 1/rate, which is rounded, against the rate */
+#define RATE_TOLERANCE 1e-9 /* relative, because 1/rate is rounded */
 
 int64_t rthyb_now_ns(void)
 {
@@ -67,7 +67,8 @@ int64_t rthyb_ticker_trim_max_ns(uint32_t rate_hz)
     return rate_hz ? (int64_t)((ppm_ns + rate_hz / 2u) / rate_hz) : 0;
 }
 
-/* Seconds and their ticks apart: a product of both would not last a hundred years. */
+/* Seconds and the remaining ticks separately: the product of both would overflow within a hundred
+ * years. */
 int64_t rthyb_ticker_due_ns(const rthyb_ticker *ticker, uint64_t k)
 {
     const uint64_t rate = ticker->rate_hz, second = k / rate;
@@ -75,8 +76,8 @@ int64_t rthyb_ticker_due_ns(const rthyb_ticker *ticker, uint64_t k)
     return ticker->t0_ns + ticker->shift_ns + (int64_t)since;
 }
 
-/* The last tick that is due at now: the largest k with floor(k 1e9/rate) <= now - t0, which is the
- * largest below (now - t0 + 1) rate/1e9. */
+/* The last tick that is due at `now_ns`: the largest k with floor(k 1e9/rate) <= now - t0, which is
+ * the largest integer below (now - t0 + 1) rate/1e9. */
 static uint64_t newest_due(const rthyb_ticker *ticker, int64_t now_ns)
 {
     const int64_t since = now_ns - ticker->t0_ns - ticker->shift_ns;
@@ -87,7 +88,7 @@ static uint64_t newest_due(const rthyb_ticker *ticker, int64_t now_ns)
     return second * ticker->rate_hz + (part + SECOND_NS - 1u) / SECOND_NS - 1u;
 }
 
-/* Makes k the tick at hand; what lies between it and the last one is skipped. */
+/* Makes k the current tick; the ticks between the last one and k are skipped. */
 static void take(rthyb_ticker *ticker, uint64_t k, rthyb_tick *tick)
 {
     const uint64_t skipped = k - ticker->elapsed;
@@ -102,7 +103,8 @@ static void take(rthyb_ticker *ticker, uint64_t k, rthyb_tick *tick)
 void rthyb_ticker_woken(rthyb_ticker *ticker, int64_t now_ns, rthyb_tick *tick)
 {
     const uint64_t waited_for = ticker->elapsed, newest = newest_due(ticker, now_ns);
-    /* After a skip too: how late the thread was, not how late it is for the tick it can still do. */
+    /* Also after a skip: how late the thread was, not how late it is for the tick that it can still
+     * execute. */
     rthyb_latency_record(&ticker->wake, now_ns - rthyb_ticker_due_ns(ticker, waited_for));
     take(ticker, newest > waited_for ? newest : waited_for, tick);
     tick->woken_ns = now_ns;
@@ -120,7 +122,7 @@ static int stopped(const rthyb_ticker *ticker)
     return __atomic_load_n(&ticker->stop, __ATOMIC_ACQUIRE) != 0;
 }
 
-/* The bell is read before what it announces: whoever rings in between finds nobody asleep. */
+/* The bell is read before the values that it announces, so that a ring in between is not missed. */
 static int wait_for_word(rthyb_ticker *ticker, rthyb_tick *tick)
 {
     for (;;) {

@@ -1,4 +1,4 @@
-/* Tests in virtual time: the station of a test in real time, with the virtual rig called directly. */
+/* Tests in virtual time: the station of a real-time test, with the virtual rig called directly. */
 #include <string.h>
 
 #include "internal.h"
@@ -27,7 +27,7 @@ int rthyb_virtual_init(rthyb_virtual *test)
     return 0;
 }
 
-/* What the drive of an axis makes of what the station sent, for the next tick. */
+/* What the drive of an axis does with the output of the station, for the next tick. */
 static void drive(rthyb_virtual *test, int i, const rthyb_station_output *out)
 {
     const double now = test->target_m[i];
@@ -45,7 +45,7 @@ static void drive(rthyb_virtual *test, int i, const rthyb_station_output *out)
     test->target_m[i] = next;
 }
 
-/* What stands in the row of this tick: the part has not made its next step yet. */
+/* Values for the row of this tick: the numerical part has not made its next step yet. */
 static void note_freedoms(rthyb_virtual *test)
 {
     const rthyb_numerical part = part_of(&test->station->controller);
@@ -95,7 +95,7 @@ static void tick(rthyb_virtual *test, int32_t command, rthyb_record *record)
     }
     if (test->truth)
         note_truth(test);
-    /* What a test comes to must not depend on how long its rig was zeroed and ramped in. */
+    /* The result of a test must not depend on the duration of zeroing and ramp-in. */
     if (before == RTHYB_RAMP_IN && station->state == RTHYB_RUNNING)
         rthyb_plant_reseed(&test->plant);
 }

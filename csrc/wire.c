@@ -1,11 +1,11 @@
-/* The controller's end of the wire: which frames make a sample, which are late, lost or double, and
- * how old the answer is. No I/O: bytes come in, bytes go out. */
+/* The controller's end of the wire: which frames form a sample, which are late, lost or duplicated,
+ * and how old the echo is. No I/O: bytes in, bytes out. */
 #include "numeric.h"
 #include "relaxed.h"
 
-#define HALF_LIVES 20   /* ticks that a half waits for its other half, at the most */
-#define RESYNC_AFTER 20 /* ticks of silence after which any count may come next */
-#define STUCK_AFTER 6   /* frames in a row that repeat what is known */
+#define HALF_LIVES 20   /* most ticks that a half waits for its other half */
+#define RESYNC_AFTER 20 /* ticks without data after which any count is accepted */
+#define STUCK_AFTER 6   /* consecutive frames that repeat what is known */
 #define BOTH (RTHYB_HAS_X | RTHYB_HAS_F)
 #define DAMAGED (RTHYB_W_ID | RTHYB_W_LENGTH | RTHYB_W_CRC | RTHYB_W_FRAMING)
 
@@ -46,8 +46,9 @@ int rthyb_wire_command(rthyb_wire *w, double x_m, int32_t state, rthyb_frame *fr
     return code;
 }
 
-/* Steps from one count to another, so many ticks after it: of all that the bits allow the number
- * nearest to one a tick, or a short count would take a gap for a way back. */
+/* Steps from one count to another that arrived `age` ticks after it: of all numbers that the bits
+ * allow, the one nearest to one step per tick. Otherwise, with a short count, a gap would look like
+ * a step back. */
 static int64_t steps_between(const rthyb_wire *w, uint32_t earlier, uint32_t later, uint32_t age)
 {
     const uint32_t mask = w->count_mask, due = age < RESYNC_AFTER ? age + 1 : 1;
@@ -55,13 +56,14 @@ static int64_t steps_between(const rthyb_wire *w, uint32_t earlier, uint32_t lat
     return (int64_t)due + beyond - (beyond >= mask / 2 ? (int64_t)mask + 1 : 0);
 }
 
-/* Ticks before this one in which nothing newer than the pair came. */
+/* Ticks before this one in which nothing newer than the pair arrived. */
 static uint32_t pair_age(const rthyb_wire *w)
 {
     return w->fresh ? 0 : w->age;
 }
 
-/* The same count is no new sample, however long ago it was: a drive may hang. */
+/* A repeated count is not a new sample, however long ago the first one was: the drive may have
+ * hung. */
 static int order(const rthyb_wire *w, uint32_t earlier, uint32_t later, uint32_t age)
 {
     if (((later - earlier) & w->count_mask) == 0)
@@ -69,7 +71,7 @@ static int order(const rthyb_wire *w, uint32_t earlier, uint32_t later, uint32_t
     return steps_between(w, earlier, later, age) < 0 ? RTHYB_W_REORDERED : 0;
 }
 
-/* Against the newest pair, or the half that waits. */
+/* Compares with the newest pair, or with the half that is waiting. */
 static int judge_order(const rthyb_wire *w, const rthyb_reading *r)
 {
     int verdict = 0;
@@ -110,7 +112,7 @@ static void drop_half(rthyb_wire *w, int i)
     w->half_age[i] = 0;
 }
 
-/* A half completes the one that waits for it, or waits itself. */
+/* Completes the half that is waiting for this one; otherwise this one waits. */
 static int join(rthyb_wire *w, const rthyb_reading *r)
 {
     const int mine = r->has == RTHYB_HAS_X ? 0 : 1, other = 1 - mine;
@@ -152,7 +154,8 @@ static int judge_and_join(rthyb_wire *w, const rthyb_reading *r, int verdict)
         return late | RTHYB_W_STUCK;
     if (late)
         return late;
-    /* That it has stopped is true whatever its sensors say, and whether the other half comes or not. */
+    /* That the drive has stopped is true whatever its sensors read, and whether or not the other
+     * half arrives. */
     w->stopped |= r->status & RTHYB_DEVICE_STOPPED;
     if (!verdict)
         return r->has == BOTH ? take_pair(w, r) : join(w, r);
@@ -185,7 +188,8 @@ int rthyb_wire_feed(rthyb_wire *w, const uint8_t *bytes, size_t n)
     return all;
 }
 
-/* No half meets one that is a round of the count younger, also with ticks skipped in between. */
+/* A half must not be joined with one that is a whole round of the count younger, even if ticks are
+ * skipped in between. */
 static uint32_t half_lives(const rthyb_wire *w)
 {
     const uint32_t half_round = w->count_mask / 2 + 1;
@@ -199,7 +203,7 @@ static void age_halves(rthyb_wire *w)
             drop_half(w, i);
 }
 
-/* Only an echo of a command that this end has sent says anything. */
+/* Only the echo of a command that was sent from this end is meaningful. */
 static int32_t delay(const rthyb_wire *w)
 {
     const uint32_t steps = (w->seq - w->pair.echo) & w->echo_mask;
