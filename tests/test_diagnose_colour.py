@@ -96,6 +96,17 @@ def test_noise_is_never_larger_than_its_sheet_allows():
     assert rms_seen(found) <= 1.25 * 1.001
 
 
+def test_force_beside_a_motion_down_to_the_slowest_line_is_no_noise_beyond_the_sheet():
+    """As a stiffness that changes with time makes it: the band holds what goes on below it, too."""
+    random = np.random.default_rng(6)
+    v = coloured(random, ((F_GRID > 0.0) & (F_GRID < 2.1)).astype(float))
+    aside = coloured(random, ((F_GRID > 2.1) & (F_GRID < 3.5)).astype(float))
+    found = colour_left_by(random.standard_normal(N) + 8.0 * aside, v=v)
+    assert found is not None
+    whole = float(np.sqrt(np.sum(found.at(F_GRID[2:])) / F_GRID.size))
+    assert whole <= 1.25 * 1.001
+
+
 @pytest.mark.parametrize("broken", ["no sheet", "gaps", "short", "nan"])
 def test_recording_that_tells_no_colour_is_left_white(broken):
     y, rows = coloured(np.random.default_rng(5), pink()), np.ones(N, dtype=np.bool_)

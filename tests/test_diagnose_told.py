@@ -17,7 +17,7 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from rthyb_rt import cli
-from rthyb_rt.diagnose import catalogue, engine, laws, page, reading, why, words
+from rthyb_rt.diagnose import catalogue, decide, engine, laws, page, reading, why, words
 from rthyb_rt.diagnose.outcome import finish
 from rthyb_rt.report import drawing as draw
 
@@ -188,6 +188,11 @@ def test_legends_stand_outside_of_the_curves():
 
 
 # ---- the ledger ----------------------------------------------------------------------------------
+
+
+def test_every_rule_that_takes_a_set_out_has_words_for_it():
+    in_order_only = {"simplest first"}
+    assert set(decide.RANKING) - in_order_only <= set(why.DROPPED)
 
 
 def test_the_ledger_says_why_dry_friction_was_named_and_the_others_were_not():

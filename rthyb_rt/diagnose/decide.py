@@ -275,6 +275,11 @@ class _Unknown(Exception):
         self.need = need
 
 
+def times_price(policy: Policy, laws: int) -> float:
+    """Return how many times its price an effect of a set of so many laws has to earn."""
+    return policy.several_price if laws > 1 else 1.0
+
+
 class Court:
     """Evidence as the rules read it, and their ledger."""
 
@@ -332,7 +337,7 @@ class Court:
 
     def times(self, of: Hypothesis) -> float:
         """Return how many times its price an effect of a set has to earn."""
-        return self.policy.several_price if len(of.parts) > 1 else 1.0
+        return times_price(self.policy, len(of.parts))
 
     def strained(self, of: Hypothesis) -> bool:
         """Return whether a set takes a time offset that is no nuisance any more."""
@@ -407,7 +412,7 @@ def _of_no_form(court: Court, of: Hypothesis, which: int) -> bool:
         return False
     if not at_noise or court.setting.naive:
         return False
-    return bool(court.ask("beyond forms", of, (which,)) > policy.several_price * part.price)
+    return bool(court.ask("beyond forms", of, (which,)) > court.times(of) * part.price)
 
 
 def _before_a_dashpot(court: Court, of: Hypothesis, which: int) -> bool:

@@ -8,7 +8,17 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from rthyb_rt.diagnose.decide import Choice, Drift, Evidence, Hypothesis, Laws, Need, Part, Setting
+from rthyb_rt.diagnose.decide import (
+    Choice,
+    Drift,
+    Evidence,
+    Hypothesis,
+    Laws,
+    Need,
+    Part,
+    Setting,
+    times_price,
+)
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
 from rthyb_rt.diagnose.effects.base import Floats
@@ -180,10 +190,15 @@ def count(problem: Problem, fit: Fit) -> int:
 
 
 def cost(problem: Problem, fit: Fit) -> float:
-    """Return what a set has to earn."""
+    """Return the price of a set."""
     return sum(
         price(problem, m.effect, m.effect.settings(problem.ctx, m.trial)[1]) for m in fit.members
     )
+
+
+def to_earn(problem: Problem, fit: Fit) -> float:
+    """Return what a set has to earn to be named."""
+    return times_price(POLICY, len(fit.members)) * cost(problem, fit)
 
 
 def bent(problem: Problem, fit: Fit) -> set[str]:

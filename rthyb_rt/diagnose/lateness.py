@@ -15,7 +15,6 @@ from rthyb_rt.diagnose import effects, evidence, force
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
-from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Fit, Problem, refine, solve, whole
 
 PASSES = 3
@@ -87,8 +86,7 @@ def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
     best, null = again(search.best), solve(problem, [], [])
     if best is None or null is None or best.chi2 > search.best.chi2:
         return None
-    several = POLICY.several_price if len(best.members) > 1 else 1.0
-    if null.chi2 - best.chi2 < several * evidence.cost(problem, best):
+    if null.chi2 - best.chi2 < evidence.to_earn(problem, best):
         rows = problem.y.size * problem.estimate.share
         left = search.scale * null.chi2 / rows - 1.0
         return replace(

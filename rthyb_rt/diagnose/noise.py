@@ -182,13 +182,14 @@ def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | 
 
 
 def _held(found: Colour, f_hz: Floats, sheet: float, least: float | None = None) -> Colour:
-    """Return a colour as large as the data sheet allows, over the lines that were seen.
+    """Return a colour as large as the data sheet allows, over all lines that a recording has.
 
-    Slower noise stands in the mean of the recording, which is a nuisance. ``least`` takes the place
-    of what the sheet allows at least.
+    Those of the motion's band count as well, into which it is continued. Slower noise stands in the
+    mean of the recording, which is a nuisance. ``least`` takes the place of what the sheet allows
+    at least.
     """
-    seen, red = f_hz >= 2.0 * found.least_hz, found.red
-    total = float(np.sum(found.at(f_hz[seen]))) / f_hz.size
+    has, red = f_hz >= min(2.0 * found.least_hz, float(f_hz[2])), found.red
+    total = float(np.sum(found.at(f_hz[has]))) / f_hz.size
     factor = POLICY.sheet_factor
     low = sheet / factor if least is None else least
     held = float(np.clip(total, low**2, (sheet * factor) ** 2)) / total

@@ -47,10 +47,29 @@ def part_of_force(search: Search, fit: Fit, excess: float) -> float:
     return float(np.sqrt(max(excess, 0.0))) * found.sigma_n / force_rms
 
 
+def _part_explained(search: Search) -> float:
+    """Return what the best set takes off the residual, rms, as a part of the force.
+
+    Of noise with a colour a misfit in units of that noise says nothing of its size in newtons: what
+    is slow is small beside slow noise. 0 of white noise, where it does.
+    """
+    found, rows = search.problem.estimate, search.problem.estimate.rows
+    if not found.coloured or not np.any(found.force):
+        return 0.0
+    null, best, force = (
+        float(np.mean(part[rows] ** 2))
+        for part in (left_by(search, search.null), left_by(search, search.best), found.force)
+    )
+    return float(np.sqrt(max(null - best, 0.0) / max(force, 1e-300)))
+
+
 def left_of(search: Search) -> Left:
     """Return what a search came to, as `verdict` judges it."""
     problem, best, found = search.problem, search.best, search.problem.estimate
     exact = found.exact
+    # Nothing is asked of it where the motion is known.
+    before = 0.0 if exact else part_of_force(search, search.null, search.excess_before)
+    after = 0.0 if exact else part_of_force(search, best, search.excess_after)
     return Left(
         names=best.names,
         equal=tuple(f.names for f in search.equal),
@@ -58,9 +77,8 @@ def left_of(search: Search) -> Left:
         before=search.excess_before,
         after=search.excess_after,
         scale=search.scale,
-        # Nothing is asked of it where the motion is known.
-        part_before=0.0 if exact else part_of_force(search, search.null, search.excess_before),
-        part_after=0.0 if exact else part_of_force(search, best, search.excess_after),
+        part_before=0.0 if exact else max(before, _part_explained(search)),
+        part_after=after,
         bent=bend(problem, search.null),
         stated=frozenset(n.name for n in problem.nuisances if n.sigma is not None),
         price=evidence.cost(problem, best),

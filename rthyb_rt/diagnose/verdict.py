@@ -71,6 +71,10 @@ class Left:
         """Effects of the best set."""
         return len(self.names)
 
+    def coloured_noise(self, policy: Policy) -> bool:
+        """Return whether the best set leaves what may be noise of a colour read off it."""
+        return self.coloured and self.after < policy.excess_as_noise
+
 
 @dataclass(frozen=True)
 class Moved:
@@ -237,7 +241,7 @@ def understood(left: Left, policy: Policy, sheet: Callable[[], bool]) -> bool:
         blurred = small(left, left.part_before, policy) and within(left.bent, policy)
         return not left.coloured and (nothing or left.naive or blurred)
     above = left.scale < policy.colourless and left.after < policy.colourless_excess
-    if at_noise and left.coloured:
+    if left.coloured_noise(policy):
         # Noise that takes any colour has taken up what stays within the sheet, and that alone.
         return False
     if (at_noise or above) and not left.coloured:

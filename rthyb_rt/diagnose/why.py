@@ -17,9 +17,9 @@ from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import Diagnosis, Displacement
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.remainder import left_of
+from rthyb_rt.diagnose.remainder import bend, left_of
 from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Solved
-from rthyb_rt.diagnose.verdict import allowed
+from rthyb_rt.diagnose.verdict import allowed, within
 from rthyb_rt.diagnose.words import called, quantity, value_text
 
 Fate = Literal["named", "as good", "lost", "dropped", "refused"]
@@ -225,7 +225,7 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
         held = "" if search.moved else f"; {share} of that is confirmed on held-out rows"
         return f"brings {count(gain)}, {count(gain - own)} beyond its price{held}"
     if not best.members:
-        return _not_enough(search, fit, gain, own)
+        return _not_enough(search, fit, gain)
     named = (best.chi2, evidence.cost(problem, best), best.names)
     if fate == "as good":
         more = evidence.count(problem, fit) - evidence.count(problem, best)
@@ -236,9 +236,9 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
     return _against((fit.chi2, own, fit.names), named)
 
 
-def _not_enough(search: forces.Search, fit: Fit, gain: float, own: float) -> str:
+def _not_enough(search: forces.Search, fit: Fit, gain: float) -> str:
     """Return why a set is not named where none is."""
-    needs = own * (POLICY.several_price if len(fit.members) > 1 else 1.0)
+    needs = evidence.to_earn(search.problem, fit)
     if gain <= needs:
         return f"brings {_gain(gain)}, but needs {count(needs)}"
     size = evidence.size(search.problem, fit)
@@ -264,6 +264,8 @@ DROPPED = {
     "in time": "needs a time offset between the channels beyond its tolerance, and without {part} "
     "only noise is left",
     "off zero": "moves the body by no more than the zero of the displacement sensor may be off",
+    "driven": "{part} brings {found} by the motion that the test makes, without the noise that the "
+    "load cell feeds back, but needs {wanted}",
     "drift goes on": "the drift is smaller within each half of the recording",
     "more laws": "brings {found} more than the best set with fewer laws, but needs {wanted}",
     "yielding": "{against} describes the same with a simpler effect",
@@ -456,6 +458,18 @@ TURNED = {
 # ---- what the answer rests on -------------------------------------------------------------------
 
 
+def _no_noise(search: forces.Search) -> str:
+    """Return why what the best set leaves is no noise, though its spectrum would allow it."""
+    off, most = bend(search.problem, search.best), POLICY.within_tolerance
+    noise = "the best set leaves what might be noise of a spectrum read from the recording"
+    if not within(off, POLICY):
+        return (
+            f"{noise}, but moves a stated value by {off:.3g} standard deviations of its "
+            f"tolerance; at most {most:g} is accepted"
+        )
+    return f"{noise}, but it is larger than the data sheet states, or comes in bursts"
+
+
 def _verdict(d: Diagnosis) -> str:
     search = d.force
     if d.verdict == "unknown" and "heldout_nrmse_after" in d.fit:
@@ -489,6 +503,8 @@ def _verdict(d: Diagnosis) -> str:
                 f"the residual of the model alone has {count(search.excess_before + 1.0)} times "
                 "the power of the noise"
             )
+        if search is not None and left_of(search).coloured_noise(POLICY):
+            return f"unknown: {_no_noise(search)}"
         if search is not None:
             share = search.excess_after / max(search.excess_before, 1e-12)
             return (
