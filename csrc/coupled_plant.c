@@ -1,4 +1,4 @@
-/* A virtual rig of several axes. */
+/* A virtual rig with several axes. */
 #include "noise.h"
 
 #define STATE_MAX 1e15 /* of the plant, in whatever unit its matrices give it */

@@ -1,11 +1,14 @@
-/* A virtual rig of several axes at one specimen.
+/* A virtual rig with several axes at one specimen.
  *
- * With q = q_n + J^-1 (x - x_n) within a sample, J = d axis / d pose at t_n, the specimen asks of the axes
+ * With q = q_n + J^-1 (x - x_n) within a sample, where J = d axis / d pose at t_n, the specimen
+ * loads the axes with
  *   J^-T (K q + elements + C q' + M q''),
- * so that the tables of servo-hydraulic axes, whose own motion is diag(m) v' + diag(c) v = push - that, move as
- * one: (diag(m) + J^-T M J^-1) v' + (diag(c) + J^-T C J^-1) v = push - J^-T (K q + elements) - friction. Its mass
- * and damping are implicit, as those of a single axis are. An actuator of another kind goes where its command
- * leads it, whatever the force; the others feel it. */
+ * so that the tables of servo-hydraulic axes, whose own motion is diag(m) v' + diag(c) v = push -
+ * that, form one system:
+ *   (diag(m) + J^-T M J^-1) v' + (diag(c) + J^-T C J^-1) v
+ *     = push - J^-T (K q + elements) - friction.
+ * Its mass and damping are implicit, as for a single axis. An actuator of another kind goes where
+ * its command leads it, whatever the force; the others are affected by it. */
 #include <string.h>
 
 #include "hydraulic.h"
@@ -15,7 +18,7 @@
 
 #define STATE_MAX 1e15
 #define COEFFICIENT_MAX 1e15
-#define PIVOT_MIN 1e-12 /* of matrices whose largest number is about 1 */
+#define PIVOT_MIN 1e-12 /* for matrices scaled to a largest element of about 1 */
 
 enum { MOST = RTHYB_COUPLED_MAX };
 
@@ -48,7 +51,7 @@ static void add_product(const double matrix[][MOST], const double *x, int n, dou
             out[i] += matrix[i][j] * x[j];
 }
 
-/* back' matrix back: along the axes. */
+/* back' matrix back: the matrix in axis coordinates. */
 static void along_axes(const double matrix[][MOST], const double *back, int n, double *out)
 {
     for (int i = 0; i < n; i++)
@@ -60,7 +63,7 @@ static void along_axes(const double matrix[][MOST], const double *back, int n, d
         }
 }
 
-/* 0 where there is none; scaled so that the largest number is 1. */
+/* Scaled to a largest element of 1; 0 if there is no inverse. */
 static int inverse(const double *matrix, int n, double *out)
 {
     double a[RTHYB_COUPLED_SQUARE] = {0.0}, largest = 0.0;
@@ -136,8 +139,9 @@ static int hydraulic(const rig_t *r, int axis)
     return r->cfg.servo[axis].kind == RTHYB_SERVO_HYDRAULIC;
 }
 
-/* The fastest motion on oil and specimen must be slower than pi substeps: h^2 times the largest eigenvalue of
- * M^-1 K below 4, of which the largest row is a bound. Axes that are led are as heavy as can be. */
+/* The fastest vibration of oil and specimen must have a period longer than pi substeps: h^2 times
+ * the largest eigenvalue of M^-1 K below 4; the largest row sum is an upper bound of that
+ * eigenvalue. Axes with a prescribed motion count as very heavy. */
 static int resolved(const rig_t *r)
 {
     const int n = r->cfg.size;
@@ -176,7 +180,7 @@ static int servos_init(rig_t *r)
             return RTHYB_E_SERVO;
         if (c->servo[i].period_s != c->period_s)
             return RTHYB_E_PERIOD;
-        /* Tables that move as one do so over the same substeps. */
+        /* Tables that form one system use the same substeps. */
         if (hydraulic(r, i) && c->servo[i].substeps >= 1)
             c->servo[i].substeps = r->substeps;
         const int error = rthyb_servo_init(&r->servo[i], &c->servo[i]);
@@ -251,7 +255,8 @@ static int latch_servos(rig_t *r, const double *x_p_m)
     return code;
 }
 
-/* Pose, its velocity and its acceleration: x'' = J q'' + J' q', J' by the sample before. */
+/* Pose, its velocity and its acceleration: x'' = J q'' + J' q', with J' from the previous
+ * sample. */
 static int latch_pose(rig_t *r)
 {
     const int n = r->cfg.size;
@@ -274,7 +279,7 @@ static int latch_pose(rig_t *r)
     return code;
 }
 
-/* What the specimen resists with along the interface, but for its damping and mass matrices. */
+/* Resistance of the specimen in interface coordinates, without its damping and mass matrices. */
 static void resist(rig_t *r, const double *q, const double *v, const double *a, double dt,
                    double *force)
 {
@@ -286,8 +291,9 @@ static void resist(rig_t *r, const double *q, const double *v, const double *a, 
     }
 }
 
-/* Load cells: under the oil column's force at the actuator's end, else under what the specimen asks of the
- * axis. Substeps have advanced the elements to t_n already, hence a dt of 0. */
+/* Load cells: at the actuator's end they measure the force of the oil column, otherwise the load of
+ * the specimen on the axis. The substeps have already advanced the elements to t_n, hence dt =
+ * 0. */
 static void latch_forces(rig_t *r)
 {
     const int n = r->cfg.size;
@@ -323,11 +329,11 @@ static int advance_plant(rig_t *r, const double *x_p_m)
     return code;
 }
 
-/* One sample of tables that move as one; what does not change within it. */
+/* One sample of tables that form one system: the values that are constant within it. */
 typedef struct {
     double h;
     double start[MOST], rise[MOST]; /* commands */
-    double speed[MOST];             /* of axes that are led */
+    double speed[MOST];             /* of axes with a prescribed motion */
     double left[RTHYB_COUPLED_SQUARE], right[RTHYB_COUPLED_SQUARE];
 } joint_sample;
 
@@ -359,7 +365,7 @@ static int joint_begin(rig_t *r, joint_sample *s)
     return inverse(own, n, s->left) ? code : code | RTHYB_S_OUT_OF_RANGE;
 }
 
-/* The specimen at the beginning of a substep, and what it asks of the axes. */
+/* State of the specimen at the beginning of a substep, and its load on the axes. */
 static void asked_of_axes(rig_t *r, const joint_sample *s, int substep, double *asked)
 {
     const int n = r->cfg.size;

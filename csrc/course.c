@@ -299,8 +299,8 @@ static int has_arrived(rthyb_station *s)
     return 0;
 }
 
-/* At rest nothing confines the commands: they are not sent to where a limit has kept them from after all, and a
- * compensator that still remembers the way does not swing out again. */
+/* At rest, the commands have no bounds: they must not continue to where a limit has kept them from,
+ * and a compensator that still remembers the motion must not move them again. */
 static void stay_there(rthyb_station *s)
 {
     double x[MOST];

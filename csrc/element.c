@@ -1,21 +1,21 @@
-/* The catalogue of specimen elements. Each gives the force that it resists motion with, from
- * displacement, velocity, acceleration and its own history; a specimen is the sum of its elements.
- * History is advanced by the increment of x, so a law without rate in it stays without rate. */
+/* The catalogue of specimen elements. Each element computes its restoring force from displacement,
+ * velocity, acceleration and its own history; a specimen is the sum of its elements. History
+ * advances by the increment of x, so that a rate-independent law stays rate-independent. */
 #include <string.h>
 
 #include "laws.h"
 #include "numeric.h"
 
 #define PARAM_MAX 1e15
-#define PARAM_MIN 1e-15 /* of a positive one: keeps every quotient finite */
+#define PARAM_MIN 1e-15 /* smallest positive parameter: keeps every quotient finite */
 #define ETA_MAX 50.0    /* keeps |z|^eta finite for any z that is accepted */
 #define VELOCITY_MAX 1e6
 #define ACCELERATION_MAX 1e9
 #define EXPONENT_MIN 0.05
 #define EXPONENT_MAX 10.0
-#define LOSS_MAX 0.99 /* what is left of a strength divides */
+#define LOSS_MAX 0.99 /* largest loss, because what remains of a strength is a divisor */
 
-/* One sign a parameter, in the order of enum rthyb_element_kind: '+' positive, '0' not negative,
+/* One sign per parameter, in the order of enum rthyb_element_kind: '+' positive, '0' not negative,
  * '-' any. */
 /* clang-format off */
 static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
@@ -68,7 +68,7 @@ static int within(double value, double low, double high)
     return value >= low && value <= high;
 }
 
-/* What a law asks of its shape beyond the signs. */
+/* Conditions of a law on its parameters, in addition to their signs. */
 static int shape_ok(int32_t kind, const double *p)
 {
     switch (kind) {
@@ -106,30 +106,30 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
         kind == RTHYB_HYSTERESIS || kind == RTHYB_PINCHING || kind == RTHYB_DEGRADATION;
     if (hysteretic) {
         element->params[8] = fmin(rthyb_bouc_wen_ceiling(params), RTHYB_DISPLACEMENT_MAX_M);
-        if (kind != RTHYB_HYSTERESIS && params[6] > 1.0) /* depth, loss: shares */
+        if (kind != RTHYB_HYSTERESIS && params[6] > 1.0) /* depth or loss: a share */
             return RTHYB_E_ELEMENT;
         if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= ETA_MAX))
             return RTHYB_E_ELEMENT;
     }
-    if (kind == RTHYB_GAP_FRICTION) /* faces meet within the play, and before it slips */
+    if (kind == RTHYB_GAP_FRICTION) /* the faces meet within the play, and before slip */
         element->params[5] =
             fmin(fmin(params[4], params[1]), fmin(params[2], params[3]) / params[0]);
     return 0;
 }
 
-/* A spring each way behind its own gap. */
+/* A spring in each direction, behind a gap of its own. */
 static double beyond(double x, double k_up, double up, double k_down, double down)
 {
     return x > up ? k_up * (x - up) : (x < -down ? k_down * (x + down) : 0.0);
 }
 
-/* sgn(r) |r|^n, straight within |r| < width: the root keeps the slope at 0 finite where n < 1. */
+/* sgn(r) |r|^n, linear within |r| < width: this keeps the slope at 0 finite for n < 1. */
 static double signed_power(double r, double n, double width)
 {
     return r * pow(r * r + width * width, 0.5 * (n - 1.0));
 }
 
-/* Spring and dashpot in series; exact for x running straight. state: x of the last call, force. */
+/* Spring and dashpot in series; exact for x changing linearly. state: x of the last call, force. */
 static double maxwell(const double *p, double *s, double x, double dt)
 {
     const double ratio = dt / p[1];
@@ -139,8 +139,8 @@ static double maxwell(const double *p, double *s, double x, double dt)
     return s[1];
 }
 
-/* A mass m2 on a spring on the specimen: y'' + 2 zeta w y' + w^2 y = -a, y relative to the
- * specimen, by the average-acceleration rule. state: y, y', y''. */
+/* A mass m2 on a spring that is attached to the specimen: y'' + 2 zeta w y' + w^2 y = -a, with y
+ * relative to the specimen, by the average-acceleration method. state: y, y', y''. */
 static double second_mode(const double *p, double *s, double a, double dt)
 {
     const double w = 2.0 * RTHYB_PI * p[1], damping = 2.0 * p[2] * w;
@@ -152,7 +152,8 @@ static double second_mode(const double *p, double *s, double a, double dt)
     return -p[0] * (damping * s[1] + w * w * s[0]);
 }
 
-/* A force that is none, or beyond any laboratory, is that of before. */
+/* A force that is not a number, or larger than in any laboratory, is replaced by the previous
+ * one. */
 static double own_force(rthyb_element *element, double x, double v, double a, double dt)
 {
     double *last = &element->state[RTHYB_ELEMENT_STATES - 1];

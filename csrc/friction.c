@@ -1,4 +1,4 @@
-/* Friction laws of the catalogue of elements that are more than a formula in the velocity. */
+/* Friction laws of the catalogue of elements that are more than a function of the velocity. */
 #include "laws.h"
 #include "numeric.h"
 
@@ -8,7 +8,7 @@ double rthyb_stribeck_level(const double *p, double v)
     return p[0] + (p[1] - p[0]) * exp(-r * r);
 }
 
-/* Canudas de Wit (1995); exact over dt for a constant velocity. state: z. */
+/* LuGre model (Canudas de Wit 1995); exact over dt for a constant velocity. state: z. */
 double rthyb_lugre(const double *p, double *s, double v, double dt)
 {
     const double level = rthyb_stribeck_level(p, v);
@@ -21,9 +21,10 @@ double rthyb_lugre(const double *p, double *s, double v, double dt)
     return p[3] * s[0] + p[4] * z_rate + p[5] * v;
 }
 
-/* A slider behind a play and a spring: it takes what the spring cannot hold; Fc depends on the
- * direction. The play's faces meet one by one over +-seat, so that the spring's slope grows evenly
- * there. state: x of the last call, way between specimen and slider. */
+/* A slider behind a gap and a spring: it takes what the spring cannot hold; Fc depends on the
+ * direction. The faces of the gap come into contact gradually over +-seat, so that the slope of the
+ * spring increases linearly there. state: x of the last call, distance between specimen and
+ * slider. */
 double rthyb_gap_friction(const double *p, double *s, double x)
 {
     const double k = p[0], gap = p[1], seat = p[5];
@@ -38,14 +39,14 @@ double rthyb_gap_friction(const double *p, double *s, double x)
 
 #define UNLOADING 0.8 /* gamma - beta of the sliding contact: 0.9 and 0.1 */
 
-/* Y dZ = [1 - Z^2 (gamma sgn(Z dx) + beta)] dx, exact over dx whatever its length (Constantinou,
- * Mokha & Reinhorn, J. Struct. Eng. 116, 1990, Eqn 5): towards its end Z is a tanh, away from it a tan. */
+/* Y dZ = [1 - Z^2 (gamma sgn(Z dx) + beta)] dx, exact for any dx (Constantinou, Mokha & Reinhorn,
+ * J. Struct. Eng. 116, 1990, Eqn 5): towards its limit Z is a tanh, away from it a tan. */
 static double contact(double z, double dx, double y)
 {
     const double way = dx < 0.0 ? -1.0 : 1.0, root = sqrt(UNLOADING);
     double left = fabs(dx) / y, ahead = way * z;
     if (ahead < 0.0) {
-        const double angle = atan(-root * ahead); /* what is left of it is nothing at Z = 0 */
+        const double angle = atan(-root * ahead); /* remaining argument; 0 at Z = 0 */
         if (root * left < angle)
             return -way * tan(angle - root * left) / root;
         left -= angle / root;

@@ -1,6 +1,6 @@
-/* Tries a user's numerical part out before a test: in a child process, so that neither a crash nor a loop
- * without an end takes this one along. First by the clock; then with every allocation counted and every
- * system call forbidden. The same memory, shared, brings the findings home. */
+/* Tries out a user's numerical part before a test: in a child process, so that neither a crash nor
+ * an endless loop affects this one. First its time is measured; then every allocation is counted
+ * and every system call is forbidden. The results are returned in shared memory. */
 #define _GNU_SOURCE /* NOLINT(bugprone-reserved-identifier,cert-*): asked for by name */
 #include <errno.h>
 #include <link.h>
@@ -28,7 +28,7 @@ typedef struct {
     int64_t whole_ns[STEPS_MAX], answer_ns[STEPS_MAX];
 } shared_findings;
 
-static shared_findings *findings; /* of the child alone */
+static shared_findings *findings; /* used in the child only */
 
 /* ---- counted allocation: calls of every loaded library into the allocator ------------------------ */
 
@@ -96,7 +96,7 @@ static rthyb_any_function counted(const char *name)
     return NULL;
 }
 
-/* What the tables of a loaded object are, from its dynamic section. */
+/* The tables of a loaded object, from its dynamic section. */
 typedef struct {
     const ElfW(Sym) * symbol;
     const char *names;
@@ -104,7 +104,7 @@ typedef struct {
     size_t bytes[2], entry[2];
 } object_tables;
 
-/* Where things are the loader says in numbers. */
+/* The loader gives addresses as integers. */
 static void *place(uintptr_t address)
 {
     return (void *)address; /* NOLINT(performance-no-int-to-ptr) */
@@ -112,7 +112,8 @@ static void *place(uintptr_t address)
 
 static const void *table_at(const struct dl_phdr_info *object, uintptr_t value)
 {
-    /* It has made addresses of them, but for objects that it does not write to. */
+    /* The loader has converted these values to addresses, except in objects that it does not write
+     * to. */
     return place(value < object->dlpi_addr ? object->dlpi_addr + value : value);
 }
 
@@ -168,7 +169,7 @@ static void put(uintptr_t slot, rthyb_any_function instead, uintptr_t page)
         memcpy(place(slot), (const void *)&instead, sizeof instead);
 }
 
-/* Has an object call the counting functions; of dl_iterate_phdr. */
+/* Makes an object call the counting functions; callback of dl_iterate_phdr. */
 static int count_calls_of(struct dl_phdr_info *object, size_t size, void *page)
 {
     (void)size;
@@ -217,7 +218,7 @@ static void on_call(int signal, siginfo_t *about, void *context)
     _exit(0);
 }
 
-/* Any call but the one that ends the process brings a signal. */
+/* Any system call except the one that ends the process raises a signal. */
 static int forbid_calls(void)
 {
     struct sock_filter rules[] = {
@@ -248,7 +249,8 @@ static int64_t now_ns(void)
     return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
 }
 
-/* A test as it might be: a slow and a fast wave of the ground, the force of an elastic specimen. */
+/* A test as it might be: a slow and a fast wave as ground motion, and the force of an elastic
+ * specimen. */
 static int answer_once(course *c)
 {
     double force[RTHYB_INTERFACES_MAX];
@@ -298,7 +300,7 @@ static void under_watch(course *c, uint32_t steps)
     }
 }
 
-/* Does not return; says all that it finds in shared memory. */
+/* Does not return; reports everything it finds in shared memory. */
 static void child(const rthyb_numerical *part, double period_s, double k_e_n_per_m, uint32_t steps)
 {
     const int crashes[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGINT, SIGTERM};
@@ -340,7 +342,7 @@ static void sum_up(shared_findings *f, rthyb_trial *result)
     result->answer_s = 1e-9 * (double)f->answer_ns[middle];
 }
 
-/* Waits for the child, and ends it when its time is up. Returns its status, or -1. */
+/* Waits for the child, and kills it when its time is up. Returns its status, or -1. */
 static int status_of(pid_t process, double most_s)
 {
     const struct timespec nap = {.tv_nsec = 500000};

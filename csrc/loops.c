@@ -1,9 +1,10 @@
-/* Laws of yielding: loops over displacement. All advance by the increment of x, without rate. */
+/* Yielding: force-displacement loops. All advance by the increment of x and are
+ * rate-independent. */
 #include "laws.h"
 #include "numeric.h"
 
 #define STEPS_MAX 64
-#define STEP 0.05 /* of the ceiling of z, in which a loop is followed */
+#define STEP 0.05 /* of the ceiling of z: largest step along a loop */
 #define NEWTON_MAX 20
 
 static double power(double base, double exponent)
@@ -28,8 +29,8 @@ double rthyb_bouc_wen_ceiling(const double *p)
     return sum > 0.0 ? pow(p[2] / sum, 1.0 / p[5]) : RTHYB_DISPLACEMENT_MAX_M;
 }
 
-/* dz/du of Eqn 4.2, with v for z as the paper has it; du only gives its sign. Pinching slackens it
- * near z = 0 (Baber & Noori 1985, with their q = 0). */
+/* dz/du of Eqn 4.2, with v for z as in the paper; only the sign of du is used. Pinching reduces the
+ * slope near z = 0 (Baber & Noori 1985, with their q = 0). */
 static double bouc_wen_slope(const rthyb_element *e, double z, double du)
 {
     const double *p = e->params;
@@ -41,8 +42,8 @@ static double bouc_wen_slope(const rthyb_element *e, double z, double du)
     return slope * (1.0 - p[6] * exp(-r * r));
 }
 
-/* Eqn 4.1, 4.2: midpoint rule in steps of at most a twentieth of the ceiling of z.
- * state: x of the last call, z, travel. */
+/* Eqn 4.1, 4.2: midpoint rule in steps of at most a twentieth of the ceiling of z. state: x of the
+ * last call, z, travel. */
 double rthyb_bouc_wen(rthyb_element *e, double x)
 {
     const double *p = e->params;
@@ -65,8 +66,9 @@ double rthyb_bouc_wen(rthyb_element *e, double x)
     return p[1] * p[0] * x + (1.0 - p[1]) * p[0] * strength * z;
 }
 
-/* Springs side by side, each with a slider, that yield evenly over xy (1 +- spread): Iwan, J. Appl.
- * Mech. 33, 1966; turned loops follow Masing's rule (1926). state: x, then each spring's stretch. */
+/* Springs in parallel, each with a slider, whose yield displacements are distributed uniformly over
+ * xy (1 +- spread): Iwan, J. Appl. Mech. 33, 1966; after a reversal, loops follow Masing's rule
+ * (1926). state: x, then the elongation of each spring. */
 double rthyb_iwan(const double *p, double *s, double x)
 {
     const double k = p[0], ratio = p[1], xy = p[2], spread = p[3];
@@ -88,10 +90,11 @@ static double rounded(double r, double n)
     return r <= 1.0 ? r / pow(1.0 + pow(r, n), 1.0 / n) : 1.0 / pow(1.0 + pow(r, -n), 1.0 / n);
 }
 
-/* Each branch leaves its reversal (xr, fr) along k and bends into the line of slope b k through the
- * yield point ahead, the rounder the farther it has been plastic: Menegotto & Pinto, IABSE Reports
- * 13, 1973, with R = R0 (1 - cR1 xi / (cR2 + xi)) as Filippou, Popov & Bertero, EERC 83-19, 1983.
- * state: x, f, xr, fr, direction, largest and smallest x of a reversal. */
+/* Each branch leaves its reversal (xr, fr) with slope k and bends into the line of slope b k
+ * through the yield point ahead, the more gradually the larger the previous plastic excursion:
+ * Menegotto & Pinto, IABSE Reports 13, 1973, with R = R0 (1 - cR1 xi / (cR2 + xi)) as in Filippou,
+ * Popov & Bertero, EERC 83-19, 1983. state: x, f, xr, fr, direction, largest and smallest x of a
+ * reversal. */
 double rthyb_menegotto_pinto(const double *p, double *s, double x)
 {
     const double k = p[0], b = p[1], xy = p[2];
@@ -105,7 +108,8 @@ double rthyb_menegotto_pinto(const double *p, double *s, double x)
         s[5] = fmax(s[5], s[0]);
         s[6] = fmin(s[6], s[0]);
     }
-    /* From the reversal to where both lines meet; in rounding a reversal may lie upon the second. */
+    /* From the reversal to the intersection of both lines; after rounding, a reversal may lie on
+     * the second line. */
     const double reach = fmax(xy + way * (b * s[2] - s[3] / k) / (1.0 - b), 1e-6 * xy);
     const double peak = fmax(way > 0.0 ? s[5] : -s[6], xy);
     const double xi = fabs(peak - (way * s[2] + reach)) / xy;
@@ -118,11 +122,11 @@ double rthyb_menegotto_pinto(const double *p, double *s, double x)
     return s[1];
 }
 
-/* A spring behind a slider whose yield force fy moves and grows: its middle q by q' = H xp' - gamma q
- * |xp'| (Armstrong & Frederick, CEGB RD/B/N731, 1966), its size by r = Q (1 - e^(-rate path)) (Voce
- * 1948), as Chaboche, Int. J. Plasticity 2, 1986, joins them. Both are exact along the plastic path d;
- * k (x - xp - d) = q + fy + r is convex in d, so that Newton's steps come from one side.
- * state: plastic displacement, q, plastic path. */
+/* A spring in series with a slider whose yield range moves and grows: its centre q by q' = H xp' -
+ * gamma q |xp'| (Armstrong & Frederick, CEGB RD/B/N731, 1966), its half-width fy + r by r = Q (1 -
+ * e^(-rate path)) (Voce 1948), combined as in Chaboche, Int. J. Plasticity 2, 1986. Both are exact
+ * along the plastic path d; k (x - xp - d) = q + fy + r is convex in d, so that Newton's steps
+ * approach from one side. state: plastic displacement, q, plastic path. */
 double rthyb_chaboche(const double *p, double *s, double x)
 {
     const double k = p[0], fy = p[1], h = p[2], gamma = p[3], growth = p[4], rate = p[5];
@@ -149,14 +153,16 @@ static double share(double part, double whole)
     return clamp(part / whole, 0.0, 1.0);
 }
 
-/* What is left of strength and of the stiffness on either side, and the way that cracks slip. */
+/* Remaining strength, remaining stiffness in either direction, and the distance that cracks
+ * slip. */
 typedef struct {
     double strength, stiffness_up, stiffness_down, slip_m;
 } wear;
 
-/* By amplitude and by energy, as the two terms of Park & Ang, J. Struct. Eng. 111, 1985. Unloading
- * heads for a pivot at -pivot times the yield point: (1 + pivot) / (ductility + pivot) of the yielding
- * part's stiffness is what the pivot rule of Sivaselvan & Reinhorn comes to at the largest x. */
+/* By amplitude and by energy, as in the two terms of Park & Ang, J. Struct. Eng. 111, 1985.
+ * Unloading is directed at a pivot at -pivot times the yield point: the factor (1 + pivot) /
+ * (ductility + pivot) on the stiffness of the yielding part is the result of the pivot rule of
+ * Sivaselvan & Reinhorn at the largest x. */
 static wear column_wear(const double *p, const double *s)
 {
     const double xy = p[2], pivot = p[4], spent = share(s[5], p[7]);
@@ -170,11 +176,11 @@ static wear column_wear(const double *p, const double *s)
     };
 }
 
-/* dz/du, way = sgn(du): a Bouc-Wen loop with eta1 = eta2 = 1/2, in series with a slip-lock spring whose
- * flexibility is a bell over the force. */
+/* dz/du, way = sgn(du): a Bouc-Wen loop with eta1 = eta2 = 1/2, in series with a slip-lock spring
+ * whose flexibility is a bell-shaped function of the force. */
 static double column_slope(const double *p, const wear *left, double z, double way)
 {
-    const double ahead = way * z; /* above 0: the motion drives the force up */
+    const double ahead = way * z; /* above 0: the motion increases the force */
     const double unloading = z < 0.0 ? left->stiffness_down : left->stiffness_up;
     const double bent = ahead > 0.0 ? 1.0 - power(ahead, p[3]) : 1.0;
     const double slope = unloading / (p[2] * left->strength) * bent;
@@ -184,7 +190,8 @@ static double column_slope(const double *p, const wear *left, double z, double w
 }
 
 /* The smooth model of Sivaselvan & Reinhorn, J. Eng. Mech. 126, 2000; slip begins with yielding. z:
- * the yielding part's force over its strength. state: x, z, largest and smallest x, work, most of it, f. */
+ * force of the yielding part, relative to its strength. state: x, z, largest and smallest x, work,
+ * largest work so far, f. */
 double rthyb_rc_column(const double *p, double *s, double x)
 {
     const double elastic = p[1] * p[0], yielding = (1.0 - p[1]) * p[0] * p[2];

@@ -1,23 +1,23 @@
-/* Lead of several axes that feel one another, found by recursive least squares.
+/* Lead for several coupled axes, estimated by recursive least squares.
  *
- * The same as gain_lead.c with a matrix for each of its numbers:
+ * As in gain_lead.c, with a matrix for each of its numbers:
  *   v = x + [S (G x + A dx + B d2x) - W2 e1 - e2] / W1,   e = v - x,
  *   u = C(z) v,   C(z) = C_0 + sum of C_k (1 - 1/z) / (1 - rho_k / z),
- * where C undoes the axes as they were identified: its poles are given, so that it is stable whatever
- * was fitted, and it works on differences, so that what rests stays exact. Rows of u and v are axes.
- * Estimator: with m measured put in for x, row by row
+ * where C is the inverse of the axes as identified: its poles are given, so that it is stable
+ * whatever was fitted, and it acts on differences, so that a state of rest stays exact. Rows of u
+ * and v are axes. Estimator: with the measured m in place of x, row by row
  *   W1 (v - m) + W2 (v1 - m1) + (v2 - m2) = S (G m + A dm + B d2m),
- * where v is what the drives had, put through the axes as they were fitted. All rows have the same
- * right side, so that one matrix of moments serves them all. */
+ * where v is the drives' commands passed through the fitted model of the axes. The right-hand sides
+ * of all rows contain the same terms, so that one matrix of moments serves them all. */
 #include "control_law.h"
 #include "learning.h"
 #include "lowpass.h"
 #include "small_solve.h"
 
-#define NOISE_TRIES 4       /* halvings of it */
+#define NOISE_TRIES 4       /* halvings of the noise that is subtracted */
 #define PIVOT_MIN 1e-12     /* of equations with a diagonal of 1 */
 #define COEFFICIENT_MAX 1e6 /* of the inverse */
-#define SQUARINGS 40 /* a root within 1e-9 of the unit circle has shown by then where it goes */
+#define SQUARINGS 40        /* enough for a root within 1e-9 of the unit circle to grow or decay */
 
 enum {
     MOST = RTHYB_COUPLED_MAX,
@@ -46,7 +46,7 @@ static void inverse_take(const rthyb_matrix_lead *s, rthyb_matrix_inverse *inv, 
     }
 }
 
-/* C of what was just taken in. */
+/* Output of C for the input taken last. */
 static double inverse_row(const rthyb_matrix_lead *s, const rthyb_matrix_inverse *inv, int row)
 {
     double sum = 0.0;
@@ -58,7 +58,7 @@ static double inverse_row(const rthyb_matrix_lead *s, const rthyb_matrix_inverse
     return sum;
 }
 
-/* The input of which the output is u; takes it in. */
+/* The input for which the output is u; takes it as the next input. */
 static void inverse_undo(const rthyb_matrix_lead *s, rthyb_matrix_inverse *inv, const double *u,
                          double *v)
 {
@@ -99,7 +99,8 @@ static int inverted(double a[MOST][MOST], int n, double out[MOST][MOST])
     return 1;
 }
 
-/* Whether the powers of a matrix, rows of `width`, die away: squared, it is its power of 2, 4, 8 ... */
+/* Whether the powers of a matrix, with rows of `width`, decay to zero: repeated squaring gives its
+ * powers 2, 4, 8, ... */
 static int dies_away(double a[STATES][STATES], double next[STATES][STATES], int width)
 {
     for (int round = 0; round < SQUARINGS; round++) {
@@ -123,7 +124,7 @@ static int dies_away(double a[STATES][STATES], double next[STATES][STATES], int 
     return 0;
 }
 
-/* The axes as they were fitted, without a command: every state by itself, one sample on. */
+/* Stability of the axes as fitted, without a command: each state alone, advanced by one sample. */
 static int undoing_is_stable(const rthyb_matrix_lead *s)
 {
     const int n = s->cfg.size, width = n * (s->cfg.poles + 1);
@@ -169,7 +170,7 @@ static int settings_ok(const rthyb_matrix_lead_config *c)
     return ok;
 }
 
-/* mu of each row and phi of the newest pair, behind the filters; shifts the histories. */
+/* mu of each row and phi of the newest pair, after the filters; shifts the histories. */
 static void form_regressor(rthyb_matrix_lead *s, const double *p, const double *m, double *mu,
                            double *phi)
 {
@@ -196,8 +197,8 @@ static double filter_step(const rthyb_matrix_lead *s, double *state, double *lev
     return low - *level;
 }
 
-/* The first pair is taken for rest, so that an offset between command and sensor starts no transient; the
- * mean of all samples so far then wears the first one's noise away. */
+/* The first pair is taken as the state of rest, so that an offset between command and sensor causes
+ * no transient; averaging over all samples so far then removes the noise of the first one. */
 static void prime(rthyb_matrix_lead *s, const double *p, const double *m)
 {
     const int n = s->cfg.size;
@@ -215,8 +216,8 @@ static void prime(rthyb_matrix_lead *s, const double *p, const double *m)
     }
 }
 
-/* What white noise of 1 m on the first axis alone puts into the moments; returns the mean square of its
- * mu. */
+/* Contribution of white noise of 1 m on the first axis alone to the moments; returns the mean
+ * square of its mu. */
 static double noise_moments(rthyb_matrix_lead *s)
 {
     rthyb_matrix_lead probe = *s;
@@ -240,7 +241,7 @@ static double noise_moments(rthyb_matrix_lead *s)
     return power;
 }
 
-/* Mean square that noise leaves in a row of the equation where the terms are those of the beginning. */
+/* Mean square of the noise in a row of the equation, for the initial terms. */
 static double residual_of(const rthyb_matrix_lead *s, double power, int row)
 {
     double sum = 0.0;
@@ -257,8 +258,9 @@ static double residual_of(const rthyb_matrix_lead *s, double power, int row)
     return sum;
 }
 
-/* How much the starting values count: as much as measurements that put each term within its sigma.
- * Filtered noise repeats itself over half a period of the cut-off: so many samples are worth one. */
+/* Weight of the initial values: that of measurements that determine each term within its sigma.
+ * Filtered noise is correlated over half a period of the cut-off frequency: the samples within it
+ * count as one. */
 static void weigh_beginning(rthyb_matrix_lead *s, double power)
 {
     double residual = NUMB_MM * NUMB_MM, scale = 1.0;
@@ -337,13 +339,13 @@ int rthyb_matrix_lead_init(rthyb_matrix_lead *s, const rthyb_matrix_lead_config 
 
 /* ---- learning ------------------------------------------------------------------------------------ */
 
-/* Of a set of unknowns: `from` on, `count` of them, in rows `row` on, `rows` of them. */
+/* A set of unknowns: `count` of them starting at `from`, in `rows` rows starting at `row`. */
 typedef struct {
     int from, count, row, rows;
 } part;
 
-/* The normal equations less the moments of so much noise, unknowns scaled so that the diagonal is 1
- * without that: `scale`, which the call without noise finds. */
+/* The normal equations after subtracting the moments of the given noise, with the unknowns scaled
+ * so that without noise the diagonal is 1. The call without noise computes `scale`. */
 static void form_equations(const rthyb_matrix_lead *s, const part *of, double noise_weight,
                            double *scale, double *a, double *b)
 {
@@ -368,7 +370,8 @@ static void form_equations(const rthyb_matrix_lead *s, const part *of, double no
             a[i * of->count + j] *= scale[i] * scale[j];
 }
 
-/* A symmetric system in place; 0 where a pivot is not above its least. The pivots stay on the diagonal. */
+/* Solves a symmetric system in place; 0 if a pivot does not exceed its lower bound. The pivots
+ * remain on the diagonal. */
 static int eliminated(const part *of, double *a, double *b, const double *least)
 {
     const int n = of->count, rows = of->rows;
@@ -392,9 +395,10 @@ static int eliminated(const part *of, double *a, double *b, const double *least)
     return 1;
 }
 
-/* Takes over what the equations say, if they tell their unknowns from one another. Of the noise's moments
- * so much is taken away, halved some times and then nothing, that no pivot loses more than its share:
- * what axes that move alike tell of one another is not much more than noise. */
+/* Adopts the solution of the equations if they determine their unknowns. The moments of the noise
+ * are subtracted; if a pivot would lose more than its share, then half of them, a quarter, and so
+ * on, and finally none: what axes that move alike reveal about one another is hardly more than
+ * noise. */
 static void solve_part(rthyb_matrix_lead *s, const part *of)
 {
     double a[UNKNOWNS * UNKNOWNS] = {0.0}, b[UNKNOWNS * MOST] = {0.0}, scale[UNKNOWNS] = {0.0},
@@ -486,7 +490,7 @@ int rthyb_matrix_lead_observe(rthyb_matrix_lead *s, const double *x_p_m, const d
 
 /* ---- leading ------------------------------------------------------------------------------------- */
 
-/* Lead of slow motions: C_0 (1 + G). */
+/* Lead for slow motions: C_0 (1 + G). */
 static double slow_gain(const rthyb_matrix_lead *s, int row, int column)
 {
     double sum = s->cfg.inverse[0][row][column];
@@ -512,7 +516,8 @@ void rthyb_matrix_lead_rest(rthyb_matrix_lead *s, const double *x_m)
         s->offset[i] = x_m[i] - inverse_row(s, &s->inverse, i);
 }
 
-/* What a row of the terms makes of the command, or would at most. */
+/* Effect of a row of the terms on the command; with `most`, an upper bound of the change towards
+ * the estimate. */
 static double moved(const rthyb_matrix_lead *s, int row, const double terms[TERMS][MOST], int most)
 {
     double sum = 0.0;
@@ -523,7 +528,7 @@ static double moved(const rthyb_matrix_lead *s, int row, const double terms[TERM
     return s->s * sum;
 }
 
-/* The matrices follow the estimate as far as it is allowed to move the command. */
+/* The matrices follow the estimate as far as it may move the command in this sample. */
 static void follow_estimate(rthyb_matrix_lead *s, const double terms[TERMS][MOST], double allowed_m)
 {
     const int n = s->cfg.size;
@@ -541,7 +546,8 @@ static void follow_estimate(rthyb_matrix_lead *s, const double terms[TERMS][MOST
                 s->used[t][i][j] += share * (s->learnt[t][i][j] - s->used[t][i][j]);
 }
 
-/* The offset of a rest fades by no more than the command's own step, times what is not 1 of its gain. */
+/* The offset at rest fades by at most the command's own step, times the deviation of its gain from
+ * 1. */
 static double faded(rthyb_matrix_lead *s, int row, const double *step)
 {
     double most = 0.0;

@@ -1,25 +1,25 @@
-/* Restoring-force compensation of several axes.
+/* Restoring-force compensation for several axes.
  *
- * As for one (rfc.c), with matrices: f + K (LP(x_c - x_m) + tau v_c). K is the slope of the forces over the
- * displacements by least squares, samples forgotten with time, and as much as noise could make of it drawn
- * towards k_e:
+ * As for one axis (rfc.c), with matrices: f + K (LP(x_c - x_m) + tau v_c). K is the slope of the
+ * forces over the displacements by least squares, with exponential forgetting, and with what noise
+ * could have caused drawn towards k_e:
  *   K (X + R) = F + k_e R,   X = sum of x x' less the mean, F = sum of f x' likewise,
  *   R = diag(16 w sigma^2),  w the sum of weights:
- * coordinates that have moved by no more than four times their noise say nothing. A tangent stiffness is
- * symmetric and lies between 0 and k_e: with k_e = L L' the eigenvalues of L^-1 K L'^-1, of the symmetric part,
- * are held between 0 and 1. */
+ * coordinates that have moved by no more than four times their noise have no influence. A tangent
+ * stiffness is symmetric and lies between 0 and k_e: with k_e = L L', the eigenvalues of L^-1 K
+ * L'^-1, of its symmetric part, are limited to 0 ... 1. */
 #include "lowpass.h"
 #include "small_solve.h"
 
 #define VELOCITY_MAX 1e9 /* m/s */
-#define LATENESS_MAX 1.0 /* s, either way */
-#define SPREAD_GATE 16.0 /* as for one axis: variance of x in the memory over that of its noise */
-#define NUMB 1e-9        /* m, rad: what less noise is taken for */
+#define LATENESS_MAX 1.0 /* s, positive or negative */
+#define SPREAD_GATE 16.0 /* as for one axis: variance of x in the memory, over that of its noise */
+#define NUMB 1e-9        /* m, rad: smallest noise assumed */
 #define SWEEPS 8         /* of Jacobi's rotations: 4 x 4 is diagonal to rounding after five */
 
 enum { MOST = RTHYB_COUPLED_MAX };
 
-/* L of a = L L'; 0 where a is not positive definite. */
+/* L of a = L L'; 0 if a is not positive definite. */
 static int cholesky(double a[MOST][MOST], int n, double root[MOST][MOST])
 {
     for (int i = 0; i < n; i++)
@@ -98,7 +98,7 @@ static void whiten(const rthyb_matrix_rfc *s, double a[MOST][MOST])
         }
 }
 
-/* One rotation that makes a[p][q] nought; its columns go into v. */
+/* One rotation that makes a[p][q] zero; it is accumulated in v. */
 static void rotate(double a[MOST][MOST], double v[MOST][MOST], int n, int p, int q)
 {
     if (a[p][q] == 0.0)
@@ -122,7 +122,7 @@ static void rotate(double a[MOST][MOST], double v[MOST][MOST], int n, int p, int
     }
 }
 
-/* Holds the eigenvalues of a symmetric matrix between 0 and 1. */
+/* Limits the eigenvalues of a symmetric matrix to 0 ... 1. */
 static void hold_between(double a[MOST][MOST], int n)
 {
     double v[MOST][MOST] = {{0.0}}, value[MOST];
@@ -142,7 +142,7 @@ static void hold_between(double a[MOST][MOST], int n)
         }
 }
 
-/* The slope of forces over displacements, drawn towards k_e; 0 where it cannot be told. */
+/* The slope of forces over displacements, drawn towards k_e; 0 if it cannot be determined. */
 static int slope_of(const rthyb_matrix_rfc *s, double slope[MOST][MOST])
 {
     const int n = s->cfg.size;
@@ -154,7 +154,7 @@ static int slope_of(const rthyb_matrix_rfc *s, double slope[MOST][MOST])
         scale[i] = 1.0 / sqrt(spread + ridge);
         a[i * n + i] = ridge;
     }
-    /* (X + R) K' = F' + R k_e, its unknowns scaled so that the diagonal is 1. */
+    /* (X + R) K' = F' + R k_e, with the unknowns scaled so that the diagonal is 1. */
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) {
             const double ridge = a[i * n + i];
@@ -210,7 +210,7 @@ static void learn(rthyb_matrix_rfc *s)
         }
 }
 
-/* Newest inputs, and what x_c - x_m comes to behind its low-pass. */
+/* Newest inputs, and x_c - x_m after its low-pass. */
 static int take_in(rthyb_matrix_rfc *s, const double *x_c, const double *x_m, const double *f,
                    double *apart)
 {

@@ -1,12 +1,13 @@
 /* Actuator models of the virtual rig. One sample: latch the table's displacement at t_n, take
- * x_p[n] in, move on to t_{n+1} with the command held (zoh) or run up to from the one before (foh). */
+ * x_p[n], and advance to t_{n+1} with the command held (zoh) or interpolated from the previous one
+ * (foh). */
 #include <string.h>
 
 #include "hydraulic.h"
 #include "internal.h"
 #include "numeric.h"
 
-#define SUBSTEPS_MAX 4096 /* 1024 of a sample at 1024 Hz are as many at 256 */
+#define SUBSTEPS_MAX 4096 /* per sample: at 256 Hz as many per second as 1024 at 1024 Hz */
 
 static int config_error(const rthyb_servo_config *c)
 {
@@ -28,7 +29,7 @@ static int config_error(const rthyb_servo_config *c)
                    ? 0
                    : RTHYB_E_SERVO;
     case RTHYB_SERVO_VALVE:
-        return whole ? 0 : RTHYB_E_SERVO; /* the rest is rthyb_valve_init's to judge */
+        return whole ? 0 : RTHYB_E_SERVO; /* the rest is checked by rthyb_valve_init */
     default:
         break;
     }
@@ -44,7 +45,7 @@ static int config_error(const rthyb_servo_config *c)
                          c->friction_width_m_per_s > 0.0 && c->friction_width_m_per_s <= 1e3 &&
                          c->viscous_n_s_per_m >= 0.0 && c->viscous_n_s_per_m <= 1e12;
     const int steps_ok = c->substeps >= 1 && c->substeps <= SUBSTEPS_MAX && whole;
-    /* The oil column's period must be longer than pi substeps, or they run off. */
+    /* The period of the oil column must be longer than pi substeps, otherwise they diverge. */
     const double h = c->period_s / (c->substeps > 0 ? c->substeps : 1);
     if (!(h * h * c->oil_stiffness_n_per_m < 4.0 * c->moving_mass_kg))
         return RTHYB_E_SERVO;
@@ -55,13 +56,13 @@ static int config_error(const rthyb_servo_config *c)
 static void free_motion(double w, double zeta, double t, double phi[4])
 {
     const double decay = zeta * w, shape = w * w - decay * decay, e = exp(-decay * t);
-    double c, s; /* cos-like, sin-like / damped frequency */
+    double c, s; /* in place of cosine, and of sine / damped frequency */
     if (shape > 1e-9 * w * w) {
         const double wd = sqrt(shape);
         c = e * cos(wd * t);
         s = e * sin(wd * t) / wd;
     } else if (shape < -1e-9 * w * w) {
-        /* e^{-decay t} cosh and sinh as two falling exponentials: no overflow for large t. */
+        /* e^{-decay t} cosh and sinh as two decreasing exponentials: no overflow for large t. */
         const double root = sqrt(-shape);
         const double slow = exp(-(w * w / (decay + root)) * t), fast = exp(-(decay + root) * t);
         c = 0.5 * (slow + fast);
@@ -131,7 +132,7 @@ int rthyb_servo_latch(rthyb_servo *servo, double x_p_m)
     return code;
 }
 
-/* One sample of x' = w (u - x) with the command from start to end of the sample, exactly. */
+/* One sample of x' = w (u - x) with the command interpolated over the sample, exactly. */
 static void advance_first_order(rthyb_servo *s)
 {
     const double h = s->cfg.period_s, w = 2.0 * RTHYB_PI * s->cfg.roll_off_hz;
@@ -143,7 +144,8 @@ static void advance_first_order(rthyb_servo *s)
     s->a = w * ((end - start) / h - s->v);
 }
 
-/* One part of a sample of x'' + 2 zeta w x' + w^2 x = w^2 gain u, u running from u0 at `slope`. */
+/* Part of a sample of x'' + 2 zeta w x' + w^2 x = w^2 gain u, with u starting at u0 with
+ * `slope`. */
 static void advance_part(rthyb_servo *s, const double phi[4], double t, double u0, double slope)
 {
     const double w = 2.0 * RTHYB_PI * s->cfg.natural_frequency_hz, zeta = s->cfg.damping_ratio;
@@ -184,14 +186,14 @@ void rthyb_servo_run_up(const rthyb_servo *s, double *start, double *rise)
     *rise = (end - *start) / s->cfg.substeps;
 }
 
-/* The load cell at the actuator's end sees the oil column's force; inertia elements of the specimen ride on
- * the table. */
+/* At the actuator's end, the load cell measures the force of the oil column; inertia elements of
+ * the specimen move with the table. */
 static void advance_hydraulic(rthyb_servo *s, rthyb_element *elements, uint32_t element_count)
 {
     const rthyb_servo_config *c = &s->cfg;
     const double h = c->period_s / c->substeps;
     const double damping = 0.5 * h * (c->oil_damping_n_s_per_m + c->viscous_n_s_per_m);
-    /* Quotients stand outside the loop: four divisions in a row would be half of its time. */
+    /* Divisions are outside the loop: four in a row would take half of its time. */
     const double per_h = 1.0 / h, per_stall = 1.0 / c->stall_force_n;
     const double per_mass = 1.0 / (c->moving_mass_kg + damping);
     const double per_width = 1.0 / c->friction_width_m_per_s;

@@ -1,8 +1,9 @@
-/* The transfer system of the field's benchmark (Silva et al., MSSP 135 (2020) 106381), with the specimen
- * joined: servo-valve of second order, natural velocity feedback, actuator of first order,
+/* The transfer system of the benchmark by Silva et al., MSSP 135 (2020) 106381, together with the
+ * specimen: second-order servo-valve, natural velocity feedback, first-order actuator,
  *   q'' + b1 q' + b2 q = G (gain u - x),  F' + a3 F = q - a2 v,  m v' + c v + k x + other = F.
- * u is the command, or what the drive's own loop makes of it and of the displacement sensor. u and the force
- * of whatever else the specimen has are held over a substep; else it is exact. */
+ * u is the command, or the output of the drive's own loop for the command and the displacement
+ * sensor. u, and the force of all other elements of the specimen, are held over a substep;
+ * everything else is exact. */
 #include <string.h>
 
 #include "internal.h"
@@ -46,7 +47,7 @@ static void multiply(const double a[SIZE * SIZE], const double b[SIZE * SIZE],
         }
 }
 
-/* exp(z) in place: Taylor's series of a small part, squared up again. */
+/* exp(z) in place: Taylor series of a small fraction of z, then repeated squaring. */
 static void exponential(double z[SIZE * SIZE])
 {
     double sum[SIZE * SIZE] = {0}, next[SIZE * SIZE];
@@ -64,7 +65,8 @@ static void exponential(double z[SIZE * SIZE])
     memcpy(z, sum, sizeof sum);
 }
 
-/* Newton to a metre of the third state: the valve's frequency makes all five lengths. */
+/* Unit of the force state, newtons per metre: the frequency of the valve makes all five states
+ * lengths. */
 static double force_unit(const rthyb_servo_config *c)
 {
     const double w = sqrt(c->valve_b2_per_s2);
@@ -99,7 +101,7 @@ int rthyb_valve_init(rthyb_servo *s)
     return 0;
 }
 
-/* Through a converter. */
+/* The value after a converter with limited resolution and range. */
 static double taken_in(const rthyb_servo *s, double value)
 {
     const rthyb_servo_config *c = &s->cfg;
@@ -108,8 +110,8 @@ static double taken_in(const rthyb_servo *s, double value)
     return c->command_range_m > 0.0 ? clamp(value, -c->command_range_m, c->command_range_m) : value;
 }
 
-/* What goes to the valve: the command, or the output of the drive's loop, with converters before and behind
- * it. The integral is by the trapezoidal rule, which is Tustin's. */
+/* Input of the valve: the command, or the output of the drive's loop, with converters at its input
+ * and output. The integral uses the trapezoidal rule, that is Tustin's method. */
 static double driven(rthyb_servo *s, double command)
 {
     const rthyb_servo_config *c = &s->cfg;

@@ -1,5 +1,6 @@
-/* Simulators of the diagnosis: an actuator along its recorded command, and a body that is driven by
- * a known force. Both work on a finer grid than the recording and give values at its rows. */
+/* Simulators for the diagnosis: an actuator that follows its recorded command, and a body that is
+ * moved by a known force. Both use a finer time grid than the recording and return values at its
+ * rows. */
 #include "laws.h"
 #include "numeric.h"
 
@@ -16,7 +17,8 @@ static int actuator_ok(const rthyb_actuator_model *m)
            m->rate_of >= 0 && m->rate_of <= 1;
 }
 
-/* The command at a row that need not be whole; before the first and after the last it stands. */
+/* The command at a row, which need not be an integer; constant before the first row and after the
+ * last. */
 static double command_at(const double *u, size_t n, double row, int32_t hold)
 {
     if (!(row > 0.0))
@@ -33,8 +35,8 @@ typedef struct {
     const double *u;
     size_t n;
     double w2, d;      /* omega squared, 2 zeta omega */
-    double lead;       /* 2 zeta / omega: seconds by which a straight command is followed late */
-    double late, rows; /* what it lags by without its velocity, s and in rows */
+    double lead;       /* 2 zeta / omega: delay in following a command of constant velocity, s */
+    double late, rows; /* delay that does not depend on the velocity, in s and in rows */
 } lag;
 
 static double wanted(const lag *s, double row, double v)
@@ -58,17 +60,17 @@ static double pull(const lag *s, double u, double x, double v)
     return s->w2 * (u - x) - s->d * v;
 }
 
-/* The lag's own motion over a time: displacement and velocity from those before. */
+/* Free motion of the lag over a given time: displacement and velocity from those at its start. */
 typedef struct {
     double xx, xv, vx, vv;
-    double per_s; /* one over that time; 0 for none */
+    double per_s; /* one over that time; 0 if it is 0 */
 } passage;
 
 /* exp(A t) of x'' + d x' + w^2 x = 0, for any damping. */
 static passage passage_of(double w2, double d, double t)
 {
     const double half = 0.5 * d, square = half * half - w2;
-    double cosine, sine; /* of the root times t; sine divided by the root */
+    double cosine, sine; /* for the root times t; the sine divided by the root */
     const double decay = exp(-half * t);
     if (square > 1e-9 * w2) {
         const double root = sqrt(square);
@@ -90,7 +92,7 @@ static passage passage_of(double w2, double d, double t)
                      .per_s = t > 0.0 ? 1.0 / t : 0.0};
 }
 
-/* Exact for a command that runs straight from u0 to u1 in the passage's time. */
+/* Exact for a command that changes linearly from u0 to u1 in the given time. */
 static void follow(const lag *s, const passage *p, double u0, double u1, double *x, double *v)
 {
     const double slope = (u1 - u0) * p->per_s, lead = slope * s->lead;
@@ -99,7 +101,7 @@ static void follow(const lag *s, const passage *p, double u0, double u1, double 
     *v = p->vx * y + p->vv * w + slope;
 }
 
-/* Where the actuator is, how fast, and the command that it follows there. */
+/* Displacement and velocity of the actuator, and the command that it follows at that time. */
 typedef struct {
     double x, v, u;
 } place;
@@ -111,7 +113,7 @@ typedef struct {
 static void run_linear(const lag *s, size_t first, size_t end, place *p, rows out)
 {
     const rthyb_actuator_model *m = s->model;
-    /* Where between two rows a row of the delayed command lies. */
+    /* Where the rows of the delayed command lie between two rows. */
     const double knot = s->rows - floor(s->rows), h = m->period_s;
     const passage before = passage_of(s->w2, s->d, knot * h);
     const passage after = passage_of(s->w2, s->d, (1.0 - knot) * h);
@@ -120,7 +122,7 @@ static void run_linear(const lag *s, size_t first, size_t end, place *p, rows ou
         const double row = (double)i, tiny = 1e-9;
         out.x[i] = p->x;
         out.v[i] = p->v;
-        /* Of a held command the one that it has followed up to the row, as the rig latches it. */
+        /* For a held command, the one that was followed up to this row, as latched by the rig. */
         out.a[i] = pull(s, m->hold == RTHYB_FOH ? u0 : p->u, p->x, p->v);
         const double u1 = m->hold == RTHYB_FOH ? wanted(s, row + knot, 0.0) : u0;
         const double u2 = m->hold == RTHYB_FOH ? u1 : wanted(s, row + knot + tiny, 0.0);
@@ -144,7 +146,7 @@ static void run_limited(const lag *s, size_t first, size_t end, place *p, rows o
         out.x[i] = p->x;
         out.v[i] = p->v;
         out.a[i] = pull(s, p->u, p->x, p->v);
-        /* At the limit of its own velocity it does not gain any. */
+        /* At its own velocity limit, the actuator is not accelerated any further. */
         if (actuator && p->v * out.a[i] > 0.0 && fabs(p->v) >= most)
             out.a[i] = 0.0;
         for (int k = 1; k <= PIECES; k++) {
@@ -162,7 +164,7 @@ static void run_limited(const lag *s, size_t first, size_t end, place *p, rows o
     }
 }
 
-/* From one instant to another within a row, both counted in rows. */
+/* From one instant to another within a row, both given in rows. */
 static void run_part(const lag *s, double from, double to, place *p)
 {
     const rthyb_actuator_model *m = s->model;
@@ -231,7 +233,7 @@ int rthyb_simulate_actuator(const rthyb_actuator_model *before, const rthyb_actu
     place p = {.x = wanted(change > 0.0 ? &first : &then, 0.0, 0.0)};
     p.u = p.x;
     run_actuator(&first, 0, whole, &p, out);
-    if (change > (double)whole) { /* within this row */
+    if (change > (double)whole) { /* the model changes within this row */
         place kept = p;
         run_actuator(&first, whole, whole + 1, &kept, out);
         run_part(&first, (double)whole, change, &p);
@@ -241,17 +243,17 @@ int rthyb_simulate_actuator(const rthyb_actuator_model *before, const rthyb_actu
     return fabs(x_m[n - 1]) <= RTHYB_DISPLACEMENT_MAX_M ? 0 : RTHYB_E_LIMIT;
 }
 
-/* Dry friction that is solved for together with the motion: forces to either side, and the width
- * of the step between them. As an explicit force it is stable only in steps over which it changes
- * the velocity by less than that width; a body that sticks would chatter, and creep. */
+/* Dry friction that is solved for together with the motion: forces in either direction, and the
+ * width of the transition between them. As an explicit force, it is stable only for steps in which
+ * it changes the velocity by less than that width; a body that sticks would chatter and creep. */
 typedef struct {
     double up, down, width;
 } friction;
 
 #define FRICTION_MAX 4
-#define SATURATED 19.0 /* widths from which on smooth_sign is 1 */
-/* Change of velocity in a step, in widths, from which on friction is solved for: explicit steps run
- * off at two. */
+#define SATURATED 19.0 /* widths from which smooth_sign is 1 */
+/* Change of velocity in a step, in widths, above which friction is solved for: explicit steps
+ * diverge at two. */
 #define STIFF 0.5
 #define STICKS_MAX 4
 #define SOLVE_MAX 60
@@ -260,11 +262,11 @@ typedef struct {
     const rthyb_element *from[FRICTION_MAX];
     friction now[FRICTION_MAX]; /* at the velocity of the last call of levels_at */
     size_t count;
-    uint64_t taken;               /* a bit for each element that is not an explicit force */
+    uint64_t taken;               /* one bit for each element that is not an explicit force */
     double up, down, least, most; /* sums of the forces; least and largest width */
 } dry;
 
-/* 0 where the element is no dry friction. */
+/* 0 if the element is not dry friction. */
 static int friction_of(const rthyb_element *e, double v, friction *out)
 {
     const double *p = e->params;
@@ -323,14 +325,14 @@ static double drag(const dry *d, double v, double *slope)
     return sum;
 }
 
-/* The velocity v with v + step drag(v) = alone: between 0 and alone, as drag has the sign of v.
- * near: a velocity that is not far from it where the body sticks. */
+/* The velocity v with v + step drag(v) = alone: between 0 and alone, because drag has the sign of
+ * v. near: an initial estimate, which is close to the solution if the body sticks. */
 static double dragged(const dry *d, double alone, double step, double near)
 {
     const double whole = step * (alone < 0.0 ? d->down : d->up), past = fabs(alone) - whole;
     if (past > SATURATED * d->most)
         return copysign(past, alone);
-    if (!(whole > 0.0)) /* it resists to the other side only */
+    if (!(whole > 0.0)) /* no resistance in this direction */
         return alone;
     double low = fmin(alone, 0.0), high = fmax(alone, 0.0), v = clamp(near, low, high);
     for (int k = 0; k < STICKS_MAX && d->count == 1; k++) {
@@ -354,9 +356,9 @@ static double dragged(const dry *d, double alone, double step, double near)
     return v;
 }
 
-/* A step of friction beside an acceleration a, the mean of the step, from a velocity at which it
- * takes held m/s^2 off. Returns the velocity at the end. Where the body comes to a stand on the way
- * it goes on from there: way is then how far it comes, else NaN. */
+/* A step with friction and another acceleration a, the mean over the step, from a velocity at which
+ * friction takes off `held` m/s^2. Returns the velocity at the end. If the body comes to rest
+ * within the step, it continues from there: *way is then its displacement, otherwise NaN. */
 static double rubbed(const dry *d, double v, double held, double a, double h, double mass,
                      double *way)
 {
@@ -371,7 +373,8 @@ static double rubbed(const dry *d, double v, double held, double a, double h, do
     return end;
 }
 
-/* Acceleration that friction takes off at a velocity: of a body that stands, all there is. */
+/* Deceleration by friction at a velocity; a body at rest is held with as much as is needed, up to
+ * the limit. */
 static double held_back(const dry *d, double v, double a, double mass)
 {
     if (v > SATURATED * d->most)
@@ -380,7 +383,7 @@ static double held_back(const dry *d, double v, double a, double mass)
         return -d->down / mass;
     double slope;
     const double up = d->up / mass, down = d->down / mass;
-    if (fabs(v) < d->least) /* well below its largest force: it stands */
+    if (fabs(v) < d->least) /* well below its largest force: the body is at rest */
         return clamp(a, -down, up);
     const double own = drag(d, v, &slope) / mass;
     return fabs(own) < 0.999 * (own < 0.0 ? down : up) ? clamp(a, -down, up) : own;
@@ -442,7 +445,7 @@ int rthyb_simulate_body(const rthyb_body_model *model, rthyb_element *elements,
     return code == RTHYB_OK ? 0 : RTHYB_E_LIMIT;
 }
 
-/* Two points joined with a play of +-half: the follower stands until it is pushed. */
+/* Two points connected with a play of +-half: the follower stays at rest until it is pushed. */
 int rthyb_simulate_play(double half_m, const double *x_m, size_t n, double *y_m)
 {
     double y = n > 0 ? x_m[0] : 0.0;
@@ -453,8 +456,8 @@ int rthyb_simulate_play(double half_m, const double *x_m, size_t n, double *y_m)
     return half_m >= 0.0 ? 0 : RTHYB_E_ELEMENT;
 }
 
-/* Elastic and perfectly plastic springs of stiffness share[j] side by side, each yielding at
- * yield_m[j]; every plastic loop of Masing's kind is such a sum. */
+/* Elastic, perfectly plastic springs of stiffness share[j] in parallel, each yielding at
+ * yield_m[j]; every plastic loop that follows Masing's rule is such a sum. */
 int rthyb_simulate_iwan(const double *yield_m, const double *share, size_t count, const double *x_m,
                         size_t n, double *force)
 {
