@@ -369,7 +369,9 @@ def test_figures_are_those_of_the_report(rec: rt.Recording, tmp_path: Path) -> N
     assert plot.figure is not None
     for ending, head in (("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")):
         assert plot.save(tmp_path / f"loop.{ending}").read_bytes().startswith(head)
-    with pytest.raises(rt.InputError, match=r'found the ending ".docx"; must be one of'):
+    with pytest.raises(
+        rt.InputError, match=r'found the file name extension ".docx"; must be one of'
+    ):
         plot.save(tmp_path / "loop.docx")
 
 
@@ -409,7 +411,9 @@ def test_recording_is_saved_exported_and_reported(rec: rt.Recording, tmp_path: P
     assert "x_meas_m" in rec.export(tmp_path / "all.csv", whole=True).read_text().splitlines()[0]
     assert rec.export(tmp_path / "all.mat").stat().st_size > 0
     assert "<svg" in rec.report(tmp_path / "report.html").read_text()
-    with pytest.raises(rt.InputError, match=r'found the ending ".xlsx"; must be one of .csv, .mat'):
+    with pytest.raises(
+        rt.InputError, match=r'found the file name extension ".xlsx"; must be one of .csv, .mat'
+    ):
         rec.export(tmp_path / "all.xlsx")
 
 

@@ -287,7 +287,7 @@ def test_sweep_is_computed_by_a_dask_client(short: rt.Test, tmp_path: Path) -> N
         (lambda t, out: rt.sweep(t, {"controller.type": []}, out=out),
          "sweep: over.controller.type: found an empty list; give at least one value"),
         (lambda t, out: rt.sweep(t, {"controller.w1": [{}]}, out=out),
-         "sweep: over.controller.w1: found a table; each value must be a text"),
+         "sweep: over.controller.w1: found a table; each value must be a string"),
         (lambda t, out: rt.sweep(t, ["controller.w1"], out=out), "sweep: over: found a list"),
         (lambda t, out: rt.sweep(t, {"test": [t.rig]}, out=out), "a test with the key test"),
         (lambda t, out: rt.sweep(t, LAWS, repeat_seeds=0, out=out),

@@ -52,7 +52,7 @@ def test_a_file_with_axes_is_a_rig_of_several_and_one_without_is_as_before() -> 
 def test_what_takes_one_axis_says_that_the_rig_has_two() -> None:
     with pytest.raises(
         InputError,
-        match=r"rig has several axes \(upper, lower\), and a rig with one axis is needed here",
+        match=r"rig has several axes \(upper, lower\), but a rig with one axis is needed here",
     ):
         config.load_rig(SHIPPED)
 

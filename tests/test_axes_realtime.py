@@ -206,7 +206,9 @@ def test_drives_take_faults_of_the_axes_that_there_are() -> None:
         ours,
         theirs,
         virtual_rig.in_step(given, theirs) as drives,
-        pytest.raises(core.CoreError, match="a fault of axis 2; there are 2"),
+        pytest.raises(
+            core.CoreError, match="a fault for axis number 2; the axes are numbered from 0 to 1"
+        ),
     ):
         drives.schedule([loop.Fault("drop", 0, 5, 1.0, 2)])
 
@@ -215,7 +217,7 @@ def test_drives_take_faults_of_the_axes_that_there_are() -> None:
 
 
 def test_rate_that_no_clock_has_is_for_virtual_time() -> None:
-    with pytest.raises(InputError, match="whole number of samples a second: take 1000"):
+    with pytest.raises(InputError, match="whole number of samples per second: use 1000"):
         setup(test=SHORT.replace("duration_s = 3", "duration_s = 3\nsample_rate_hz = 1000.4"))
 
 

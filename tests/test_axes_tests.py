@@ -186,7 +186,8 @@ def test_a_numerical_part_of_one_degree_is_not_for_two_axes() -> None:
 @pytest.mark.parametrize(
     ("extra", "said"),
     [
-        ('type = "none"\n[controller.matrix]\nmemory_s = 3', 'the table is of type = "matrix"'),
+        ('type = "none"\n[controller.matrix]\nmemory_s = 3', ('this table belongs to type = '
+        '"matrix"')),
         (
             'type = "matrix"\n[[controller.axis]]\nname = "a"',
             "compensates all axes; remove one of the two",

@@ -211,7 +211,7 @@ def test_a_test_that_stays_ends_in_front_of_the_limit_of_one_axis(axis: int) -> 
 def test_commands_are_taken_over_of_all_axes_or_of_none() -> None:
     station = core.Station(config(), shaking(1.0))
     given = [AxisReading(OFFSET_M[0], 0.0, taken_over_m=0.0125), AxisReading(OFFSET_M[1], 0.0)]
-    with pytest.raises(core.CoreError, match="taken_over_m of axis 2 is missing"):
+    with pytest.raises(core.CoreError, match="taken_over_m is missing for axis 2"):
         station.tick(axes=given)
     assert station.ticks == 0
     given[1] = replace(given[1], taken_over_m=-0.0042)

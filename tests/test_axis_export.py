@@ -186,8 +186,8 @@ def test_one_axis_alone_has_the_answer_of_one_axis(rthyb: Rthyb, rubbing: Path) 
     ("words", "code", "said"),
     [
         (("--axis", "middle"), 3, "found middle; the recording has the axes left, right"),
-        (("--predict", "x.csv", "--out", "y.csv"), 2, "choose one with --axis left"),
-        (("--model", "delay-10-elastic"), 3, "is a model of one axis, but the recording is of"),
+        (("--predict", "x.csv", "--out", "y.csv"), 2, "choose it with --axis left"),
+        (("--model", "delay-10-elastic"), 3, "is a model of one axis, but the recording has"),
         (("--model", "two-axis-frame"), 3, "was recorded on the axes left, right, but the model"),
     ],
 )
@@ -205,7 +205,7 @@ def test_an_axis_is_asked_for_in_python_and_refused_of_one(rubbing: Path, tmp_pa
     with pytest.raises(InputError, match='axis="left"; it has left, right'):
         rt.diagnose(rubbing / "recording.h5", rubbing / "rig.toml")
     (tmp_path / "lab.csv").write_text("t,x_cmd,x_meas\n0,0,0\n", encoding="utf-8")
-    with pytest.raises(InputError, match="found left, but the recording is of one axis"):
+    with pytest.raises(InputError, match="found left, but the recording has only one axis"):
         rt.diagnose(tmp_path / "lab.csv", "delay-10-elastic", axis="left")
 
 

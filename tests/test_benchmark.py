@@ -221,7 +221,7 @@ def test_a_law_of_others_can_have_the_force_compensated_as_well() -> None:
         assert both.rfc.force_lateness_s == pytest.approx(late / rate_hz)
         assert both.rfc.cutoff_hz == 60.0
         assert both.model_copy(update={"rfc": without.rfc}) == without
-    with pytest.raises(InputError, match="those of others"):
+    with pytest.raises(InputError, match="a law without force compensation"):
         cases.entrant("paper+rfc")
 
 

@@ -122,7 +122,7 @@ def test_all_laws_meet_the_same_plants(tmp_path: Path) -> None:
         (TWO_LAWS.replace('"controller.type"', '"controller.typ"'), r":6: controller.typ: unknown"),
         (TWO_LAWS.replace('"alpha-beta"', '"paper"'), r":6: over.*twice"),
         (TWO_LAWS.replace("[3]", "[]"), r":7: over.*empty list"),
-        (TWO_LAWS.replace("[3]", "[[3]]"), r":7: over.*a text, a number, true or false"),
+        (TWO_LAWS.replace("[3]", "[[3]]"), r":7: over.*a string, a number, true or false"),
         (TWO_LAWS.replace("two-laws", "Two laws"), r":4: campaign.name"),
         (TWO_LAWS + '[[together]]\n"controller.type" = ["ats"]\n', r"controller.type is varied"),
         (

@@ -180,15 +180,15 @@ def test_a_table_of_channels_that_makes_no_sense_costs_the_channels_alone(
 @pytest.mark.parametrize(
     ("channels", "message"),
     [
-        ([Channel("x_num_m", "m")], "a field of that name"),
-        ([OIL, OIL], "a field of that name"),
-        ([Channel("Oil", "K")], "a letter first"),
-        ([Channel("", "K")], "a letter first"),
-        ([Channel("a" * 33, "K")], "a letter first"),
-        ([Channel("oil.1", "K")], "a letter first"),
-        ([Channel("oil", "K", 0.0)], "no factor"),
-        ([Channel("oil", "K", float("nan"))], "no factor"),
-        ([Channel("oil", "K", float("inf"))], "no factor"),
+        ([Channel("x_num_m", "m")], "a field of this name"),
+        ([OIL, OIL], "a field of this name"),
+        ([Channel("Oil", "K")], "starts with a letter"),
+        ([Channel("", "K")], "starts with a letter"),
+        ([Channel("a" * 33, "K")], "starts with a letter"),
+        ([Channel("oil.1", "K")], "starts with a letter"),
+        ([Channel("oil", "K", 0.0)], "not a valid factor"),
+        ([Channel("oil", "K", float("nan"))], "not a valid factor"),
+        ([Channel("oil", "K", float("inf"))], "not a valid factor"),
         ([Channel(f"c{n}", "1") for n in range(33)], "room for 32"),
     ],
 )
@@ -331,7 +331,7 @@ def test_a_loop_records_what_its_station_has_in_its_channels(tmp_path: Path) -> 
     assert test.run(rows, "none", values) == 8
     assert set(values[:, 0]) == {293.0}
     for wrong in (np.zeros((7, 1)), np.zeros((8, 33))):
-        with pytest.raises(core.CoreError, match="one row each"):
+        with pytest.raises(core.CoreError, match="one row for each record"):
             test.run(rows, "none", wrong)
 
 

@@ -173,7 +173,7 @@ def test_check_says_whether_the_rig_is_commissioned_as_its_file_stands(
     virtual = found("--set", "rig.link.virtual=true")
     assert (virtual["demanded"], virtual["why_not"]) == (False, "")
     certificate.place(path).write_text("{", encoding="utf-8")
-    assert "is no commissioning file" in found()["why_not"]
+    assert "is not a commissioning file" in found()["why_not"]
 
 
 # ---- commission ---------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ def test_failed_check_is_told_kept_and_leaves_with_eight(
     answer = rthyb("commission", path, "--yes", "--distance", "0.5 mm")
     assert answer.code == 8
     assert "polarity: FAILED" in answer.out
-    assert "correct it, then start again" in answer.out
+    assert "correct the fault, then start again" in answer.out
     steps = json.loads((tmp_path / "rig.commissioned.json").read_text())["steps"]
     assert steps["polarity"]["passed"] is False
     assert list(steps) == ["link", "polarity"]
@@ -264,7 +264,11 @@ def test_step_before_a_question_that_nobody_answers_is_kept(
         (("--steps", "link,luck"), 2, 'found "luck"; the steps are link, polarity, limits'),
         (("--distance", "0"), 2, "at least 0.01 mm"),
         (("--distance", "20 mm"), 5, "limits.command_position_m = 10 mm"),
-        (("--set", "limits.command_position_m={ value = 1, enable = false }"), 3, "ends nothing"),
+        (
+            ("--set", "limits.command_position_m={ value = 1, enable = false }"),
+            3,
+            "does not end the motion",
+        ),
     ],
 )
 def test_commissioning_that_cannot_be_done_is_refused(

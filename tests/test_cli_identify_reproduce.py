@@ -149,7 +149,7 @@ def test_identify_with_a_changed_value(rthyb: Rthyb, tmp_path: Path) -> None:
     [
         (("nowhere.toml",), 3, "one that comes with the program"),
         ((TABLE, "--amplitude", "2 kg"), 2, 'found "2 kg"'),
-        ((TABLE, "--amplitude", "0.002"), 2, 'found "0.002", taken to be in mm'),
+        ((TABLE, "--amplitude", "0.002"), 2, 'found "0.002", assumed to be in mm'),
         ((TABLE, "--max-frequency", "fast"), 2, "--max-frequency"),
         ((TABLE, "--max-frequency", "300 Hz"), 2, '0.05 Hz to 100 Hz, as in --max-frequency "5'),
         ((TABLE, "--max-frequency", "300"), 2, "must be a frequency from 0.05 Hz to 100 Hz"),
@@ -253,7 +253,7 @@ def test_record_file_is_used(rthyb: Rthyb, tmp_path: Path) -> None:
     ("arguments", "code", "message"),
     [
         (("4.3",), 2, "'2.1', '4.1', '4.2', '5', 'all'"),
-        (("5", "--record", "tcu068.csv"), 2, "belongs to Section 4.2"),
+        (("5", "--record", "tcu068.csv"), 2, "applies only to Section 4.2"),
         (("4.2", "--record", "nowhere.csv"), 3, "nowhere.csv: no such file"),
         (("2.1", "--out", "."), 2, "already exists"),
     ],

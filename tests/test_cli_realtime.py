@@ -338,10 +338,10 @@ def test_stepped_clock_goes_with_the_pairs_of_a_rig_in_another_process(
     ("arguments", "message"),
     [
         ((), "the rig file has no [link]; choose --can"),
-        (("--pty", "--can", "vcan0"), "--can and --pty exclude each other"),
+        (("--pty", "--can", "vcan0"), "--can and --pty cannot be combined"),
         (("--pty", "--fault", "burn@1"), "no such kind of fault; allowed are drop,"),
-        (("--pty", "--drift-ppm", "200"), "found 200, allowed is -199 to 199"),
-        (("--pty", "--seconds", "0"), "allowed is more than 0"),
+        (("--pty", "--drift-ppm", "200"), "found 200; must be from -199 to 199"),
+        (("--pty", "--seconds", "0"), "must be above 0, up to 1e6 s"),
         (("--pty", "--log", "log.txt"), "a log must end with .npy or .h5"),
         (("--can", "no/interface"), "a CAN interface has a name such as"),
     ],

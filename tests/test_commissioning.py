@@ -159,7 +159,7 @@ def test_jog_that_would_leave_the_sensor_or_the_load_cell_is_refused_and_nothing
     far = rig({"sensors.displacement.range_m": '"12 mm"'})
     with at(far) as there:
         jogging.jog(there.connection, 8e-3, 20e-3)
-        with pytest.raises(realtime.RefusedError, match=r"sensor reaches to 12 mm"):
+        with pytest.raises(realtime.RefusedError, match=r"sensor reaches only to 12 mm"):
             jogging.jog(there.connection, 6e-3, 4e-3)
         assert jogging.jog(there.connection, -1e-3, 4e-3).cause == "completed"
     loaded = rig({"sensors.force.bias_n": "9000"})
@@ -201,9 +201,12 @@ def test_jog_that_trips_before_it_begins_says_that_nothing_moved() -> None:
         ({"limits": '{ command_position_m = "5 mm" }'}, "limits.force_n: missing"),
         (
             {"limits.force_n": '{ value = 8000, action = "indicate" }'},
-            "limits.force_n: ends nothing",
+            "limits.force_n: does not end the motion",
         ),
-        ({"limits.force_n": "{ value = 8000, enable = false }"}, "limits.force_n: ends nothing"),
+        (
+            {"limits.force_n": "{ value = 8000, enable = false }"},
+            "limits.force_n: does not end the motion",
+        ),
     ],
 )
 def test_rig_without_bounds_on_position_and_force_is_not_moved(
@@ -294,14 +297,14 @@ def test_wrong_scale_is_found() -> None:
 def test_load_cell_that_is_not_connected_is_found() -> None:
     found = commissioned(rig(), rig({"specimen.0.k_n_per_m": "0"}), "polarity")
     (fault,) = found.steps["polarity"].faults
-    assert "the force did not answer" in fault
+    assert "the force did not respond" in fault
 
 
 def test_actuator_that_is_off_is_found() -> None:
     wired = rig({"calibration.command": "{ scale = 1e-4 }"})
     displacement, force = commissioned(rig(), wired, "polarity").steps["polarity"].faults
     assert "did not follow" in displacement
-    assert "did not answer" in force
+    assert "did not respond" in force
 
 
 def test_polarity_check_leaves_the_specimen_where_it_was() -> None:

@@ -167,7 +167,9 @@ def test_certificate_of_a_folder_that_may_not_be_written_goes_to_the_users_state
 def test_damaged_certificate_is_none(tmp_path: Path, damage: str) -> None:
     path = rig_file(tmp_path)
     certificate.place(path).write_text(damage, encoding="utf-8")
-    with pytest.raises(InputError, match=r"column\.commissioned\.json: is no commissioning file"):
+    with pytest.raises(
+        InputError, match=r"column\.commissioned\.json: is not a commissioning file"
+    ):
         certificate.demand(config.load_rig(path), path)
 
 

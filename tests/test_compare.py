@@ -95,8 +95,8 @@ def test_other_rate_and_length_are_taken_together_and_said() -> None:
     assert found.notes == (
         "b has 1536 Hz; compared at 1024 Hz, the rate of the slowest",
         "b lasts 5 s; compared over the 4 s that they have in common",
-        "a has no force",
-        "b has no force",
+        "a contains no force",
+        "b contains no force",
     )
 
 
@@ -123,7 +123,7 @@ def test_courses_that_share_nothing_or_are_too_many_are_refused() -> None:
         overlay.Overlay.of([one])
     with pytest.raises(rt.InputError, match="found 11 recordings"):
         overlay.Overlay.of([one] * 11)
-    with pytest.raises(rt.InputError, match="no instant in common"):
+    with pytest.raises(rt.InputError, match="no time in common"):
         overlay.Overlay.of([one, course("b", np.zeros(0))])
 
 

@@ -511,7 +511,7 @@ def test_station_in_use_outlives_the_loads_that_nobody_asks_after() -> None:
             in_use = weakref.ref(station)
             bench.loop.load(station, None)
             del station
-            with pytest.raises(core.CoreError, match="not been taken up yet"):
+            with pytest.raises(core.CoreError, match="not yet been taken over"):
                 bench.loop.load(core.Station(bench.config, bench.ag), None)
             bench.steps(1)
             gc.collect()

@@ -391,12 +391,12 @@ STIFF = ElementConfig("inertia", (3.0,))
     [
         ({"stiffness": np.array([[1.0, 2.0], [3.0, 4.0]])}, "a size of the virtual plant"),
         ({"mass": np.array([[np.nan, 0.0], [0.0, 1.0]])}, "a size of the virtual plant"),
-        ({"stiffness": np.eye(3)}, "has the shape"),
-        ({"servos": (TABLE,)}, "2 axes need 2 actuators"),
-        ({"plant": plant()}, "2 axes need 2 actuators"),
-        ({"displacement": (SensorConfig(),)}, "2 axes need 2 actuators"),
-        ({"elements": ((0, STIFF),)}, "an element's kind"),
-        ({"elements": ((2, element("cubic", k3_n_per_m3=1.0)),)}, "an element's kind"),
+        ({"stiffness": np.eye(3)}, r"must be \(2, 2\)"),
+        ({"servos": (TABLE,)}, "there must be 2 actuators"),
+        ({"plant": plant()}, "there must be 2 actuators"),
+        ({"displacement": (SensorConfig(),)}, "there must be 2 actuators"),
+        ({"elements": ((0, STIFF),)}, "an unknown kind"),
+        ({"elements": ((2, element("cubic", k3_n_per_m3=1.0)),)}, "an unknown kind"),
         ({"servos": (TABLE, ServoConfig(kind="servo-valve"))}, "a setting of the actuator model"),
         ({"servos": (TABLE, replace(TABLE, period_s=1e-3))}, "the sampling period"),
         ({"stiffness": 1e6 * K}, "too stiff for its mass and substeps"),
@@ -410,7 +410,7 @@ def test_what_does_not_fit_together_is_refused(settings: dict[str, Any], why: st
 
 
 def test_axes_on_one_line_are_refused() -> None:
-    with pytest.raises(CoreError, match="do not set every coordinate"):
+    with pytest.raises(CoreError, match="do not determine every coordinate"):
         Kinematics([[1.0, 0.2], [1.0, 0.2]])
 
 

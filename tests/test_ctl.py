@@ -157,7 +157,7 @@ def test_test_goes_through_the_socket_whole_and_into_the_recording(
         ("hold", "hold is allowed in RUNNING"),
         ("resume", "resume is allowed in HOLD"),
         ("reset", "there is nothing to reset"),
-        ("reload", "there is no rig file to read again"),
+        ("reload", "without a rig file that it could read again"),
     ],
 )
 def test_refusal_is_exit_5_and_says_why(
@@ -207,7 +207,7 @@ def test_second_operator_does_not_start_what_another_has_armed(
     answer = rthyb("ctl", "start")
     assert answer.code == 5
     me = re.escape(Peer(0, os.geteuid(), frozenset()).user)
-    assert re.search(rf"armed by {me}, process \d+, and only who arms starts", answer.err)
+    assert re.search(rf"armed by {me}, process \d+, and only that user may start it", answer.err)
     assert status(place)["state"] == "ARMED"
     assert re.search(rf"^Armed by +{me}", rthyb("ctl", "status").out, re.M)
     assert rthyb("ctl", "arm").code == 5

@@ -413,7 +413,7 @@ def test_senseless_start_position_is_refused(law: str, x0_m: float) -> None:
 def test_weights_that_the_compensator_refuses_are_refused_here_too(
     law: str, weights: tuple[float, float]
 ) -> None:
-    with pytest.raises(core.CoreError, match="W1, W2"):
+    with pytest.raises(core.CoreError, match="W1 and W2"):
         estimator(law, *weights, gain=0.01)
 
 

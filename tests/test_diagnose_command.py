@@ -185,7 +185,7 @@ BAD = {
     "time runs back": (lambda c: c["t"].__setitem__(400, 0.1), "does not increase"),
     "dead load cell and displacement": (
         lambda c: (c["f_meas"].fill(np.nan), c["x_meas"].fill(np.nan)),
-        "holds no number",
+        "contains no number",
     ),
     "constant channels": (lambda c: (c["f_meas"].fill(3.0), c["x_meas"].fill(1.0)), "constant"),
     "millimetres": (lambda c: c.__setitem__("x_meas", 1e3 * c["x_meas"]), "wrong unit"),
@@ -202,7 +202,7 @@ BAD = {
         lambda c: c.__setitem__(
             "f_meas", 15.0 * np.random.default_rng(0).standard_normal(c["t"].size)
         ),
-        "nothing but noise",
+        "only noise",
     ),
     "another rate": (lambda c: c.__setitem__("t", 2.0 * c["t"]), "fs_hz"),
     "clipped most of the time": (
@@ -248,7 +248,7 @@ def test_gaps_that_leave_nothing_to_judge_allow_no_answer(tmp_path, monkeypatch)
     lost = (np.arange(columns["t"].size) % 150) < 5
     for name in ("x_cmd", "x_meas", "f_meas"):
         columns[name][lost] = np.nan
-    with pytest.raises(InputError, match="leave no stretch"):
+    with pytest.raises(InputError, match="leave no part"):
         diagnosed(tmp_path, columns)
 
 
@@ -291,7 +291,7 @@ def test_the_verdict_of_a_stop_is_a_sentence_of_the_laboratory(tmp_path, capsys)
     assert "the load cell reads more than the model: a stop at 6.0" in said
     assert "MN/m explains" in said
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "is confirmed on held-out rows" in page
+    assert "is confirmed on rows that were held out" in page
     # The page's own policy bars pictures: a drawing that needs one shows a broken frame.
     assert "<image" not in page
 

@@ -238,7 +238,7 @@ def test_a_late_cell_on_a_shaking_table_is_no_dashpot(tmp_path: Path) -> None:
     assert (d.verdict, d.effects) == ("explained", ["time_skew"])
     assert d.candidates[0].params["skew_s"] == pytest.approx(0.004, abs=4e-4)
     facts = dict(why.facts(d))
-    assert "the load cell itself" in facts["load cell against m a_meas"]
+    assert "the load cell itself" in facts["load cell compared with m a_meas"]
 
 
 def test_a_dashpot_on_a_shaking_table_is_no_late_cell(tmp_path: Path) -> None:

@@ -80,9 +80,9 @@ def test_labview_export_with_semicolons_and_decimal_commas(tmp_path, columns):
         "x_cmd=Soll", "x_meas=Weg", "f_meas=Kraft [kN]",
     )  # fmt: skip
     same(case, columns)
-    assert any("'X_Value' is taken for t" in note for note in case.notes)
-    assert any("taken for s, as fs_hz says" in note for note in case.notes)
-    assert any("semicolons, decimals by a comma" in note for note in case.notes)
+    assert any("'X_Value' is read as t" in note for note in case.notes)
+    assert any("assumed to be s, which agrees with fs_hz" in note for note in case.notes)
+    assert any("semicolons, with a comma as decimal separator" in note for note in case.notes)
 
 
 def test_catman_export_with_a_row_of_units_in_latin_1(tmp_path, columns):
@@ -161,7 +161,7 @@ def test_a_mapping_file_names_columns_units_and_signs(tmp_path, columns):
     with pytest.raises(InputError, match=r'rig-a.toml:4: channels.x_cdm: unknown key .*"x_cmd"'):
         read(tmp_path, text, str(path))
     path.write_text(path.read_text().replace("x_cdm", "x_cmd"))
-    with pytest.raises(InputError, match=r"rig-a.toml:6: channels.f_meas: .*'kPa' is no unit"):
+    with pytest.raises(InputError, match=r"rig-a.toml:6: channels.f_meas: .*'kPa' is not known"):
         read(tmp_path, text, str(path))
 
 
@@ -172,7 +172,7 @@ def test_without_a_column_of_time_the_rate_of_the_model_is_taken_and_said(tmp_pa
     text = written({k: columns[k] for k in NAMES[1:]}, "x_cmd,x_meas,f_meas", None, ",", ".")
     case = read(tmp_path, text)
     np.testing.assert_allclose(case.t, np.arange(case.t.size) / cases.FS)
-    assert any("1/256 s apart, as fs_hz" in note for note in case.notes)
+    assert any("1/256 s apart, the fs_hz of the model" in note for note in case.notes)
 
 
 @pytest.mark.parametrize(
@@ -204,14 +204,16 @@ def test_seconds_of_the_calendar_are_counted_from_a_midnight(tmp_path, columns):
     )  # fmt: skip
     case = read(tmp_path, text)
     assert case.t[0] == pytest.approx(3600.0, abs=1e-3)
-    assert any("of the calendar" in note for note in case.notes)
+    assert any("calendar time" in note for note in case.notes)
 
 
 def test_a_column_that_counts_up_is_time_though_nothing_says_so(tmp_path, columns):
     text = written(columns, "Kanal 0;x_cmd;x_meas;f_meas", {"t": 1e6})
     case = read(tmp_path, text)
     same(case, columns)
-    assert any("'Kanal 0' counts up as fs_hz says: taken for t, in us" in n for n in case.notes)
+    assert any(
+        "'Kanal 0' increases at the rate fs_hz, so it is read as t, in us" in n for n in case.notes
+    )
 
 
 def test_milliseconds_under_the_name_of_seconds_are_refused_with_the_remedy(tmp_path, columns):
@@ -228,15 +230,15 @@ def test_one_column_without_a_unit_is_told_by_the_others_and_said(tmp_path, colu
     text = written(columns, "t;x_cmd [mm];LVDT;f_meas [kN]", MM_KN)
     case = read(tmp_path, text, "x_meas=LVDT")
     same(case, columns)
-    (note,) = (n for n in case.notes if "states no unit" in n)
-    assert "taken for mm, in which it is" in note
+    (note,) = (n for n in case.notes if "is not stated" in n)
+    assert "assumed to be mm, which makes it" in note
 
 
 def test_force_and_displacement_without_units_are_not_guessed(tmp_path, columns):
     """In mm and kN, or in m and MN: the stiffness is the same."""
     only = {k: columns[k] for k in ("t", "x_meas", "f_meas")}
     text = written(only, "t;Weg;Kraft", MM_KN)
-    with pytest.raises(InputError, match="nothing tells it for sure") as caught:
+    with pytest.raises(InputError, match="it cannot be inferred with certainty") as caught:
         read(tmp_path, text, "x_meas=Weg", "f_meas=Kraft")
     assert '--map x_meas="Weg [m]"' in str(caught.value)
     same(read(tmp_path, text, "x_meas=Weg [mm]", "f_meas=Kraft"), only)
@@ -244,7 +246,7 @@ def test_force_and_displacement_without_units_are_not_guessed(tmp_path, columns)
 
 def test_a_signal_in_volts_is_no_reading(tmp_path, columns):
     text = written(columns, "t;x_cmd [m];LVDT [V];f_meas [N]")
-    with pytest.raises(InputError, match="'V' is a sensor's signal and no reading"):
+    with pytest.raises(InputError, match="'V' is the unit of a sensor's electrical signal"):
         read(tmp_path, text, "x_meas=LVDT [V]")
 
 
@@ -264,7 +266,7 @@ def test_a_row_of_units_may_hold_some_that_nobody_asks_for(tmp_path, columns):
 
 def test_a_unit_of_another_kind_is_refused(tmp_path, columns):
     text = written(columns, "t;x_cmd [m];x_meas [kN];f_meas [N]")
-    with pytest.raises(InputError, match="'kN' is no unit of x_meas, which is in m"):
+    with pytest.raises(InputError, match="'kN' is not a unit for x_meas, which is in m"):
         read(tmp_path, text)
 
 
@@ -493,7 +495,9 @@ def test_a_slip_in_a_baseline_is_answered_with_line_value_and_range(
 def test_keys_of_a_lab_that_mean_nothing_here_are_said_and_do_no_harm(tmp_path, columns):
     text = "operator = 'N. N.'\n" + cases.baseline() + "\n[weather]\nhumidity = 0.4\n"
     case = read(tmp_path, written(columns, ",".join(NAMES), None, ",", "."), toml=text)
-    assert any("not used of the model: operator, weather" in note for note in case.notes)
+    assert any(
+        "parts of the model that are not used: operator, weather" in note for note in case.notes
+    )
 
 
 def test_tolerances_of_an_actuator_come_with_the_model(tmp_path):
@@ -547,11 +551,11 @@ def test_what_was_guessed_is_said_on_stderr_and_in_the_answer(tmp_path, capsys):
     call = ("diagnose", tmp_path / "lab.txt", "--model", tmp_path / "baseline.toml", "--json")
     assert run(*call, "--map", "x_meas=LVDT", "--report", tmp_path / "out") == 0
     said = capsys.readouterr()
-    assert "rthyb: x_meas: 'LVDT' states no unit; taken for mm" in said.err
+    assert "rthyb: x_meas: the unit of 'LVDT' is not stated; assumed to be mm" in said.err
     answer = json.loads(said.out)
     assert answer["verdict"] == "none"
-    assert any("taken for mm" in note for note in answer["notes"])
-    assert "states no unit; taken for mm" in (tmp_path / "out" / "report.html").read_text()
+    assert any("assumed to be mm" in note for note in answer["notes"])
+    assert "is not stated; assumed to be mm" in (tmp_path / "out" / "report.html").read_text()
 
 
 @pytest.mark.parametrize(
@@ -562,8 +566,11 @@ def test_what_was_guessed_is_said_on_stderr_and_in_the_answer(tmp_path, capsys):
         ("x_meas=-", "names no column"),
         ("LVDT", "must be CHANNEL=COLUMN"),
         ("nowhere.toml", "nowhere.toml: no such file"),
-        ("x_meas=LVTD 1 [mm]", "has no column 'LVTD 1' (did you mean 'LVDT 1'?); there are 't'"),
-        ("x_meas=LVDT 1 [mn]", "the unit 'mn' is no unit that is known; allowed are m, cm, mm"),
+        (
+            "x_meas=LVTD 1 [mm]",
+            "has no column 'LVTD 1' (did you mean 'LVDT 1'?); its columns are 't'",
+        ),
+        ("x_meas=LVDT 1 [mn]", "the unit 'mn' is not known; allowed are m, cm, mm"),
         ("x_meas=#9", "has no column '#9'"),
     ],
 )
@@ -596,14 +603,14 @@ def test_the_schema_of_the_files_of_a_diagnosis_is_printed(kind, capsys):
     [
         ("", "no rows"),
         ("t,x_meas,f_meas\n", "no rows"),
-        ("0,1,2\n1,2,3\n2,3,4\n", "has no names over its columns; found '0,1,2'"),
-        ("t,x_cmd\n0,0,0,1\n1,0,0,2\n", "decimal commas between commas"),
-        ("t,x_meas,f_meas\n0,1,2\n1,abc,3\n", ":3: column x_meas: 'abc' is no number"),
-        ("t;x_meas;f_meas\n0;1,5;2\n0,1;1.234;3\n0,2;2,5;3\n", "'1.234' is no number; write"),
-        ("t;x_meas;f_meas\n0;1.000,5;2\n1;2.000,7;3\n", "without separators of thousands"),
-        ("t,x_meas,x_meas\n0,1,2\n1,2,3\n", "two columns of one name"),
-        ("t,x_meas,f_meas\n0,1,2\n1,2\n", ":3: has 2 fields, the header 3"),
-        ("PK\x03\x04junk\x00\x01", "is no CSV text"),
+        ("0,1,2\n1,2,3\n2,3,4\n", "has no column names; found '0,1,2'"),
+        ("t,x_cmd\n0,0,0,1\n1,0,0,2\n", "decimal commas cannot be distinguished"),
+        ("t,x_meas,f_meas\n0,1,2\n1,abc,3\n", ":3: column x_meas: 'abc' is not a number"),
+        ("t;x_meas;f_meas\n0;1,5;2\n0,1;1.234;3\n0,2;2,5;3\n", "'1.234' is not a number; write"),
+        ("t;x_meas;f_meas\n0;1.000,5;2\n1;2.000,7;3\n", "without thousands separators"),
+        ("t,x_meas,x_meas\n0,1,2\n1,2,3\n", "two columns of the same name"),
+        ("t,x_meas,f_meas\n0,1,2\n1,2\n", ":3: has 2 fields, but the header has 3"),
+        ("PK\x03\x04junk\x00\x01", "is not CSV text"),
     ],
 )
 def test_a_table_that_is_none_is_refused_with_its_line(tmp_path, text, words):

@@ -200,7 +200,7 @@ def test_the_ledger_says_why_dry_friction_was_named_and_the_others_were_not():
     sets = [row for row in why.ledger(d) if row.channel == "force"]
     assert (sets[0].effects, sets[0].fate) == (("coulomb",), "named")
     assert sets[0].left < 0.05
-    assert "beyond its price" in sets[0].why
+    assert "more than its price" in sets[0].why
     assert [s for s in sets if s.fate in ("named", "as good")] == [sets[0]]
     told = {s.effects: s for s in sets}
     # What comes nearest is friction with more to it; all that is none leaves a multiple.

@@ -573,7 +573,7 @@ def test_parameters_at_the_end_of_what_is_accepted_still_give_finite_forces(
 def test_unknown_kind_and_wrong_names_are_refused_by_name() -> None:
     with pytest.raises(core.CoreError, match="rubber"):
         core.element("rubber", k_n_per_m=1.0)
-    with pytest.raises(core.CoreError, match="takes k_n_per_m"):
+    with pytest.raises(core.CoreError, match="the parameters are k_n_per_m"):
         core.element("stiffness", k=1.0)
     for wrong in (
         core.ElementConfig("rubber", (1.0,)),

@@ -301,7 +301,7 @@ def test_what_a_channel_cannot_be_is_told_with_its_key(text: str, says: str) -> 
 
 def test_a_name_that_recordings_have_already_is_refused() -> None:
     rig = rig_of('\n[[sensors.extra]]\nname = "x_meas_m"\nunit = "m"\n')
-    with pytest.raises(InputError, match="which is a name in every recording"):
+    with pytest.raises(InputError, match="a name that every recording already uses"):
         experiment.prepare(test_file(), rig)
 
 
@@ -381,9 +381,9 @@ def test_a_diagnosis_may_read_a_second_displacement_sensor(
 
 @pytest.mark.parametrize(
     ("wish", "says"),
-    [("x_meas=lvdt_3", "it has table_acceleration, lvdt_2"),
-     ("x_cmd=lvdt_2", "x_meas, f_meas, ag may be an extra channel"),
-     ("x_meas=table_acceleration", "needs one of the kind of m")],
+    [("x_meas=lvdt_3", "its extra channels: table_acceleration, lvdt_2"),
+     ("x_cmd=lvdt_2", "only x_meas, f_meas, ag can be replaced"),
+     ("x_meas=table_acceleration", "needs a unit of the same kind as m")],
 )  # fmt: skip
 def test_what_a_diagnosis_cannot_read_is_told(
     virtual: Recording, tmp_path: Path, wish: str, says: str

@@ -155,7 +155,7 @@ def test_limits_that_are_missing_or_too_narrow_are_named_by_axis_and_key() -> No
         live(pair_of(bare), SHORT)
     where = [problem.where for problem in caught.value.problems]
     assert where == [f"axis.{name}.limits.force_n" for name in AXES]
-    with pytest.raises(InputError, match="25 mm are more than its 20 mm"):
+    with pytest.raises(InputError, match="25 mm is more than the limit of 20 mm"):
         live(pair_of(), Sweep((1.0,), 25e-3))
 
 

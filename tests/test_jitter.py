@@ -96,7 +96,7 @@ def test_telemetry_reader_finds_the_record_of_every_tick_that_was_executed(
 
 
 def test_a_payload_without_controller_is_refused() -> None:
-    with pytest.raises(RthybError, match="not started"):
+    with pytest.raises(RthybError, match="could not be started"):
         JitterRun(10, "sample").run()
 
 
@@ -258,7 +258,7 @@ def test_one_late_tick_in_four_thousand_is_forgiven_if_none_was_skipped() -> Non
         ({"isolated_cpus": []}, "isolcpus"),
         ({"irq_affinity": None}, "IRQ affinity"),
         ({"governor": "powersave"}, "governor"),
-        ({"virtual_machine": True}, "PC of its own"),
+        ({"virtual_machine": True}, "a dedicated PC"),
         ({"cpus": 1}, "second processor core"),
         ({"load_1_min": 3.0}, "load"),
     ],
@@ -267,7 +267,7 @@ def test_the_remedy_is_named_for_what_the_machine_lacks(facts: dict[str, Any], r
     skipping = results(timing(*(10_000,) * 100, skipped=1))
     unhelped = jitter.judge(skipping, GOOD_PC).sentence
     assert remedy not in unhelped
-    assert "what else runs" in unhelped
+    assert "the other programs that run" in unhelped
     verdict = jitter.judge(skipping, {**GOOD_PC, **facts})
     assert remedy in verdict.sentence
     assert [what for what, how in verdict.remedies if remedy in what and len(how) > 10]
@@ -411,8 +411,8 @@ def test_an_unfit_pc_is_told_what_to_change(rthyb: Rthyb, tmp_path: Path) -> Non
     code, out, _ = rthyb("jitter", "--seconds", 1)
     assert code == 0  # measured, and that was asked for
     assert "This PC is not fit for 1024 Hz, because 15 of 515 ticks were skipped" in out
-    assert "Fit means: " in out
-    assert "run 3 times, the reference thread was over 10 ms late before" in out
+    assert "A PC is fit if: " in out
+    assert "run 3 times, because the reference thread was over 10 ms late before" in out
     (html,) = tmp_path.glob("runs/jitter-*/jitter.html")
     text = html.read_text(encoding="utf-8")
     assert text.count("<svg") == len(CASES)

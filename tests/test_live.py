@@ -752,14 +752,14 @@ def test_service_decides_and_its_reason_is_passed_on(memory: Path, role: Role) -
             status = told(socket, "status")
             good, text = give(socket, "zero")
             assert not good
-            assert text.startswith("Zero is for members of group rthyb-operator; ")
+            assert text.startswith("Zero requires membership of group rthyb-operator; ")
             good, text = give(socket, "stop")
             if role == Role.LOOK:
                 assert good
             else:
-                assert text.startswith("Stop is for members of group rthyb; ")
+                assert text.startswith("Stop requires membership of group rthyb; ")
                 assert not status["reachable"]
-                assert "GetStatus is for members of group rthyb" in status["trouble"]
+                assert "GetStatus requires membership of group rthyb" in status["trouble"]
         assert state_of(daemon) == "IDLE"
 
 

@@ -539,7 +539,7 @@ def test_rows_that_make_no_tick_do_not_come_out(recorded: Bench) -> None:
 def test_station_that_has_ticked_replays_nothing(recorded: Bench) -> None:
     station = core.Station(recorded.config, recorded.ag)
     station.tick(lost=True)
-    with pytest.raises(core.CoreError, match="fresh"):
+    with pytest.raises(core.CoreError, match="new station"):
         station.replay(recorded.rows())
 
 

@@ -203,7 +203,7 @@ def test_record_has_the_operators_command_and_whether_it_was_refused(command: co
 
 
 def test_number_of_no_command_is_refused() -> None:
-    with pytest.raises(core.CoreError, match="beyond the last one"):
+    with pytest.raises(core.CoreError, match="no such command exists"):
         core.command_of(len(core.COMMANDS) << 24)
 
 

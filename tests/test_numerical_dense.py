@@ -309,7 +309,7 @@ def test_a_part_that_means_nothing_is_refused(changed: dict[str, Any]) -> None:
 @pytest.mark.parametrize("n", [0, 9])
 def test_a_part_of_another_size_is_refused(n: int) -> None:
     square = rows(np.eye(n)) if n else ()
-    with pytest.raises(core.CoreError, match="one size from 1 to 8"):
+    with pytest.raises(core.CoreError, match="the same size, from 1 to 8"):
         DensePart(core.DenseConfig("cr", square, square, square, (1.0,) * n))
 
 

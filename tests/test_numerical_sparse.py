@@ -374,7 +374,7 @@ def test_a_saved_part_goes_on_as_if_nothing_had_been() -> None:
     assert one.save() == other.save()
     for i in range(500, 900):
         assert one.step(float(AG[i]), 2e4) == other.step(float(AG[i]), 2e4)
-    with pytest.raises(core.CoreError, match="a state of 3 bytes does not belong to this part"):
+    with pytest.raises(core.CoreError, match="a state of 3 bytes, which does not belong"):
         one.restore(b"abc")
 
 
@@ -442,7 +442,7 @@ def test_more_than_one_interface_is_not_for_a_controller_of_one_actuator() -> No
     two = building(interfaces=(((0, 1.0),), ((1, 1.0),)), k_e_n_per_m=(K_E, K_E))
     with pytest.raises(core.CoreError):
         core.Controller(controller(two))
-    with pytest.raises(core.CoreError, match="of 2 interfaces"):
+    with pytest.raises(core.CoreError, match="with 2 interfaces"):
         SparsePart(two).joined([], AG, 0)
 
 

@@ -89,7 +89,7 @@ dof = "11.x"
     [
         ("import openseespy.opensees as ops\n", "leaves no model"),
         ("x = 1\nraise ValueError('no such section')\n", "model.py:2: the script failed"),
-        ("import sys\nsys.exit(3)\n", "the script ended by exit(3)"),
+        ("import sys\nsys.exit(3)\n", "the script ended with exit(3)"),
         ("def broken(:\n", "the script failed (SyntaxError"),
     ],
 )

@@ -217,7 +217,10 @@ def test_an_fmu_without_any_binary_is_refused(build: Build) -> None:
 @BOTH
 def test_model_exchange_alone_is_refused(build: Build, fmi: int) -> None:
     problem = refused(of_test(build(fmi, kind="ModelExchange")))
-    assert "is for model exchange, without a solver; export it for co-simulation" in problem.message
+    assert (
+        "is an FMU for model exchange, which has no solver; export it for co-simulation"
+        in problem.message
+    )
 
 
 def test_an_fmu_that_can_be_instantiated_once_is_refused(build: Build) -> None:
@@ -227,7 +230,7 @@ def test_an_fmu_that_can_be_instantiated_once_is_refused(build: Build) -> None:
 
 WRONG_NAMES = {
     "force": ({"force": "F"}, 'has no variable "F"; of input it has ag, f'),
-    "displacement": ({"displacement": "f"}, '"f" is of the causality input; it must be output'),
+    "displacement": ({"displacement": "f"}, '"f" has the causality input; it must be output'),
     "ground_acceleration": ({"ground_acceleration": "a"}, 'no variable "a"'),
     "parameters": ({"parameters": {"mass": 3.0}}, 'no variable "mass"'),
     "record": ({"record": ["part.w"]}, 'no variable "part.w" (did you mean "part.v"?)'),
@@ -246,21 +249,21 @@ def test_variables_that_are_not_there_are_refused_with_those_that_are(
 
 
 def test_what_is_no_fmu_is_refused(tmp_path: Path) -> None:
-    assert "there is no file" in refused(of_test(str(tmp_path / "none.fmu"))).message
+    assert "does not exist; export it first" in refused(of_test(str(tmp_path / "none.fmu"))).message
     text = tmp_path / "text.fmu"
     text.write_text("no archive", encoding="utf-8")
-    assert "is no FMU (File is not a zip file)" in refused(of_test(str(text))).message
+    assert "is not an FMU (File is not a zip file)" in refused(of_test(str(text))).message
     with zipfile.ZipFile(text, "w") as archive:
         archive.writestr("readme.txt", "nothing")
-    assert "with modelDescription.xml in it" in refused(of_test(str(text))).message
+    assert "that contains modelDescription.xml" in refused(of_test(str(text))).message
     with zipfile.ZipFile(text, "w") as archive:
         archive.writestr("modelDescription.xml", '<fmiModelDescription fmiVersion="1.0"/>')
-    assert "is of FMI 1.0; allowed are 2.0 and 3.0" in refused(of_test(str(text))).message
+    assert "is for FMI 1.0; FMI 2.0 and 3.0 are supported" in refused(of_test(str(text))).message
 
 
 def test_a_recording_asks_for_the_very_fmu_that_it_was_made_with(build: Build) -> None:
     part = FmuConfig(build(2), K_E, "f", "x", "ag", (("m", 500.0),))
     plain = part.plain()
     assert FmuConfig.of_plain(plain).path == part.path
-    with pytest.raises(core.CoreError, match="is not the FMU that was meant"):
+    with pytest.raises(core.CoreError, match="is not the FMU that was recorded"):
         Part(FmuConfig.of_plain(plain | {"sha256": "0" * 64}))

@@ -240,11 +240,11 @@ def test_init_may_allocate_and_call_what_it_likes(build: Build) -> None:
 
 
 ANYWHERE = {
-    "crashes": ({"ANSWER": "if (s->n > 5) *(volatile int *)0 = 1"}, "crashes in a step (SIGSEGV"),
-    "aborts": ({"ANSWER": "abort()"}, "crashes in a step (SIGABRT"),
-    "crashes at once": ({"INIT": "*(volatile int *)0 = 1"}, "crashes while it was set up"),
-    "refuses": ({"INIT": "return 42"}, "refuses its settings (its init returned 42)"),
-    "exits": ({"ANSWER": "exit(3)"}, "ends the process"),
+    "crashes": ({"ANSWER": "if (s->n > 5) *(volatile int *)0 = 1"}, "crashed in a step (SIGSEGV"),
+    "aborts": ({"ANSWER": "abort()"}, "crashed in a step (SIGABRT"),
+    "crashes at once": ({"INIT": "*(volatile int *)0 = 1"}, "crashed while it was set up"),
+    "refuses": ({"INIT": "return 42"}, "rejected its settings (its init returned 42)"),
+    "exits": ({"ANSWER": "exit(3)"}, "ended the process"),
 }
 
 
@@ -262,7 +262,7 @@ def test_a_library_that_cannot_step_is_refused_and_takes_nothing_along(
 def test_a_step_without_an_end_is_ended(build: Build, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rthyb_rt.core.own_library.TRIAL_S", 0.3)
     (problem,) = refused(of_test(build(ANSWER="while (s->n > 3) s->k += 1")))
-    assert "did not return" in problem.message
+    assert "did not finish" in problem.message
     assert "in a step" in problem.message
 
 
@@ -309,7 +309,7 @@ def test_time_stands_still_in_a_hold(tmp_path: Path) -> None:
 def test_a_file_that_is_not_there_or_is_no_library_is_refused(tmp_path: Path) -> None:
     (problem,) = refused(of_test(str(tmp_path / "nothing.so")))
     assert problem.where.split(" ")[-1] == "numerical.library.file"
-    assert "there is no file" in problem.message
+    assert "does not exist; build it first" in problem.message
     text = tmp_path / "text.so"
     text.write_text("no library\n", encoding="utf-8")
     (problem,) = refused(of_test(str(text)))
@@ -328,7 +328,7 @@ def test_a_library_without_a_function_is_refused_with_what_it_must_have(tmp_path
 
 def test_another_version_and_too_many_interfaces_are_refused(build: Build) -> None:
     (problem,) = refused(of_test(build("old", VERSION="3")))
-    assert "version 3 of the interface, and this program has version 1" in problem.message
+    assert "version 3 of the interface, but this program has version 1" in problem.message
     (problem,) = refused(of_test(build("wide", INTERFACES="9")))
     assert "returns 9; it must be from 1 to 8" in problem.message
 
@@ -344,7 +344,7 @@ def test_parameters_that_are_missing_or_unknown_are_refused_with_those_that_ther
     assert "the parameter damping_n_s_per_m, stiffness_n_per_m of" in problem.message
     found = parameters() | {"mass_kg": -1.0}
     (problem,) = refused(of_test(file, parameters=found))
-    assert "refuses its settings (its init returned 1)" in problem.message
+    assert "rejected its settings (its init returned 1)" in problem.message
     with pytest.raises(rt.InputError, match=r"found \"a lot\""):
         of_test(file, parameters={"mass_kg": "a lot"})
 
@@ -358,9 +358,9 @@ def test_names_that_no_recording_can_have_are_refused(build: Build) -> None:
         return build(name, MORE=code)
 
     (problem,) = refused(of_test(naming("capital", "Roof[m]")))
-    assert '"Roof[m]" as a response' in problem.message
+    assert 'the response "Roof[m]"' in problem.message
     (problem,) = refused(of_test(naming("unreported", "roof[m]")))
-    assert "has no rthyb_part_report" in problem.message
+    assert "has no function rthyb_part_report" in problem.message
 
 
 def test_only_one_numerical_part_is_taken(tmp_path: Path) -> None:
@@ -374,7 +374,7 @@ def test_a_recording_asks_for_the_very_library_that_it_was_made_with(build: Buil
     part = LibraryConfig(build(), K_E)
     plain = part.plain()
     assert LibraryConfig.of_plain(plain) == LibraryConfig(part.path, K_E, sha256=plain["sha256"])
-    with pytest.raises(core.CoreError, match="is not the library that was meant"):
+    with pytest.raises(core.CoreError, match="is not the library that was recorded"):
         Part(LibraryConfig.of_plain(plain | {"sha256": "0" * 64}))
 
 

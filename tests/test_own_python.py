@@ -217,7 +217,7 @@ def test_what_no_file_can_hold_is_refused_where_it_is_given() -> None:
     class Inner(rt.ControlLaw):
         """Nothing else finds it."""
 
-    with pytest.raises(rt.InputError, match="define the class at the top of its module"):
+    with pytest.raises(rt.InputError, match="define the class at the top level of its module"):
         SHORT.with_(controller=Inner())
     with pytest.raises(rt.InputError, match=r"give an instance, Spring\(\.\.\.\)"):
         SHORT.with_(rig={"specimen": [own_parts.Spring]})

@@ -175,7 +175,7 @@ def test_senseless_value_is_refused_and_the_set_before_stays(name: str, bad: flo
         bench.loop.set_parameters(good)
         bench.step()
         wrong = {"watches": {"force": core.Watch(bad, "trip")}} if name == "force" else {name: bad}
-        with pytest.raises(core.CoreError, match="must lie in"):
+        with pytest.raises(core.CoreError, match="must be from"):
             bench.loop.set_parameters(changed(bench, **wrong))
         bench.step()
         assert in_force(bench) == good
@@ -185,13 +185,16 @@ def test_senseless_value_is_refused_and_the_set_before_stays(name: str, bad: flo
 
 @pytest.mark.parametrize("name", ["path_velocity_m_per_s", "path_acceleration_m_per_s2"])
 def test_path_without_velocity_or_acceleration_is_refused(name: str) -> None:
-    with Bench() as bench, pytest.raises(core.CoreError, match="must lie in"):
+    with Bench() as bench, pytest.raises(core.CoreError, match="must be from"):
         bench.loop.set_parameters(changed(bench, **{name: 0.0}))
 
 
 @pytest.mark.parametrize("name", ["completed", "link_down", "speed"])
 def test_watch_on_nothing_is_refused(name: str) -> None:
-    with Bench() as bench, pytest.raises(core.CoreError, match=f"under the name {name}"):
+    with (
+        Bench() as bench,
+        pytest.raises(core.CoreError, match=f"no quantity to watch is called {name}"),
+    ):
         bench.loop.set_parameters(changed(bench, watches={name: core.Watch(1.0, "trip")}))
 
 

@@ -213,7 +213,7 @@ def test_stability_decision_equals_root_finding_on_641_by_641_weights() -> None:
     ],
 )
 def test_weights_outside_the_stable_region_are_refused(w1: float, w2: float) -> None:
-    with pytest.raises(core.CoreError, match="W1, W2"):
+    with pytest.raises(core.CoreError, match="W1 and W2"):
         core.Plc(w1, w2)
 
 

@@ -275,7 +275,7 @@ def test_a_recording_states_all_settings_and_a_replay_derives_none(tmp_path: Pat
     written["ramp_in_ticks"] = 78
     assert not realtime.replay(back).identical
     written["no_such_figure"] = 1
-    with pytest.raises(RthybError, match="replay with the version that recorded"):
+    with pytest.raises(RthybError, match="replay the recording with the version that recorded"):
         realtime.replay(back)
 
 
@@ -307,7 +307,7 @@ def test_row_that_was_changed_is_where_the_replay_departs() -> None:
 def test_recording_without_its_first_rows_cannot_be_replayed() -> None:
     rec = Bench().run()
     rec.samples = rec.samples[5:]
-    with pytest.raises(InputError, match="rows before the first one are missing"):
+    with pytest.raises(InputError, match="first rows of the test are missing"):
         realtime.replay(rec)
 
 

@@ -201,7 +201,7 @@ def test_the_lead_of_the_link_clock_fits_the_period(rate_hz: int, lead_us: float
 
 def test_a_pc_that_does_not_wake_up_for_the_rate_is_refused_before_anything_moves() -> None:
     with pytest.raises(
-        TimingError, match=r"does not wake up for 2048 Hz: of \d+ ticks at rest \d+ "
+        TimingError, match=r"does not wake up in time for 2048 Hz: of \d+ ticks at rest \d+ "
     ):
         run(short_test(2048), skip=1)
 
@@ -248,7 +248,7 @@ def test_a_certificate_holds_at_its_rate_alone(tmp_path: Path) -> None:
     assert certificate.standing(made_at, path).holds is not None
     stands = certificate.standing(rig_at(2048), path)
     assert stands.holds is None
-    assert "at 1024 Hz, and is to run at 2048 Hz (link.sample_rate_hz)" in stands.why_not
+    assert "at 1024 Hz, but is now to run at 2048 Hz (link.sample_rate_hz)" in stands.why_not
 
 
 def test_a_certificate_of_before_there_were_rates_is_of_1024_hz(tmp_path: Path) -> None:

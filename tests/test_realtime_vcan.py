@@ -934,7 +934,8 @@ def test_adapter_of_another_bit_rate(
         ({"bitrate": "500_000"}, "found 500000 bit/s: frame rate over 80 % bus load"),
         (
             {"dbc": '"drive.dbc"', "fd": "true", "bitrate": ""},
-            "drive.dbc: x_cmd: no signal of this name, but the commanded displacement is needed; ",
+            "drive.dbc: x_cmd: no signal of this name exists, but the commanded displacement "
+            "is needed; ",
         ),
         (
             {"dbc": '"none.dbc"'},
@@ -981,7 +982,7 @@ def test_pc_without_privileges_is_refused_where_real_time_is_required(lab: CanLa
         assert drive.end()[0] == 0
     assert answer.returncode == 7
     assert "did not obtain real-time priority and locked memory" in answer.stderr
-    assert "rthyb jitter says how to obtain them" in answer.stderr
+    assert "run rthyb jitter to see how to obtain them" in answer.stderr
     assert not (lab.folder / "out").exists()
     seen = np.load(log)
     assert np.isin(seen["state"][seen["frames"] > 0], (STATE["IDLE"], LEAVING)).all()

@@ -516,15 +516,18 @@ def refusal(path: Path) -> str:
 
 def test_ring_of_another_layout_is_refused_with_the_version_that_wrote_it(small: Ring) -> None:
     patch(small.path, 8, struct.pack("<I", 2))
-    assert re.search(r"layout 2 of the ring of rthyb_rt \d.*reads layout 3", refusal(small.path))
+    assert re.search(
+        r"the ring of rthyb_rt \d.* has layout 2, but this version reads layout 3",
+        refusal(small.path),
+    )
     patch(small.path, ABOUT_AT, b"?")
-    assert "layout 2 of the ring, this version reads layout 3" in refusal(small.path)
+    assert "the ring has layout 2, but this version reads layout 3" in refusal(small.path)
 
 
 def test_ring_with_other_fields_is_refused(small: Ring) -> None:
     data = small.path.read_bytes()
     patch(small.path, data.index(b'"alpha"'), b'"gamma"')
-    assert re.search(r"the ring of rthyb_rt \d.* has other fields", refusal(small.path))
+    assert re.search(r"the ring of rthyb_rt \d.* has different fields", refusal(small.path))
 
 
 def test_ring_with_longer_records_is_refused(small: Ring) -> None:

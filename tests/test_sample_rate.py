@@ -533,7 +533,7 @@ def test_a_period_too_short_for_central_differences_at_256_hz_is_refused() -> No
 def test_a_station_and_a_rig_of_two_rates_are_not_joined() -> None:
     setup = prepared(4096.0)
     station = core.Station(experiment.station_config(setup), setup.ag_mps2)
-    with pytest.raises(core.CoreError, match="must be the same"):
+    with pytest.raises(core.CoreError, match="must be equal"):
         core.Virtual(station, core.Rig(experiment.rig_config(setup.rig)))
 
 

@@ -284,7 +284,7 @@ def test_limits_reloaded_at_rest_go_into_the_next_test(made: Made) -> None:
 def test_more_than_limits_is_no_reload_and_is_told_with_its_axis(made: Made) -> None:
     other = pair_of(LIMITED.replace("delay_samples = 9", "delay_samples = 8"))
     with made() as lab:
-        with pytest.raises(StateError, match=r"axis\.right\.actuator of the rig file changed too"):
+        with pytest.raises(StateError, match=r"axis\.right\.actuator of the rig file also changed"):
             lab.engine.reload(other)
         assert lab.engine.rig == pair_of()
 

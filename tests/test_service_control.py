@@ -201,7 +201,10 @@ def test_refusal_says_why_and_where_it_is_allowed(real: daemon.Daemon) -> None:
     found = ask(real.dispatcher, call("Hold"))
     assert found["error"] == f"{INTERFACE}.Refused"
     assert found["parameters"] == {
-        "reason": "hold: not in this state; the state is IDLE, hold is allowed in RUNNING or HOLD",
+        "reason": (
+            "hold: not possible in this state; the state is IDLE, hold is allowed in "
+            "RUNNING or HOLD"
+        ),
         "state": "IDLE",
         "allowed": ["RUNNING", "HOLD"],
     }
@@ -232,7 +235,7 @@ def test_nobody_is_let_in_who_has_no_business_there(real: daemon.Daemon, name: s
     found = ask(real.dispatcher, call(name), STRANGER)
     assert found["error"] == f"{INTERFACE}.NotPermitted"
     assert found["parameters"]["group"] == ("rthyb" if name in LOOK else "rthyb-operator")
-    assert "uid 1003: no right here" in found["parameters"]["reason"]
+    assert "uid 1003 is not in any group with rights here" in found["parameters"]["reason"]
     looked = ask(real.dispatcher, call(name), LOOKER)
     refused = looked.get("error") == f"{INTERFACE}.NotPermitted"
     assert refused == (name in OPERATE)
@@ -358,12 +361,12 @@ def test_long_request_is_not_taken_apart_where_a_test_has_begun_meanwhile(place:
     def may_begin() -> None:
         asked.append(True)
         if len(asked) > 1:
-            raise engine.StateError("load", "a test is loaded between two tests only", "RUNNING")
+            raise engine.StateError("load", "a test can be loaded only in IDLE", "RUNNING")
 
     with (
         listening(place / "s", echoing(may_begin)),
         Client(place / "s") as client,
-        pytest.raises(Refusal, match="a test is loaded between two tests only"),
+        pytest.raises(Refusal, match="a test can be loaded only in IDLE"),
     ):
         client.call("Load", text="x" * (LOAD_BYTES - 1000))
     assert len(asked) == 2
@@ -410,7 +413,7 @@ def test_request_of_64_kib_passes_and_a_longer_one_does_not(place: Path) -> None
                 if passes:
                     assert client.call("Hold", text="x" * (size - around))
                     continue
-                with pytest.raises(Refusal, match="is 65536 bytes long at most"):
+                with pytest.raises(Refusal, match="may be at most 65536 bytes long"):
                     client.call("Hold", text="x" * (size - around))
         assert server.requests == 2
 
@@ -429,7 +432,7 @@ def test_long_request_is_refused_before_it_is_read_where_no_test_may_be_loaded(
     place: Path,
 ) -> None:
     def refuse() -> None:
-        raise engine.StateError("load", "a test is loaded between two tests only", "RUNNING")
+        raise engine.StateError("load", "a test can be loaded only in IDLE", "RUNNING")
 
     with listening(place / "s", echoing(refuse)):
         reply = raw(place / "s", b"x" * (2 * REQUEST_BYTES))
@@ -460,7 +463,7 @@ def test_slow_writer_and_idle_client_are_hung_up_on(place: Path) -> None:
                 client.connect(str(place / "s"))
                 client.sendall(begin)
                 reply = client.recv(4096)
-                assert b"nothing came for too long" in reply
+                assert b"the request was not completed in time" in reply
                 assert client.recv(4096) == b""
         with Client(place / "s") as client:
             assert client.call("Hold")
@@ -584,7 +587,7 @@ def test_second_service_on_one_socket_is_refused_and_a_dead_one_replaced(place: 
     left_over.close()
     with listening(path, echoing()):
         second = listening(path, echoing())
-        with pytest.raises(RthybError, match="another service listens here"):
+        with pytest.raises(RthybError, match="another service is already listening here"):
             second.__enter__()
         with Client(path) as client:
             assert client.call("Hold")
@@ -698,8 +701,8 @@ def test_record_of_any_shape_is_taken_or_named(record: dict[str, Any]) -> None:
         ({"source": "\u202e"}, r"record\.source.*U\+202E"),
         ({"details": {"format": "a\0"}}, r"record\.details.*U\+0000"),
         ({"details": {"\ud800": "x"}}, r"record\.details.*U\+D800"),
-        ({"details": {str(n): "" for n in range(101)}}, "at most 100 are accepted"),
-        ({"details": {"notes": "x" * 100_000}}, "100000 signs in all"),
+        ({"details": {str(n): "" for n in range(101)}}, "at most 100 entries are accepted"),
+        ({"details": {"notes": "x" * 100_000}}, "100000 characters in total"),
     ],
 )
 def test_record_that_no_file_has_is_refused_as_it_comes(

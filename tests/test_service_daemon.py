@@ -282,7 +282,7 @@ def test_killed_recorder_costs_no_row_and_sigterm_ends_at_rest() -> None:
         assert realtime.replay(rec).identical
         assert assert_drive_heard(rec, log) > 300
         assert STATE["TRIPPED"] not in log["state"][log["frames"] > 0]
-        assert len(re.findall("the recorder ended with status -9; started again", err)) == 2
+        assert len(re.findall("the recorder ended with status -9; it has been restarted", err)) == 2
 
     repeated(attempt)
 
@@ -351,7 +351,7 @@ def test_nothing_begins_to_move_once_the_service_is_told_to_end(tmp_path: Path) 
         loop = made._server._accepting.get_loop()
         refused = asyncio.run_coroutine_threadsafe(end_then_start(made, token), loop).result(20.0)
         assert len(refused) == 3
-        assert all("the service is about to end" in words for words in refused)
+        assert all("the service is shutting down" in words for words in refused)
         until(lambda: not made.options.socket.exists(), "its end")
         assert made.engine.state == "ARMED"
 
@@ -786,12 +786,12 @@ def test_program_that_the_service_cannot_see_is_refused(
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
     monkeypatch.setattr(installing, "HIDDEN", (str(tmp_path),))
-    with pytest.raises(Exception, match="which the service does not see"):
+    with pytest.raises(Exception, match="which the service cannot see"):
         installing.program()
     monkeypatch.setattr(installing, "HIDDEN", ("/home",))
     assert installing.program() == program
     monkeypatch.setattr(sys, "executable", "/home/alice/.pyenv/bin/python3")
-    with pytest.raises(Exception, match=r"alice/.pyenv/bin/python3 lies below /home"):
+    with pytest.raises(Exception, match=r"alice/.pyenv/bin/python3 is in /home"):
         installing.program()
     # A name in /opt that leads to somebody's home, and sources that do.
     monkeypatch.setattr(sys, "executable", "/usr/bin/python3")
@@ -800,11 +800,11 @@ def test_program_that_the_service_cannot_see_is_refused(
     program.rename(hidden)
     program.symlink_to(hidden)
     monkeypatch.setattr(installing, "HIDDEN", (str(hidden.parent),))
-    with pytest.raises(Exception, match=f"{hidden} lies below {hidden.parent}"):
+    with pytest.raises(Exception, match=f"{hidden} is in {hidden.parent}"):
         installing.program()
     monkeypatch.setattr(installing, "HIDDEN", (str(installing._PACKAGE.parent),))
-    with pytest.raises(Exception, match=f"{installing._PACKAGE} lies below"):
+    with pytest.raises(Exception, match=f"{installing._PACKAGE} is in"):
         installing.program()
     program.unlink()
-    with pytest.raises(Exception, match="there is no program rthyb"):
+    with pytest.raises(Exception, match="this installation has no program rthyb"):
         installing.program()

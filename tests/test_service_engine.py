@@ -149,7 +149,9 @@ def test_only_the_token_of_this_arming_starts(rings: Path) -> None:
         engine = made.engine
         made.reach("ARMED")
         for wrong in ("", "0" * 32, "é"):
-            with pytest.raises(StateError, match="armed by the test, and only who arms starts"):
+            with pytest.raises(
+                StateError, match="armed by the test, and only that user may start it"
+            ):
                 engine.start_test(wrong)
         engine.command("stop")
         made.finish()
@@ -205,7 +207,7 @@ def test_test_that_is_stopped_before_it_moves_leaves_nothing(rings: Path) -> Non
         made.reach("ARMED")
         made.engine.command("stop")
         made.finish()
-        assert "section5-t0.5: nothing moved, nothing is kept" in made.said
+        assert "section5-t0.5: nothing moved, so no recording is kept" in made.said
         assert len(ring.find(rings)) == 1
     assert ring.find(rings) == []
 
@@ -339,7 +341,7 @@ def test_drive_that_does_not_hear_a_reset_is_named(rings: Path) -> None:
             drive.tick()
         made = begin()
         drive.schedule([loop.Fault("drop-command", 0, 2**40)])
-        with pytest.raises(StateError, match="the drive was sent a reset but stays stopped"):
+        with pytest.raises(StateError, match="the drive was sent a reset but remains stopped"):
             made.engine.command("reset")
         drive.schedule([])
         made.engine.command("reset")
@@ -541,7 +543,7 @@ def test_reload_that_the_tick_refuses_says_why_and_changes_nothing(rings: Path) 
 
 def test_more_than_limits_is_no_reload(rings: Path) -> None:
     with bench(rings) as made:
-        with pytest.raises(StateError, match="sensors of the rig file changed too; restart"):
+        with pytest.raises(StateError, match="sensors of the rig file also changed; restart"):
             made.engine.reload(rig_file({"rig.sensors.force.noise_std_n": "7"}))
         assert made.engine.rig.sensors.force.noise_std_n != 7
 

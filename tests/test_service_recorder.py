@@ -248,7 +248,10 @@ def test_two_tests_of_one_second_get_a_folder_each(place: Path) -> None:
 
 
 def test_second_recorder_is_refused(place: Path) -> None:
-    with recorder(place), pytest.raises(RthybError, match="another recorder is running here"):
+    with (
+        recorder(place),
+        pytest.raises(RthybError, match="another recorder is already running here"),
+    ):
         Recorder(place / "rings", place / "runs")
 
 
@@ -555,8 +558,8 @@ def test_ring_of_another_version_is_a_fault_that_says_what_to_restart(
             patch.setattr(ring, "_fields", lambda _: [])
             turns(working)
             fault = working.status().fault
-            assert "has other fields" in fault
-            assert "restarts rthyb-recorder too" in fault
+            assert "has different fields" in fault
+            assert "restart rthyb-recorder whenever rthyb is restarted" in fault
             assert [record.levelname for record in caplog.records].count("ERROR") == 1
         made.ring.remove()
         turns(working)
@@ -575,7 +578,10 @@ def test_ring_whose_file_is_of_another_course_is_a_fault(place: Path) -> None:
         file["samples"][1023:] = other
     with recorder(place) as working:
         turns(working)
-        assert "the file ends with tick 5000, the ring has 1023 there" in working.status().fault
+        assert (
+            "the file ends with tick 5000, but the ring has tick 1023 in that place"
+            in working.status().fault
+        )
     made.ring.remove()
 
 

@@ -1056,7 +1056,7 @@ def test_all_faults_of_a_dbc_are_named_at_once(tmp_path: Path) -> None:
 def test_command_and_feedback_in_one_frame_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "one.dbc"
     path.write_text(VENDOR, encoding="ascii")
-    with pytest.raises(InputError, match="need a frame each"):
+    with pytest.raises(InputError, match="each needs a frame of its own"):
         dbc.load(path, VENDOR_NAMES | {"x_meas": "Setpoint"})
 
 

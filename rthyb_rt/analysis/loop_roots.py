@@ -395,9 +395,10 @@ def remark(found: Verdict | None) -> str | None:
         per_ms = 1e3 / STANDARD_HZ
         return (
             "the whole loop is stable, but with little margin: it tolerates "
-            f"{found.gain_margin:.3g} times the rig's gain ({THIN_GAIN:g} are advised) and "
-            f"{found.delay_margin_samples * per_ms:.3g} ms of additional delay "
-            f"({THIN_DELAY_SAMPLES * per_ms:.2g} ms are advised); {known}"
+            f"{found.gain_margin:.3g} times the rig's gain ({THIN_GAIN:g} are advised) and an "
+            f"additional delay of {found.delay_margin_samples * per_ms:.3g} ms, "
+            f"{found.delay_margin_samples:.3g} samples ({THIN_DELAY_SAMPLES * per_ms:.2g} ms are "
+            f"advised); {known}"
         )
     remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else _FAST
     return (

@@ -24,8 +24,8 @@ from rthyb_rt.record.recording import Recording
 Floats = NDArray[np.float64]
 
 NOT_COMPUTED: Final = (
-    "critical delay, margins of the delay estimator and energy of the tracking error are defined "
-    "for one axis only, and are not computed for several"
+    "critical delay, margins of the delay estimator and energy of the tracking error are "
+    "defined for one axis only, and are not computed for several"
 )
 
 
@@ -285,7 +285,7 @@ def table(s: AxesSummary) -> list[Row]:
             delay = axis.delay_samples
             rows.append(
                 Row(f"Axis {axis.name}: delay estimate", quantity(delay, "samples", digits=4),
-                    f"at the end, {number(delay / s.fs_hz * 1e3, 3)} ms")
+                    f"{number(delay / s.fs_hz * 1e3, 3)} ms at the end")
             )  # fmt: skip
     return rows + live_rows(s.live)
 

@@ -861,8 +861,9 @@ def live_notices(found: Live | None) -> list[Notice]:
         notices.append(
             Notice(
                 "alarm",
-                f"The clocks of the drive and this PC slipped by {count(found.slips, 'sample')}: "
-                "the delay estimate contains steps that are not caused by the rig.",
+                "The clocks of the drive and of this PC drifted apart by "
+                f"{count(found.slips, 'sample')}: the delay estimate contains steps that are not "
+                "caused by the rig.",
             )
         )
     if found.missed_rows:

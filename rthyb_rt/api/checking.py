@@ -86,8 +86,8 @@ class Check:
         if not isinstance(self._found, Examined):
             names = ", ".join(self._found.group.rig.names)
             raise InputError(
-                f"the figures of a check are of a rig with one axis, and this one has the axes "
-                f"{names}; figures, table and notes are there for all of them",
+                "the plots of a check exist only for a rig with one axis, but this rig has the "
+                f"axes {names}; its figures, table and notes are available",
                 what,
             )
         return self._found

@@ -66,7 +66,8 @@ class Plot:
         kind = path.suffix.removeprefix(".")
         if kind not in known:
             raise InputError(
-                f"found the ending {written(path.suffix)}; must be one of {', '.join(known)}",
+                f"found the file name extension {written(path.suffix)}; must be one of "
+                f"{', '.join(known)}",
                 str(path),
             )
         with files.replacing(path) as temporary:
@@ -566,7 +567,8 @@ class Recording(Mapping[str, NDArray[Any]]):
         path = path_of(path, "export", "the file to write, signals.csv")
         if path.suffix not in _SUFFIXES:
             raise InputError(
-                f"found the ending {written(path.suffix)}; must be one of {', '.join(_SUFFIXES)}",
+                f"found the file name extension {written(path.suffix)}; must be one of "
+                f"{', '.join(_SUFFIXES)}",
                 str(path),
             )
         if path.suffix == ".mat":

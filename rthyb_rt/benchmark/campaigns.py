@@ -99,7 +99,7 @@ def of(file: CampaignFile, path: Path) -> Plan:
     """
     wanted = file.benchmark
     if wanted is None:
-        raise ValueError("the campaign is not one of a benchmark")
+        raise ValueError("the campaign has no [benchmark]")
     known: dict[str, Sequence[Any]] = {
         "rate_hz": list(cases.RATES),
         "motion": list(cases.MOTIONS),

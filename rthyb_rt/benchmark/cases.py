@@ -111,7 +111,8 @@ def entrant(name: str) -> Entrant:
     if law not in LAWS or (force and with_rfc):
         raise InputError(
             f"found {name!r}; must be {BASELINE}, the benchmark's own controller, or a control "
-            f"law: {', '.join(LAWS)}; those of others with {WITH_FORCE} as well",
+            f"law: {', '.join(LAWS)}; a law without force compensation of its own may be "
+            f"followed by {WITH_FORCE}",
             "--law",
         )
     settings: dict[str, float] = {}

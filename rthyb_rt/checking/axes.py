@@ -64,8 +64,8 @@ class ExaminedAxes:
         law = MATRIX if by_matrix else law_of_axis(self.setup.test, name).type
         position, force = limits.command_position_m, limits.force_n
         rows: Rows = [
-            (f"Axis {name}", law, f"feels {quantity(own.k_e_n_per_m, 'kN/m', 1e-3, 4)} with the "
-             "others at rest"),
+            (f"Axis {name}", law, f"stiffness {quantity(own.k_e_n_per_m, 'kN/m', 1e-3, 4)} "
+             "with the other axes at rest"),
             ("  Displacement", quantity(peak_m, "mm", 1e3),
              _of_limit(position.value * 1e3 if position else None, "mm")),
             ("  Force", quantity(peak_n, "kN", 1e-3),

@@ -126,7 +126,7 @@ def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
                 (
                     "Critical delay, adapted",
                     _followed(setup, f, samples),
-                    "elastic specimen, alpha = delay",
+                    "elastic specimen, alpha = delay of the rig",
                 )
             )
     if f.identified_delay_samples is not None:

@@ -95,7 +95,7 @@ def campaign(
 def refuse_both(jobs: int | None, cluster: str | None) -> None:
     """Refuse processes of this machine beside those of a cluster."""
     if jobs is not None and cluster is not None:
-        raise typer.BadParameter("is for this machine; leave it out with --cluster",
+        raise typer.BadParameter("applies to the processes of this machine; omit it with --cluster",
                                  param_hint="--jobs")  # fmt: skip
 
 

@@ -53,7 +53,7 @@ def check(
     test_file, rig_file = load_any(test, rig, settings)
     if isinstance(rig_file, AxesRig):
         if plot is not None:
-            raise InputError("the figures are of a rig with one axis; leave it out", "--plot")
+            raise InputError("plots exist only for a rig with one axis; omit the option", "--plot")
         axes = examine_axes(test_file, rig_file)
         _print_axes(axes, terminal.people(as_json))
         if as_json:

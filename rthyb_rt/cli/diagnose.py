@@ -183,7 +183,7 @@ def diagnose(
     axes = chosen(recording, reading.axes_of(recording), model_path, axis, "--axis")
     if len(axes) > 1 and predict is not None:
         raise typer.BadParameter(
-            f"a prediction is of one axis; choose one with --axis {axes[0].name}",
+            f"a prediction covers one axis; choose it with --axis {axes[0].name}",
             param_hint="--predict",
         )
     done = []
@@ -286,9 +286,9 @@ def _second(path: Path, case: Case, wishes: list[Wish], of: OfAxis | None) -> Ca
 
 
 def _say(notes: list[str]) -> None:
-    """Say before the work, on stderr, what was taken for something that the file does not say."""
+    """Report on stderr, before the work, what the file does not state and was assumed."""
     for note in notes:
-        if "taken for" in note or "taken to be" in note:
+        if "read as" in note or "assumed to be" in note:
             print(f"rthyb: {note}", file=sys.stderr)
 
 

@@ -52,10 +52,10 @@ def export(
         raise typer.BadParameter("choose one of the two", param_hint="--mat / --csv")
     if full and mat:
         raise typer.BadParameter(
-            "belongs to --csv; a MAT file has every field", param_hint="--full"
+            "applies only to --csv; a MAT file always has every field", param_hint="--full"
         )
     if axis is not None and (full or mat):
-        raise typer.BadParameter("belongs to --csv without --full", param_hint="--axis")
+        raise typer.BadParameter("applies only to --csv without --full", param_hint="--axis")
     from rthyb_rt.record import axis_export
     from rthyb_rt.record.export import to_csv, to_mat
     from rthyb_rt.record.recording import open_run

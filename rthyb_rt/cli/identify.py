@@ -269,8 +269,9 @@ def _note_rate(rate: Rate, file: IO[str]) -> None:
     """Say of which length the samples are where the sweep had others."""
     if rate.pace != 1.0:
         print(
-            f"Note: the sweep ran at {rate.hz:g} Hz; samples are of 1/1024 s, as in any rig file. "
-            "The rig file has the frequency response of commands that are held for 1/1024 s",
+            f"Note: the sweep ran at {rate.hz:g} Hz, but samples are of 1/1024 s here, as in "
+            "every rig file, and the frequency response in the rig file is for commands held "
+            "for 1/1024 s",
             file=file,
         )
 

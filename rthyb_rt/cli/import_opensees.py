@@ -56,7 +56,11 @@ def import_opensees(
         ("Degrees of freedom", str(data.size), f"{massless} without mass"),
         ("Labels", ", ".join(data.labels[:4]) + (", ..." if data.size > 4 else ""), "NODE.way"),
         ("Influence vectors", ", ".join(data.influence), "direction of [numerical.matrices]"),
-        ("Damping", "of the model" if damped else "none", "" if damped else "give damping"),
+        (
+            "Damping",
+            "from the model" if damped else "none",
+            "" if damped else "set numerical.damping",
+        ),
         ("File", str(path), ""),
     ]
     terminal.print_table(rows, terminal.people(as_json))

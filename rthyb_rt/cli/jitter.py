@@ -66,7 +66,7 @@ def jitter(
 
     if not 1.0 / rate <= seconds <= LONGEST_S:
         raise typer.BadParameter(
-            f"found {seconds:g}, allowed is one tick to {LONGEST_S:g} s (a day)",
+            f"found {seconds:g}; must be from one tick to {LONGEST_S:g} s (a day)",
             param_hint="--seconds",
         )
     refuse_taken(out)
@@ -157,11 +157,11 @@ def _print_result(
         if result.attempts > 1:
             late = "in each of them" if result.disturbed else "before"
             print(
-                f"Note: {result.case.title}: run {result.attempts} times, the reference thread was "
-                f"over 10 ms late {late}",
+                f"Note: {result.case.title}: run {result.attempts} times, because the reference "
+                f"thread was over 10 ms late {late}",
                 file=file,
             )
     print(f"\n{verdict.sentence}", file=file)
     for what, how in verdict.remedies:
         print(f"  {what}: {how}", file=file)
-    print(f"Fit means: {criterion(results[0].rate)}.", file=file)
+    print(f"A PC is fit if: {criterion(results[0].rate)}.", file=file)

@@ -31,7 +31,7 @@ def read(text: str, option: str, allowed: Allowed) -> float:
     from rthyb_rt.units import UnitError, convert
 
     plain = _PLAIN.fullmatch(text)
-    fault = f", taken to be in {allowed.plain}" if plain else ""
+    fault = f", assumed to be in {allowed.plain}" if plain else ""
     try:
         value = convert(f"{text} {allowed.plain}" if plain else text, allowed.unit)
         if allowed.low <= value <= allowed.high:

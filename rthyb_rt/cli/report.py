@@ -45,7 +45,9 @@ def report(
     from rthyb_rt.report import write_report
 
     if files is not None and out is not None:
-        raise typer.BadParameter("is for the page; omit it with --files", param_hint="--out")
+        raise typer.BadParameter(
+            "applies only to the page; omit it with --files", param_hint="--out"
+        )
     rec = open_run(recording)
     if files is not None:
         from rthyb_rt.report.files import write_files

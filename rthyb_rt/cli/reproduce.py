@@ -76,7 +76,7 @@ def reproduce(
     from rthyb_rt.studies import page
 
     if record is not None and section not in (Section.INELASTIC, Section.ALL):
-        raise typer.BadParameter("belongs to Section 4.2", param_hint="--record")
+        raise typer.BadParameter("applies only to Section 4.2", param_hint="--record")
     refuse_taken(out)
     started = datetime.datetime.now(datetime.UTC)
     with terminal.sections("Reproducing") as progress:

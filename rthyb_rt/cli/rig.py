@@ -169,11 +169,11 @@ def _plan(
 
     if not abs(drift_ppm) <= virtual_rig.DRIFT_MAX_PPM:
         raise typer.BadParameter(
-            f"found {drift_ppm:g}, allowed is -199 to 199", param_hint="--drift-ppm"
+            f"found {drift_ppm:g}; must be from -199 to 199", param_hint="--drift-ppm"
         )
     if seconds is not None and not 0.0 < seconds <= 1e6:
         raise typer.BadParameter(
-            f"found {seconds:g}, allowed is more than 0, to 1e6 s", param_hint="--seconds"
+            f"found {seconds:g}; must be above 0, up to 1e6 s", param_hint="--seconds"
         )
     if log is not None and log.suffix not in virtual_rig.LOG_SUFFIXES:
         raise typer.BadParameter(
@@ -221,7 +221,7 @@ def _lines(
     wires = (("--can", can), ("--serial", serial), ("--socket", socket))
     given = [name for name, value in (*wires, ("--pty", pty)) if value]
     if len(given) > 1:
-        raise typer.BadParameter(f"{' and '.join(given)} exclude each other: choose one")
+        raise typer.BadParameter(f"{' and '.join(given)} cannot be combined: choose one")
     axes = axes_of(rig_file)
     with ExitStack() as owned:
         if pty:
@@ -249,7 +249,7 @@ def _with_links(rig: AxesRig, wires: Sequence[tuple[str, str | None]]) -> AxesRi
         channels = text.split(",")
         if len(channels) != len(rig.axis):
             raise typer.BadParameter(
-                f"found {text}, {len(channels)} of them; the rig has {len(rig.axis)} axes "
+                f"found {text}, which are {len(channels)}; the rig has {len(rig.axis)} axes "
                 f"({', '.join(rig.names)}): give one for each, separated by commas",
                 param_hint=option,
             )

@@ -110,7 +110,8 @@ def run(
         raise typer.BadParameter("needs --realtime", param_hint="--clock")
     if fault and realtime:
         raise typer.BadParameter(
-            "is for the virtual rig without --realtime; over a link use the option of `rthyb rig`",
+            "applies only to the virtual rig without --realtime; over a link, give it to `rthyb "
+            "rig`",
             param_hint="--fault",
         )
     started = datetime.datetime.now(datetime.UTC)

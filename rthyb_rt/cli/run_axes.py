@@ -89,7 +89,7 @@ def _tell(setup: Setup, rec: Recording, folder: Path, *, report: bool, as_json: 
     print(f"{setup.test.test.name} on {setup.rig_file.rig.name}: {motion}\n", file=file)
     result = measured.summarize(rec) if rec.running().any() else None
     if result is None:
-        print(f"The test did not finish: {rec.meta['end_reason']}.", file=file)
+        print(f"The test did not complete: {rec.meta['end_reason']}.", file=file)
     else:
         terminal.print_table(measured.table(result), file)
         print(f"\n{measured.verdict(result)}", file=file)

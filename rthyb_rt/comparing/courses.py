@@ -101,7 +101,9 @@ def read(
         course = recorded(what, label, axis)
         found += beside_reference(what, course) if len(given) == 1 else [course]
     if axis is not None and not any(course.axis for course in found):
-        raise InputError(f"found {axis}, but nothing here has several axes; leave this out", "axis")
+        raise InputError(
+            f"found {axis}, but none of the recordings has several axes; omit the option", "axis"
+        )
     return found
 
 
@@ -269,7 +271,7 @@ def table(path: Path, wishes: Sequence[Wish]) -> Course:
         even = t[0] + step * np.arange(t.size)
         channels = {name: np.interp(even, t, values) for name, values in channels.items()}
     if t[0] != 0.0:
-        notes.append(f"time begins at {t[0]:g} s; it is counted from that instant")
+        notes.append(f"time begins at {t[0]:g} s; it is counted from there")
     x, f = channels["x_meas"], channels.get("f_meas")
     measures: dict[str, float | None] = dict.fromkeys(MEASURES)
     measures["peak_measured_m"] = _largest(x)

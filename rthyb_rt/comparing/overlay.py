@@ -72,7 +72,9 @@ class Overlay:
             found = _at_rate(named, fs_hz, shifts)
         shared = min(x.size for x, _ in found)
         if shared < 2:
-            raise InputError("one of them is empty: they have no instant in common", "compare")
+            raise InputError(
+                "one of the recordings is empty, so they have no time in common", "compare"
+            )
         notes = [*_notes(named, fs_hz, shared), *_shifted(named, shifts)]
         xs, fs = zip(*found, strict=True)
         return cls(tuple(named), fs_hz, xs, fs, shared, lags, align, tuple(notes))
@@ -191,7 +193,7 @@ def _notes(courses: Sequence[Course], fs_hz: float, shared: int) -> list[str]:
     if longer:
         told = _who_has([(c.label, c.duration_s) for c in longer], "lasts", "last", "s")
         notes.append(f"{told}; compared over the {shared / fs_hz:.4g} s that they have in common")
-    notes += [f"{c.label} has no force" for c in courses if c.f_n is None]
+    notes += [f"{c.label} contains no force" for c in courses if c.f_n is None]
     return notes
 
 

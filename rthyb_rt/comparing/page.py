@@ -29,7 +29,7 @@ FIGURES: Final = (
     Figure("x_difference_nrmse", "Difference, NRMSE", "%", 100.0),
     Figure("x_difference_m", "Largest difference", "mm", 1e3),
     Figure("f_difference_nrmse", "Force difference, NRMSE", "%", 100.0),
-    Figure("lag_s", "Lies behind", "ms", 1e3),
+    Figure("lag_s", "Lag", "ms", 1e3),
     Figure("peak_measured_m", "Peak displacement", "mm", 1e3),
     Figure("peak_force_n", "Peak force", "kN", 1e-3),
     Figure("tracking_nrmse", "Tracking, NRMSE", "%", 100.0),

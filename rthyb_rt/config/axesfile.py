@@ -635,8 +635,8 @@ def _plant_fits(axes: list[Axis], plant: Plant | None) -> str | None:
     if found == (states, n, n, states):
         return None
     return (
-        f"found a of {states} states, b of {found[0]} x {found[1]} and c of {found[2]} x "
-        f"{found[3]}; of {n} axes they must be {states} x {n} and {n} x {states}"
+        f"found a with {states} states, b of {found[0]} x {found[1]} and c of {found[2]} x "
+        f"{found[3]}; for {n} axes, b must be {states} x {n} and c {n} x {states}"
     )
 
 

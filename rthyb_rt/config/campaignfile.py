@@ -35,7 +35,7 @@ def _values(given: object) -> Values:
     for value in found:
         if not isinstance(value, (str, bool, int, float)):
             raise explained(
-                f"found {written(value)}; each value must be a text, a number, true or false"
+                f"found {written(value)}; each value must be a string, a number, true or false"
             )
     if len({(type(value), value) for value in found}) < len(found):
         raise explained(f"found {written(found)}; a value occurs in it twice")

@@ -439,8 +439,8 @@ def check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
             Problem(
                 "test.sample_rate_hz",
                 f'found {rate.hz:g} Hz; the {actuator.kind} actuator of rig "{rig.rig.name}" has '
-                f"{key} = {delay} of 1/1024 s, which is {rate.samples(delay):.4g} samples at "
-                f"that rate; it must be a whole number; use a multiple of {step:g} Hz "
+                f"{key} = {delay} samples of 1/1024 s, which is {rate.samples(delay):.4g} "
+                f"samples at that rate; it must be a whole number; use a multiple of {step:g} Hz "
                 f"({', '.join(whole)}), or an actuator of kind second-order with delay_s",
             )
         )

@@ -408,7 +408,7 @@ def parse_rig(
     if "axis" in raw:
         names = ", ".join(_axis_names(raw)) or "several"
         raise InputError(
-            f"found [[axis]]: this rig has several axes ({names}), and a rig with one axis is "
+            f"found [[axis]]: this rig has several axes ({names}), but a rig with one axis is "
             "needed here",
             f"{source}:{KeyLines(text).find(('axis',))}",
         )
@@ -529,7 +529,7 @@ def _set_aside(table: dict[str, Any], model: type[Table], prefix: str, strange: 
             if not nearest(key, list(fields)):
                 del table[key]
                 inside = [name for name in fields if key in name]
-                hint = f" (is {inside[0]} meant?)" if inside else ""
+                hint = f" (did you mean {inside[0]}?)" if inside else ""
                 strange.append(f"{prefix}{key}{hint}")
         elif isinstance(table[key], dict):
             for part in (fields[key].annotation, *get_args(fields[key].annotation)):

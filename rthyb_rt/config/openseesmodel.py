@@ -77,7 +77,7 @@ def read(model: Path) -> MatrixData:
     except InputError:
         raise
     except SystemExit as error:
-        raise InputError(f"the script ended by exit({error.code})", str(model)) from None
+        raise InputError(f"the script ended with exit({error.code})", str(model)) from None
     except Exception as error:
         # A user's script may fail in any way.
         last = f"{type(error).__name__}: {error}"
@@ -114,7 +114,7 @@ def _line(error: BaseException, model: Path) -> int:
 def _of_model(ops: Any, where: str) -> MatrixData:
     tags = [int(tag) for tag in ops.getNodeTags() or ()]
     if not tags:
-        raise InputError("leaves no model: there are no nodes at its end", where)
+        raise InputError("leaves no model: no nodes exist when it ends", where)
     k = _matrix(ops, (0.0, 0.0, 1.0), where)
     places, n = _places(ops, tags, where), len(k)
     arrays: dict[str, NDArray[Any]] = {"K": k}
@@ -151,7 +151,7 @@ def _matrix(ops: Any, which: tuple[float, float, float], where: str) -> NDArray[
     values = np.array(ops.printA("-ret"), dtype=np.float64)
     n = round(np.sqrt(values.size))
     if n == 0 or n * n != values.size:
-        raise InputError("leaves a model without a free degree of freedom", where)
+        raise InputError("leaves a model without any free degree of freedom", where)
     return values.reshape(n, n)
 
 
@@ -168,5 +168,5 @@ def _places(ops: Any, tags: list[int], where: str) -> dict[int, str]:
             if equation >= 0:
                 found.setdefault(equation, f"{tag}.{name}")
     if not found:
-        raise InputError("leaves a model without a free degree of freedom", where)
+        raise InputError("leaves a model without any free degree of freedom", where)
     return found

@@ -353,7 +353,10 @@ class MatrixLaw(Table):
 def _of_matrix(type: str, matrix: MatrixLaw | None) -> str | None:
     if matrix is None or type == MATRIX:
         return None
-    return f'found type = "{type}"; the table is of type = "{MATRIX}": remove it, or set it to that'
+    return (
+        f'found type = "{type}", but this table belongs to type = "{MATRIX}": remove it, or set '
+        "that type"
+    )
 
 
 def _of_axes(type: str, axis: list[Any]) -> str | None:

@@ -57,7 +57,10 @@ class Controller:
         """
         i, lost_bits = self._input, lib.RTHYB_LOST if lost else 0
         if len(pairs) != self.config.axis_count:
-            raise CoreError(f"{len(pairs)} pairs for {self.config.axis_count} axes")
+            raise CoreError(
+                f"found {len(pairs)} pairs of displacement and force; there must be one for each "
+                f"of the {self.config.axis_count} axes"
+            )
         i.excitation = excitation
         for k, (x_m, f_n) in enumerate(pairs):
             i.axis[k] = (x_m, f_n, lost_bits)
@@ -95,7 +98,9 @@ class Controller:
         (fewer when a value was not finite) and the status bits seen.
         """
         if self.config.axis_count != 1:
-            raise CoreError("a controller of several axes has no run at a virtual rig of one")
+            raise CoreError(
+                "a controller with several axes cannot run on a virtual rig with one axis"
+            )
         ag = doubles(excitation)
         status = ffi.new("int32_t *")
         done = lib.rthyb_run_virtual(

@@ -33,7 +33,10 @@ def run_rows(
     """
     given = doubles(x_p_m)
     if given.ndim != 2 or given.shape[1] != axes:
-        raise CoreError(f"rows of {axes} commands needed, got shape {given.shape}")
+        raise CoreError(
+            f"found commands of shape {given.shape}; there must be one column for each of the "
+            f"{axes} axes"
+        )
     x, f = np.empty_like(given), np.empty((len(given), forces))
     run(
         state,
@@ -88,13 +91,13 @@ class CoupledPlantConfig:
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape:
                 raise CoreError(
-                    f"{name} of a plant of {states} states, {axes} axes and {forces} forces has the"
-                    f" shape {shape}, got {np.shape(getattr(self, name))}"
+                    f"{name}: found shape {np.shape(getattr(self, name))}; for a plant with "
+                    f"{states} states, {axes} axes and {forces} forces it must be {shape}"
                 )
         if not (1 <= axes <= AXES_MAX and 1 <= states <= STATES_MAX and forces <= AXES_MAX):
             raise CoreError(
-                f"a plant has up to {AXES_MAX} axes and forces and {STATES_MAX} states, got "
-                f"{axes}, {forces} and {states}"
+                f"found a plant with {axes} axes, {forces} forces and {states} states; at most "
+                f"{AXES_MAX} axes and as many forces, and {STATES_MAX} states, are allowed"
             )
         return ffi.new(
             "rthyb_coupled_plant_config *",
@@ -130,7 +133,10 @@ class CoupledPlant:
         """Apply commands, (axes,), from this instant on; return the status bits."""
         given = doubles(x_p_m)
         if given.shape != (self.axes,):
-            raise CoreError(f"{self.axes} commands needed, got shape {given.shape}")
+            raise CoreError(
+                f"found commands of shape {given.shape}; there must be one for each of the "
+                f"{self.axes} axes"
+            )
         return int(lib.rthyb_coupled_plant_apply(self._c, reading(given)))
 
     def run(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

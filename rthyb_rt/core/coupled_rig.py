@@ -54,8 +54,8 @@ class StateSpace:
         for name, shape in shapes.items():
             if np.shape(getattr(self, name)) != shape or not 1 <= states <= STATES_MAX:
                 raise CoreError(
-                    f"{name} of a plant of {states} states (1 to {STATES_MAX}) and {axes} axes has "
-                    f"the shape {shape}, got {np.shape(getattr(self, name))}"
+                    f"{name}: found shape {np.shape(getattr(self, name))}; for a plant with "
+                    f"{states} states (1 to {STATES_MAX}) and {axes} axes it must be {shape}"
                 )
         a, b, c = (np.asarray(v, np.float64) for v in (self.a, self.b, self.c))
         step = held_step(a, b, period_s)
@@ -82,7 +82,7 @@ def held_step(a: FloatArray, b: FloatArray, period_s: float) -> FloatArray:
     z = np.zeros((n + width, n + width))
     z[:n, :n], z[:n, n:] = a * period_s, b * period_s
     if not np.isfinite(z).all():
-        raise CoreError("a number of the plant is not finite")
+        raise CoreError("the matrices of the plant contain a number that is not finite")
     z = z * 0.5**_HALVINGS
     # exp - 1 is what is squared up: the 1 would swallow the digits of a small part.
     less = np.zeros_like(z)
@@ -91,7 +91,10 @@ def held_step(a: FloatArray, b: FloatArray, period_s: float) -> FloatArray:
     for _ in range(_HALVINGS):
         less = 2.0 * less + less @ less
     if not np.isfinite(less).all():
-        raise CoreError("the plant runs off within one sample; check the units of its matrices")
+        raise CoreError(
+            "the state of the plant exceeds all bounds within one sample; check the units of "
+            "its matrices"
+        )
     return np.asarray(np.eye(n + width) + less)
 
 
@@ -160,20 +163,21 @@ class CoupledRigConfig:
         for name in ("stiffness", "damping", "mass"):
             if np.shape(getattr(self, name)) != (n, n):
                 raise CoreError(
-                    f"{name} of a specimen at {n} axes has the shape {(n, n)}, got "
-                    f"{np.shape(getattr(self, name))}"
+                    f"{name}: found shape {np.shape(getattr(self, name))}; for a specimen at {n} "
+                    f"axes it must be {(n, n)}"
                 )
         sensors = {len(self.displacement), len(self.force)} - {0, n}
         driven = len(self.servos) if self.plant is None else len(self.plant.stroke_m)
         if sensors or driven != n or (self.plant is not None and self.servos):
             raise CoreError(
-                f"{n} axes need {n} actuators, or one plant of {n} axes instead, and a sensor of "
-                f"each kind for each or none; got {len(self.servos)} actuators, "
-                f"{len(self.displacement)} and {len(self.force)} sensors"
+                f"found {len(self.servos)} actuators, {len(self.displacement)} displacement "
+                f"sensors and {len(self.force)} load cells for {n} axes; there must be {n} "
+                f"actuators, or one plant with {n} axes instead, and of each kind of sensor one "
+                "for each axis or none"
             )
         if len(self.elements) > ELEMENTS_MAX:
             raise CoreError(
-                f"a specimen has at most {ELEMENTS_MAX} elements, got {len(self.elements)}"
+                f"found {len(self.elements)} elements; a specimen has at most {ELEMENTS_MAX}"
             )
 
 
@@ -192,7 +196,10 @@ class CoupledRig:
         """
         given, x, f = doubles(x_p_m), np.empty(self.axes), np.empty(self.axes)
         if given.shape != (self.axes,):
-            raise CoreError(f"{self.axes} commands needed, got shape {given.shape}")
+            raise CoreError(
+                f"found commands of shape {given.shape}; there must be one for each of the "
+                f"{self.axes} axes"
+            )
         code = lib.rthyb_coupled_rig_step(self._c, reading(given), writing(x), writing(f))
         return x, f, int(code)
 

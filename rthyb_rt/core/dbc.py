@@ -120,8 +120,8 @@ def extra(path: str | Path, codec: Codec, name: str) -> tuple[Any, bool]:
         what = "is in both feedback frames; give FRAME.Signal"
         if not found:
             what = (
-                "no signal of this name in the frames of displacement and force, which alone are "
-                "read"
+                "no signal of this name exists in the frames of displacement and force, the "
+                "only ones that are read"
             )
         raise InputError(what, f"{Path(path).name}: {name}")
     signal, in_force = found[0]
@@ -158,13 +158,19 @@ class _Reader:
                     self.fill_notices(struct, message)
         if self.reset_state is not None and "state" not in self.found:
             self.fault(
-                frames.get("x_cmd", ""), "has no state that link.reset_state could be sent in"
+                frames.get("x_cmd", ""), "has no state in which link.reset_state could be sent"
             )
         if frames.get("x_cmd", "") in (frames.get("x_meas"), frames.get("f_meas")):
-            self.fault(frames["x_cmd"], "holds command and feedback; they need a frame each")
+            self.fault(
+                frames["x_cmd"], "contains both command and feedback; each needs a frame of its own"
+            )
         for role, name in self.names.items():
             if role in ROLES and not ROLES[role].least_bits and role not in self.found:
-                self.fault(name, f"no signal of this name in the frame with the values, for {role}")
+                self.fault(
+                    name,
+                    "found no signal of this name in the frame with the values; it is needed "
+                    f"for {role}",
+                )
         if self.problems:
             raise InputError(self.problems)
         return Codec(struct)
@@ -193,7 +199,9 @@ class _Reader:
         meaning = ROLES[lead].meaning
         if having:
             listed = ", ".join(f"{message.name}.{signal}" for message in having)
-            self.fault(signal, f"{meaning} is ambiguous: found {listed}; give the name of one")
+            self.fault(
+                signal, f"{meaning} is ambiguous: found {listed}; give the name of one of them"
+            )
             return None
         every = sorted({s.name for message in database.messages for s in message.signals})
         near = difflib.get_close_matches(signal, every, 1)
@@ -201,8 +209,8 @@ class _Reader:
         where = f" in the frame {frame}" if frame else ""
         self.fault(
             signal,
-            f"no signal of this name{where}, but {meaning} is needed; {hint}"
-            "rename the signal in the file, or give its name",
+            f"no signal of this name exists{where}, but {meaning} is needed; {hint}rename the "
+            "signal in the file, or give its name",
         )
         return None
 
@@ -216,7 +224,7 @@ class _Reader:
             )
             return
         if message.is_multiplexed():
-            self.fault(message.name, "is multiplexed; every frame must hold every signal")
+            self.fault(message.name, "is multiplexed; every frame must contain every signal")
             return
         c.id = message.frame_id | (ID_EXTENDED if message.is_extended_frame else 0)
         c.length = message.length
@@ -273,7 +281,10 @@ class _Reader:
                     f"states, and {signal.length} bits hold {most} at most",
                 )
         if reset is not None and reset == leaving:
-            self.fault(message.name, f"found {reset} for {RESET_NAME} and for {LEAVING_NAME}")
+            self.fault(
+                message.name,
+                f"found {reset} for both {RESET_NAME} and {LEAVING_NAME}; the two must differ",
+            )
         struct.reset, struct.leaving = reset or 0, leaving or 0
 
     def fill_crc(self, c: Any, signal: Signal, where: str) -> None:
@@ -303,7 +314,7 @@ class _Reader:
             allowed = "32 or 64 as a float" if signal.is_float else f"1 to {EXACT_BITS}"
             self.fault(where, f"found {signal.length} bits; allowed are {allowed}")
         if signal.scale == 0:
-            self.fault(where, "found factor 0; the factor must not be 0")
+            self.fault(where, "found factor 0, which is not allowed")
             return
         _fill_place(c, signal)
         c.scale, c.offset = signal.scale * factor, signal.offset * factor

@@ -100,7 +100,9 @@ def actuator(
         _out(x), _out(v), _out(a),
     )  # fmt: skip
     if code:
-        raise SimulationError(f"the actuator {model} cannot be simulated ({code})")
+        raise SimulationError(
+            f"the actuator {model} cannot be simulated (error {code} of the core)"
+        )
     if model.jumps:
         v = np.diff(x, prepend=x[0]) * fs_hz
         a = np.diff(v, prepend=v[0]) * fs_hz
@@ -161,7 +163,9 @@ def body(
         model, array, len(elements), _in(p), p.size, _out(x), _out(v), _out(a)
     )
     if code:
-        raise SimulationError(f"a body of {mass_kg:g} kg cannot be simulated ({code})")
+        raise SimulationError(
+            f"a body of {mass_kg:g} kg cannot be simulated (error {code} of the core)"
+        )
     return Motion(x, v, a)
 
 
@@ -170,7 +174,7 @@ def play(half_m: float, x_m: Floats) -> Floats:
     x = np.ascontiguousarray(x_m, dtype=np.float64)
     y = np.empty_like(x)
     if lib.rthyb_simulate_play(half_m, _in(x), x.size, _out(y)):
-        raise SimulationError(f"a play of {half_m:g} m is negative")
+        raise SimulationError(f"found a play of {half_m:g} m; it must not be negative")
     return y
 
 
@@ -180,5 +184,5 @@ def iwan(yield_m: Floats, share: Floats, x_m: Floats) -> Floats:
     f = np.empty_like(x)
     y = np.ascontiguousarray(yield_m, dtype=np.float64)
     if lib.rthyb_simulate_iwan(_in(y), _in(share), y.size, _in(x), x.size, _out(f)):
-        raise SimulationError(f"{y.size} springs are more than the core takes")
+        raise SimulationError(f"found {y.size} springs, more than the core accepts")
     return f

@@ -132,8 +132,9 @@ def _require_counts(config: ControllerConfig, axes: int, interfaces: int) -> Non
     wrong = [f"{name} for {count}" for name, count in parts.items() if count != axes]
     if wrong or axes > AXES_MAX:
         raise CoreError(
-            f"{axes} axes, {', '.join(wrong) or 'too many'}: there are 1 to {AXES_MAX} axes and "
-            "as many interfaces, and what they have in common is for all of them"
+            f"found {axes} axes, {', '.join(wrong) or 'too many'}; 1 to {AXES_MAX} axes are "
+            "allowed, with one interface for each, and everything that they share must have the "
+            "same size"
         )
     doubled = [
         name
@@ -142,7 +143,10 @@ def _require_counts(config: ControllerConfig, axes: int, interfaces: int) -> Non
         if given.count(name) > 1
     ]
     if doubled:
-        raise CoreError(f"two axes or interfaces have the name {doubled[0]!r}")
+        raise CoreError(
+            f"found two axes or two interfaces with the name {doubled[0]!r}; each needs its own "
+            "name"
+        )
 
 
 def station_axes(config: ControllerConfig, common: Any) -> list[dict[str, Any]]:
@@ -189,7 +193,10 @@ def watch_table(
     """
     unknown = set(watches) - set(known)
     if unknown:
-        raise CoreError(f"nothing to watch under the name {', '.join(sorted(unknown))}")
+        raise CoreError(
+            f"no quantity to watch is called {', '.join(sorted(unknown))}; allowed are "
+            f"{', '.join(CAUSES)}"
+        )
     off = (0.0, 0)
     return [_watch(watches[name]) if name in watches else off for name in CAUSES]
 
@@ -308,5 +315,5 @@ def plant_of(rig: Any) -> Any:
     kind = ffi.typeof(rig._c).item.cname
     number = {"rthyb_rig": lib.RTHYB_PLANT_RIG, "rthyb_coupled_rig": lib.RTHYB_PLANT_COUPLED_RIG}
     if kind not in number:
-        raise CoreError(f"{type(rig).__name__} is no virtual rig")
+        raise CoreError(f"{type(rig).__name__} is not a virtual rig")
     return ffi.new("rthyb_plant *", (number[kind], rig._c))

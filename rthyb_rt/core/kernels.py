@@ -288,9 +288,9 @@ def finite_motion(elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike) -> 
     """
     ag = doubles(ag_mps2)
     if len(elements) > ELEMENTS_MAX:
-        raise CoreError(f"at most {ELEMENTS_MAX} elements, got {len(elements)}")
+        raise CoreError(f"found {len(elements)} elements; at most {ELEMENTS_MAX} are allowed")
     if not np.isfinite(ag).all():
-        raise CoreError("the ground acceleration holds a value that is not finite")
+        raise CoreError("the ground acceleration contains a value that is not finite")
     return ag
 
 
@@ -387,8 +387,8 @@ class Rig:
         """
         if not 0 <= channel <= CHANNELS_MAX - len(self.config.extras):
             raise CoreError(
-                f"channel {channel} and {len(self.config.extras)} extra sensors; a row has "
-                f"{CHANNELS_MAX} channels"
+                f"found channel {channel} and {len(self.config.extras)} extra sensors; a row has "
+                f"only {CHANNELS_MAX} channels"
             )
         self._station = station
         self._c.extra_to = ffi.addressof(station._c.channel, channel)

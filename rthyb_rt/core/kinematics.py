@@ -71,7 +71,7 @@ class Kinematics:
         coordinates: Sequence[Coordinate] = (),
     ) -> None:
         if (matrix is None) == (not pins):
-            raise CoreError("kinematics are either a matrix or pins")
+            raise CoreError("kinematics need either a matrix or pins, not both")
         settings = _of_pins(pins, coordinates) if matrix is None else _of_matrix(matrix)
         self._given_as = {
             "matrix": None if matrix is None else np.asarray(matrix, np.float64).tolist(),
@@ -122,7 +122,10 @@ class Kinematics:
         """
         force, out = self._given(axis_n), np.empty(self.size)
         if force.shape != (self.size,):
-            raise CoreError(f"one force for each of {self.size} axes needed, got {force.shape}")
+            raise CoreError(
+                f"found forces of shape {force.shape}; there must be one for each of the "
+                f"{self.size} axes"
+            )
         code = lib.rthyb_kinematics_forces(self._c, reading(force), writing(out))
         return out, int(code)
 
@@ -135,7 +138,9 @@ class Kinematics:
     def _given(self, values: npt.ArrayLike) -> FloatArray:
         given = doubles(values)
         if given.ndim > 2 or given.shape[-1] != self.size:
-            raise CoreError(f"rows of {self.size} numbers needed, got shape {given.shape}")
+            raise CoreError(
+                f"found an array of shape {given.shape}; each row must have {self.size} numbers"
+            )
         return given
 
     def _run(self, run: Any, values: npt.ArrayLike) -> tuple[FloatArray, int]:
@@ -154,7 +159,8 @@ def _of_matrix(matrix: npt.ArrayLike) -> dict[str, Any]:
     given = np.asarray(matrix, dtype=np.float64)
     if given.ndim != 2 or given.shape[0] != given.shape[1] or not 1 <= len(given) <= AXES_MAX:
         raise CoreError(
-            f"a square matrix of 1 to {AXES_MAX} axes needed, one row an axis, got {given.shape}"
+            f"found a matrix of shape {given.shape}; it must be square, with one row for each of "
+            f"1 to {AXES_MAX} axes"
         )
     return {
         "kind": lib.RTHYB_KINEMATICS_MATRIX,
@@ -167,8 +173,9 @@ def _of_pins(pins: Sequence[Pin], coordinates: Sequence[Coordinate]) -> dict[str
     unknown = [name for name in coordinates if name not in COORDINATES]
     if unknown or not 1 <= len(pins) <= len(COORDINATES) or len(coordinates) != len(pins):
         raise CoreError(
-            f"{len(pins)} axes with pins need as many of the coordinates {', '.join(COORDINATES)}, "
-            f"got {', '.join(coordinates) or 'none'}"
+            f"found {len(pins)} axes with pins and the coordinates "
+            f"{', '.join(coordinates) or 'none'}; there must be as many coordinates as axes, out "
+            f"of {', '.join(COORDINATES)}"
         )
     return {
         "kind": lib.RTHYB_KINEMATICS_PINS,

@@ -103,13 +103,13 @@ class Law:
         unknown = sorted(set(given) - {p.key for p in self.parameters})
         if unknown:
             raise ValueError(
-                f"control law {self.name!r}: no {', '.join(unknown)}; it takes "
+                f"control law {self.name!r}: found {', '.join(unknown)}; it accepts "
                 f"{', '.join(p.key for p in self.parameters) or 'nothing'}"
             )
         values = [given.get(p.key, p.default) for p in self.parameters]
         missing = [p.key for p, v in zip(self.parameters, values, strict=True) if v is None]
         if missing:
-            raise ValueError(f"control law {self.name!r}: give {', '.join(missing)}")
+            raise ValueError(f"control law {self.name!r}: {', '.join(missing)} missing")
         return [float(value) for value in values if value is not None]
 
     def complaint(self, values: Sequence[float], period_s: float) -> tuple[str, str] | None:

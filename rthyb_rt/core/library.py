@@ -38,24 +38,28 @@ def options(enum: str, prefix: str) -> dict[str, int]:
 STATUS: Final = words("rthyb_status", "RTHYB_S_")
 
 _REFUSED: Final[dict[int, str]] = {
-    lib.RTHYB_E_PERIOD: "the sampling period must lie in (0, 1] s and be the same for all parts, "
-    "and every cut-off below half of its rate",
-    lib.RTHYB_E_WEIGHTS: "W1, W2 lie outside the stable region |W1| > 1, |W2| < |W1 + 1|",
+    lib.RTHYB_E_PERIOD: "the sampling period must be above 0 s and at most 1 s, and the same "
+    "for all parts; every cut-off frequency must be below half the sample rate",
+    lib.RTHYB_E_WEIGHTS: "W1 and W2 are outside the stable region |W1| > 1, |W2| < |W1 + 1|",
     lib.RTHYB_E_ESTIMATOR: "a setting of the delay estimator is out of range",
-    lib.RTHYB_E_WINDOW: f"the window T0 must lie in 1 ... {WINDOW_MAX} samples",
-    lib.RTHYB_E_STIFFNESS: "the RFC needs an elastic stiffness k_e > 0 and a noise >= 0",
-    lib.RTHYB_E_MOTION: "mass must be positive, damping >= 0, everything finite",
+    lib.RTHYB_E_WINDOW: f"the window T0 must be from 1 to {WINDOW_MAX} samples",
+    lib.RTHYB_E_STIFFNESS: "the force compensation needs an elastic stiffness k_e > 0 and a "
+    "noise >= 0",
+    lib.RTHYB_E_MOTION: "the mass must be above 0 and the damping at least 0, and every "
+    "number must be finite",
     lib.RTHYB_E_SERVO: "a setting of the actuator model is out of range, or its oil column is too "
     "stiff for its mass and substeps",
-    lib.RTHYB_E_ELEMENT: "an element's kind, parameter count or a parameter is out of range",
-    lib.RTHYB_E_SENSOR: "a sensor's noise, lsb, bias or range is out of range",
+    lib.RTHYB_E_ELEMENT: "an element has an unknown kind, the wrong number of parameters, or "
+    "a parameter out of range",
+    lib.RTHYB_E_SENSOR: "the noise, resolution, offset or range of a sensor is out of range",
     lib.RTHYB_E_LAW: "there is no such control law, or it cannot work with its settings",
-    lib.RTHYB_E_KINEMATICS: "the axes do not set every coordinate of the interface: give as "
-    "many coordinates as axes, each named once; no pin may be at its own base, and no two axes on "
-    "one line",
-    lib.RTHYB_E_PLANT: "a size of the virtual plant of several axes is out of range, or a number "
-    "of it is not finite",
-    lib.RTHYB_E_LIMIT: "a limit must be finite and >= 0, a starting value finite and sensible",
+    lib.RTHYB_E_KINEMATICS: "the axes do not determine every coordinate of the interface: "
+    "there must be as many coordinates as axes, each named once; no pin may be at its own base, "
+    "and no two axes may lie on one line",
+    lib.RTHYB_E_PLANT: "a size of the virtual plant with several axes is out of range, or one "
+    "of its numbers is not finite",
+    lib.RTHYB_E_LIMIT: "every limit must be finite and at least 0, and every starting value "
+    "finite and plausible",
 }
 
 
@@ -98,7 +102,7 @@ def text_of(c_string: Any) -> str:
 def check(error: int) -> None:
     raise_pending()
     if error:
-        raise CoreError(_REFUSED.get(error, f"the core refused its settings ({error})"))
+        raise CoreError(_REFUSED.get(error, f"the core rejected its settings (error {error})"))
 
 
 def doubles(values: npt.ArrayLike) -> FloatArray:
@@ -112,7 +116,10 @@ def doubles_like(values: npt.ArrayLike, model: FloatArray) -> FloatArray:
 def require_one_length(first: FloatArray, *others: FloatArray) -> None:
     for other in others:
         if other.shape != first.shape:
-            raise CoreError(f"arrays of one length needed, got {first.shape} and {other.shape}")
+            raise CoreError(
+                f"found arrays of shapes {first.shape} and {other.shape}; they must have the "
+                "same length"
+            )
 
 
 def reading(array: FloatArray) -> Any:

@@ -81,8 +81,8 @@ class Link:
         error = lib.rthyb_link_open(self.struct, _KINDS[kind], fd)
         if error:
             raise RthybError(
-                f"descriptor {fd} is of no use as a {kind} link: {os.strerror(error)}; "
-                "it must be open, and a stream needs O_NONBLOCK"
+                f"descriptor {fd} cannot be used as a {kind} link: {os.strerror(error)}; it must "
+                "be open, and for a stream it must have O_NONBLOCK set"
             )
 
     def close(self) -> None:
@@ -129,8 +129,9 @@ class Phase:
         self._c = ffi.new("rthyb_phase *")
         if lib.rthyb_phase_init(self._c, rate_hz, lead_us * 1e3):
             raise core.CoreError(
-                f"the lead is {lead_us} us: at {rate_hz} Hz 10 to {_most_lead_us(rate_hz)} us are "
-                f"possible, and ticks at {RATES_HZ[0]} to {RATES_HZ[1]} Hz"
+                f"found a lead of {lead_us} us at {rate_hz} Hz; at this rate 10 to "
+                f"{_most_lead_us(rate_hz)} us are allowed, and the rate must be from "
+                f"{RATES_HZ[0]} to {RATES_HZ[1]} Hz"
             )
 
     def step(self, after_due_ns: float | None) -> int:
@@ -228,7 +229,10 @@ class Loop:
         self._ways = (LoopAxis(wire, link, calibration), *further)
         self._axes = station.config.controller.axis_count
         if len(self._ways) != self._axes:
-            raise core.CoreError(f"{len(self._ways)} links for {self._axes} axes")
+            raise core.CoreError(
+                f"found {len(self._ways)} links; there must be one for each of the {self._axes} "
+                "axes"
+            )
         self._kept = (station, wire, link, ring)
         # Doubles, for the sake of their alignment.
         self._memory = ffi.new("double[]", lib.rthyb_loop_size() // ffi.sizeof("double") + 1)
@@ -259,10 +263,13 @@ class Loop:
         least, most = RATES_HZ
         if not (rate_hz := self.rate_hz):
             hz = 1.0 / self._kept[0].config.controller.period_s
-            return f"{hz:g} ticks a second: whole numbers from {least} to {most} are possible"
+            return (
+                f"found {hz:g} ticks per second; the rate must be a whole number from {least} to "
+                f"{most}"
+            )
         return (
-            f"a pair cannot arrive {lead_us} us before its tick: 10 to {_most_lead_us(rate_hz)} us "
-            f"are possible at {rate_hz} Hz"
+            f"found a lead of {lead_us} us of a pair before its tick; at {rate_hz} Hz 10 to "
+            f"{_most_lead_us(rate_hz)} us are allowed"
         )
 
     @property
@@ -288,7 +295,10 @@ class Loop:
         """
         given = [last] if isinstance(last, LastCommand) else list(last)
         if len(given) != self._axes:
-            raise core.CoreError(f"{len(given)} last commands for {self._axes} axes")
+            raise core.CoreError(
+                f"found {len(given)} last commands; there must be one for each of the "
+                f"{self._axes} axes"
+            )
         struct = ffi.new("rthyb_last_command[]", self._axes)
         for slot, one, way in zip(struct, given, self._ways, strict=True):
             # Told by another calibration it is another place; the drive counts on all the same.
@@ -347,7 +357,7 @@ class Loop:
         """
         error = lib.rthyb_loop_start(self._c, priority, cpu, latency_fd)
         if error:
-            raise RthybError(f"the tick thread was not started: {os.strerror(error)}")
+            raise RthybError(f"the tick thread could not be started: {os.strerror(error)}")
         self._running = True
 
     def stop(self) -> None:
@@ -396,7 +406,8 @@ class Loop:
         """
         if self._next is not None and self.loaded(self._load_generation) is None:
             raise core.CoreError(
-                "the test that was loaded before has not been taken up yet; wait for the next tick"
+                "the test that was loaded before has not yet been taken over; wait for the next "
+                "tick"
             )
         ag = ffi.from_buffer("double[]", station._ag)
         fresh = None if ring is None else ring.pointer
@@ -435,15 +446,15 @@ class Loop:
         """
         if len(parameters.axes) not in (0, self._axes):
             raise core.CoreError(
-                f"parameters of {len(parameters.axes)} axes for a rig of {self._axes}: a set has "
-                "all axes, or none and is for all of them alike"
+                f"found parameters for {len(parameters.axes)} axes; the rig has {self._axes}: "
+                "give them for every axis, or only those that apply to all axes alike"
             )
         struct = parameters.struct()
         if lib.rthyb_loop_set_parameters(self._c, struct):
             raise core.CoreError(
-                f"{parameters}: limits must lie in 0 ... 1e12 (velocity and acceleration of the "
-                "command in 0 ... 1e6), the path's velocity in 1e-9 ... 1e3 m/s and acceleration "
-                "in 1e-9 ... 1e6 m/s^2"
+                f"{parameters}: limits must be from 0 to 1e12 (velocity and acceleration of the "
+                "command from 0 to 1e6), the velocity of slow paths from 1e-9 to 1e3 m/s and "
+                "their acceleration from 1e-9 to 1e6 m/s^2"
             )
         return int(struct.generation)
 
@@ -622,8 +633,9 @@ class Drive:
         self._faults: Any = None
         if lib.rthyb_drive_init(self._c):
             raise core.CoreError(
-                f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed, and "
-                f"its clock is {drift_ppm} ppm fast, 199 is the most"
+                f"found a drive that brakes with {stop_decel_m_per_s2} m/s^2 and whose clock is "
+                f"{drift_ppm} ppm fast; the deceleration must be above 0 and the clock's "
+                "deviation at most 199 ppm"
             )
 
     def schedule(self, faults: Sequence[Fault]) -> None:
@@ -636,7 +648,7 @@ class Drive:
             "rthyb_fault[]", [(_FAULTS[f.kind], f.first, f.ticks, f.value) for f in faults]
         )
         if lib.rthyb_drive_schedule(self._c, table, len(faults)):
-            raise core.CoreError("a fault of the drive is out of range")
+            raise core.CoreError("a fault of the virtual drive is out of range")
         self._faults = table
 
     def tick(self) -> None:
@@ -661,7 +673,7 @@ class Drive:
     def _require_alone(self) -> None:
         axes = int(lib.rthyb_plant_axes(ffi.addressof(self._c, "plant")))
         if axes != 1:
-            raise core.CoreError(f"one drive alone does not move a rig of {axes} axes; use Drives")
+            raise core.CoreError(f"one drive cannot move a rig with {axes} axes; use Drives")
 
     @property
     def drives(self) -> tuple[Drive, ...]:
@@ -723,8 +735,8 @@ class Drives:
             self._c.drive[k] = drive._c
         if lib.rthyb_drives_check(self._c):
             raise core.CoreError(
-                f"{len(self.drives)} drives do not move this virtual rig: there is one for each of "
-                "its axes, made with it"
+                f"found {len(self.drives)} drives; this virtual rig needs one for each of its "
+                "axes, created with it"
             )
 
     def tick(self) -> None:
@@ -748,7 +760,10 @@ class Drives:
         """
         strange = [fault.axis for fault in faults if not 0 <= fault.axis < len(self.drives)]
         if strange:
-            raise core.CoreError(f"a fault of axis {strange[0]}; there are {len(self.drives)}")
+            raise core.CoreError(
+                f"found a fault for axis number {strange[0]}; the axes are numbered from 0 to "
+                f"{len(self.drives) - 1}"
+            )
         for k, drive in enumerate(self.drives):
             drive.schedule([fault for fault in faults if fault.axis == k])
 
@@ -771,8 +786,8 @@ class Drives:
 def _require_rate(drive: Drive, ticker: Ticker) -> None:
     if drive.rate_hz != ticker.rate_hz:
         raise core.CoreError(
-            f"the virtual rig is made for {drive.rate_hz} Hz, its clock ticks at {ticker.rate_hz} "
-            "Hz; they must be the same"
+            f"the virtual rig was made for {drive.rate_hz} Hz, but its clock ticks at "
+            f"{ticker.rate_hz} Hz; the two must be equal"
         )
 
 

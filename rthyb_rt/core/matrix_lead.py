@@ -92,18 +92,23 @@ class MatrixLeadConfig:
         """Return the C struct; raises ``CoreError`` for shapes that do not go together."""
         n = self.size
         if not 1 <= n <= AXES_MAX:
-            raise CoreError(f"1 to {AXES_MAX} axes, each with its noise at rest, needed, got {n}")
+            raise CoreError(
+                f"found {n} axes; 1 to {AXES_MAX} are allowed, each with its noise at rest"
+            )
         inverse = self.inverse or MatrixInverse((), np.eye(n)[None])
         poles = len(inverse.pole_hz)
         given = np.asarray(inverse.coefficients, np.float64)
         if given.shape != (poles + 1, n, n) or poles > POLES_MAX:
             raise CoreError(
-                f"an inverse of {poles} poles (at most {POLES_MAX}) and {n} axes has coefficients "
-                f"of shape {(poles + 1, n, n)}, got {given.shape}"
+                f"found coefficients of shape {given.shape}; an inverse with {poles} poles (at "
+                f"most {POLES_MAX}) and {n} axes needs the shape {(poles + 1, n, n)}"
             )
         first = np.zeros((3, n, n)) if self.first is None else np.asarray(self.first, np.float64)
         if first.shape != (3, n, n):
-            raise CoreError(f"starting values of shape {(3, n, n)} needed, got {first.shape}")
+            raise CoreError(
+                f"found starting values of shape {first.shape}; they must have the shape "
+                f"{(3, n, n)}"
+            )
         own = ("period_s", "roll_off_hz", "cutoff_hz", "gate_factor", "memory_s", "gain_most",
                "delay_most_s")  # fmt: skip
         return ffi.new(
@@ -164,7 +169,10 @@ class MatrixLead:
         """Return x_p along commands, (n, axes) both, without learning."""
         given = doubles(x_c_m)
         if given.ndim != 2 or given.shape[1] != self.config.size:
-            raise CoreError(f"rows of {self.config.size} axes needed, got shape {given.shape}")
+            raise CoreError(
+                f"found an array of shape {given.shape}; there must be one column for each of "
+                f"the {self.config.size} axes"
+            )
         out = np.empty_like(given)
         lib.rthyb_matrix_lead_run(
             self._c, reading(given.reshape(-1)), writing(out.reshape(-1)), len(given)
@@ -196,5 +204,8 @@ class MatrixLead:
     def _row(self, values: npt.ArrayLike) -> FloatArray:
         given = doubles(values)
         if given.shape != (self.config.size,):
-            raise CoreError(f"{self.config.size} numbers needed, one an axis, got {given.shape}")
+            raise CoreError(
+                f"found an array of shape {given.shape}; there must be one number for each of "
+                f"the {self.config.size} axes"
+            )
         return given

@@ -47,8 +47,8 @@ class MatrixRfcConfig:
         given = np.asarray(self.k_e, np.float64)
         if not 1 <= self.size <= AXES_MAX or given.shape != (self.size, self.size):
             raise CoreError(
-                f"1 to {AXES_MAX} coordinates with their noise and a square k_e needed, got "
-                f"{self.size} and {given.shape}"
+                f"found {self.size} coordinates and a k_e of shape {given.shape}; 1 to "
+                f"{AXES_MAX} coordinates are allowed, each with its noise, and k_e must be square"
             )
         settings = {
             "size": self.size,
@@ -121,7 +121,10 @@ class MatrixRfc:
         c, m, own = doubles(x_c), doubles(x_m), doubles(f)
         v = np.zeros_like(c) if v_c is None else doubles(v_c)
         if c.ndim != 2 or c.shape[1] != self.size or not c.shape == m.shape == own.shape == v.shape:
-            raise CoreError(f"rows of {self.size} coordinates needed, all of one length")
+            raise CoreError(
+                "found arrays that differ in length or do not have one column for each of the "
+                f"{self.size} coordinates"
+            )
         force, k = np.empty_like(c), np.empty((len(c), self.size, self.size))
         given = [reading(one.reshape(-1)) for one in (c, v, m, own)]
         lib.rthyb_matrix_rfc_run(
@@ -132,5 +135,8 @@ class MatrixRfc:
     def _row(self, values: npt.ArrayLike) -> FloatArray:
         given = doubles(values)
         if given.shape != (self.size,):
-            raise CoreError(f"{self.size} numbers needed, one a coordinate, got {given.shape}")
+            raise CoreError(
+                f"found an array of shape {given.shape}; there must be one number for each of "
+                f"the {self.size} coordinates"
+            )
         return given

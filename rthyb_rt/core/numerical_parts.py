@@ -28,7 +28,7 @@ class Part:
         x0_m: where the interface is at rest; a sparse part begins where its settings say.
     """
 
-    refused = "the numerical part was refused: every number must be finite and sensible"
+    refused = "the numerical part was rejected: every number must be finite and plausible"
 
     def __init__(
         self, config: DenseConfig | SparseConfig | OwnPartConfig, x0_m: float = 0.0
@@ -94,7 +94,10 @@ class Part:
     def restore(self, state: bytes) -> None:
         """Go on from a state that `save` gave."""
         if len(state) != self.state_bytes:
-            raise CoreError(f"a state of {len(state)} bytes does not belong to this part")
+            raise CoreError(
+                f"found a state of {len(state)} bytes, which does not belong to this numerical "
+                f"part: its state has {self.state_bytes}"
+            )
         lib.rthyb_numerical_restore(self._c, ffi.from_buffer(state))
 
     def reported(self, most: int) -> FloatArray:
@@ -125,7 +128,10 @@ class Part:
         """
         ag = core.finite_motion(elements, ag_mps2)
         if self._interfaces != 1:
-            raise CoreError(f"a reference of {self._interfaces} interfaces is not simulated")
+            raise CoreError(
+                f"found a numerical part with {self._interfaces} interfaces; a reference is "
+                "simulated for one interface only"
+            )
         array = core.element_array(elements)
         x, v, f = np.empty_like(ag), np.empty_like(ag), np.empty_like(ag)
         everywhere = np.empty((ag.size, reports))
@@ -145,8 +151,8 @@ class DensePart(Part):
     """A linear part of up to `core.DENSE_MAX` degrees of freedom."""
 
     refused = (
-        "the numerical part was refused: mass must be positive definite, every matrix "
-        "symmetric and finite, the starting value sensible"
+        "the numerical part was rejected: the mass matrix must be positive definite, every "
+        "matrix symmetric and finite, and the starting value plausible"
     )
 
     def __init__(self, config: DenseConfig, x0_m: float = 0.0) -> None:

@@ -84,7 +84,7 @@ class NumericalPart(Own):
 
     def answer(self, ag_mps2: float, force_n: float) -> float:
         """Return the displacement of t[n+1], m, from ground acceleration and force of t[n]."""
-        raise NotImplementedError(f"{type(self).__name__} has no answer(ag_mps2, force_n)")
+        raise NotImplementedError(f"{type(self).__name__} has no method answer(ag_mps2, force_n)")
 
     def advance(self) -> None:
         """Do the rest of the step, once the command has left."""
@@ -134,7 +134,7 @@ class ControlLaw(Own):
 
     def lead(self, x_c_m: float, allowed_m: float) -> float:
         """Return x_p for x_c, m; what was learnt since the last call moves it by no more."""
-        raise NotImplementedError(f"{type(self).__name__} has no lead(x_c_m, allowed_m)")
+        raise NotImplementedError(f"{type(self).__name__} has no method lead(x_c_m, allowed_m)")
 
 
 class Element(Own):
@@ -162,7 +162,7 @@ class Element(Own):
             state: 15 numbers, 0 in the beginning, that are yours to change: what the element
                 remembers must be there, since one object serves every specimen that it is part of.
         """
-        raise NotImplementedError(f"{type(self).__name__} has no force(...)")
+        raise NotImplementedError(f"{type(self).__name__} has no method force(...)")
 
 
 # ---- by name ------------------------------------------------------------------------------------
@@ -191,8 +191,9 @@ class OwnClass:
             module = sys.modules.get(module_name) or importlib.import_module(module_name)
         except ImportError as error:
             raise CoreError(
-                f'"{self.name}" cannot be imported ({error}); the module must be found by Python: '
-                "start in its folder, or name that in PYTHONPATH"
+                f'"{self.name}" cannot be imported ({error}); Python must be able to find the '
+                "module: start the program in the module's folder, or add that folder to "
+                "PYTHONPATH"
             ) from error
         except Exception as error:  # whatever a user's module may raise
             raise OwnCodeError(error, f'importing "{module_name}"') from error
@@ -201,15 +202,15 @@ class OwnClass:
             place = getattr(place, part, None)
         if place is None:
             hint = (
-                "; other processes do not have what was typed in a notebook or a shell: write it "
-                "into a file, my_parts.py, and import it"
+                "; a class defined in a notebook or a shell is unknown to other processes: "
+                "write it to a file, my_parts.py, and import it from there"
                 if module_name == "__main__"
                 else ""
             )
-            raise CoreError(f'"{self.name}": {module_name} has no {inner}{hint}')
+            raise CoreError(f'"{self.name}": module {module_name} has no {inner}{hint}')
         if not (isinstance(place, type) and issubclass(place, kind)):
             raise CoreError(
-                f'"{self.name}" is no {kind.__name__}; {kind.what} is a class '
+                f'"{self.name}" is not a {kind.__name__}; {kind.what} is a class '
                 f"{inner}(rthyb_rt.{kind.__name__})"
             )
         return place
@@ -225,7 +226,7 @@ class OwnClass:
         try:
             return own(**given)
         except Exception as error:  # whatever a user's class may raise
-            raise OwnCodeError(error, f"making {self.name}") from error
+            raise OwnCodeError(error, f"creating {self.name}") from error
 
     def plain(self) -> dict[str, Any]:
         """Return name and settings as a file has them."""
@@ -256,8 +257,8 @@ def spelled(made: Own) -> OwnClass:
     kind = type(made)
     if "<" in kind.__qualname__:
         raise CoreError(
-            f"{kind.__qualname__} is defined inside a function, where nothing else finds it; "
-            "define the class at the top of its module"
+            f"{kind.__qualname__} is defined inside a function, where other processes cannot "
+            "find it; define the class at the top level of its module"
         )
     settings = []
     for name, value in made._given.items():
@@ -265,8 +266,8 @@ def spelled(made: Own) -> OwnClass:
         inner = value if isinstance(value, (list, tuple)) else [value]
         if not all(isinstance(v, (bool, int, float, str)) for v in inner):
             raise CoreError(
-                f"{kind.__qualname__} was made with {name} = {value!r}; a setting must be a "
-                "number, a text, true or false, or a list of these, so that a file can hold it"
+                f"{kind.__qualname__} was created with {name} = {value!r}; a setting must be a "
+                "number, a string, true or false, or a list of these, so that a file can hold it"
             )
         settings.append((name, _frozen(value)))
     return OwnClass(f"{kind.__module__}:{kind.__qualname__}", tuple(settings))
@@ -304,7 +305,9 @@ class PythonPartConfig:
         """
         names, cfg = self.responses, ffi.new("rthyb_library_config *")
         if len(names) > RESPONSES_MAX:
-            raise CoreError(f"{self.own.name} has {len(names)} responses; up to {RESPONSES_MAX}")
+            raise CoreError(
+                f"{self.own.name} has {len(names)} responses; at most {RESPONSES_MAX} are allowed"
+            )
         self.own.made(NumericalPart)
         kept = fill_setup(cfg.setup, [], self.k_e_n_per_m, self.period_s)
         calls = _part_calls(self, [one.name for one in names])
@@ -352,7 +355,10 @@ def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any
     def report(_state: Any, values: Any) -> None:
         told = list(at["part"].report())
         if len(told) != len(names):
-            raise ValueError(f"report() gives {len(told)} values for {', '.join(names)}")
+            raise ValueError(
+                f"report() returned {len(told)} values; it must return one for each of "
+                f"{', '.join(names)}"
+            )
         values[0 : len(told)] = told
 
     kind = config.own.found(NumericalPart)
@@ -382,7 +388,9 @@ def law_of(own: OwnClass) -> Law:
     """
     kind = own.found(ControlLaw)
     if len(kind.values) > LAW_VALUES_MAX:
-        raise CoreError(f"{own.name} reports {len(kind.values)} values; up to {LAW_VALUES_MAX}")
+        raise CoreError(
+            f"{own.name} reports {len(kind.values)} values; at most {LAW_VALUES_MAX} are allowed"
+        )
     learns = kind.observe is not ControlLaw.observe
     return Law(
         name="python",

@@ -104,10 +104,10 @@ class Fmu:
             near = f' (did you mean "{close[0]}"?)' if close else ""
             raise CoreError(f'{what}: {self.name} has no variable "{name}"{near}{allowed}')
         if not found.real:
-            raise CoreError(f'{what}: "{name}" is not one real number{allowed}')
+            raise CoreError(f'{what}: "{name}" is not a single real number{allowed}')
         if found.causality not in causalities:
             raise CoreError(
-                f'{what}: "{name}" is of the causality {found.causality}; it must be '
+                f'{what}: "{name}" has the causality {found.causality}; it must be '
                 f"{' or '.join(causalities)}{allowed}"
             )
         return found.reference
@@ -135,12 +135,15 @@ def unpacked(path: str, sha256: str) -> Fmu:
         with zipfile.ZipFile(path) as archive:
             whole = sum(one.file_size for one in archive.infolist())
             if whole > MOST_BYTES:
-                raise CoreError(f"{path} has {whole / 1e6:.0f} MB in it; up to 500 are taken")
+                raise CoreError(
+                    f"{path} has {whole / 1e6:.0f} MB when unpacked; at most 500 MB are accepted"
+                )
             archive.extractall(folder)
         tree = ElementTree.parse(folder / "modelDescription.xml").getroot()
     except (zipfile.BadZipFile, OSError, ElementTree.ParseError, RuntimeError) as error:
         raise CoreError(
-            f"{path} is no FMU ({error}); one is a zip archive with modelDescription.xml in it"
+            f"{path} is not an FMU ({error}); an FMU is a zip archive that contains "
+            "modelDescription.xml"
         ) from error
     return _described(path, folder, tree)
 
@@ -149,11 +152,13 @@ def _described(path: str, folder: Path, tree: ElementTree.Element) -> Fmu:
     version = tree.get("fmiVersion", "")
     fmi = {"2": 2, "3": 3}.get(version.partition(".")[0])
     if fmi is None:
-        raise CoreError(f"{path} is of FMI {version or 'no version'}; allowed are 2.0 and 3.0")
+        raise CoreError(
+            f"{path} is for FMI {version or 'an unknown version'}; FMI 2.0 and 3.0 are supported"
+        )
     simulation = tree.find("CoSimulation")
     if simulation is None:
         raise CoreError(
-            f"{path} is for model exchange, without a solver; export it for co-simulation"
+            f"{path} is an FMU for model exchange, which has no solver; export it for co-simulation"
         )
     if simulation.get("canBeInstantiatedOnlyOncePerProcess") == "true":
         raise CoreError(
@@ -176,7 +181,7 @@ def _binary(path: str, folder: Path, fmi: int, name: str) -> Path:
     raise CoreError(
         f"{path} has no binary for this machine, binaries/{here}/{name}.so; it has "
         f"{', '.join(others) if others else 'no binaries'}{' and sources' if source else ''}: "
-        "export it for 64-bit Linux, or build that from its sources"
+        "export it for 64-bit Linux, or build the binary from its sources"
     )
 
 
@@ -221,7 +226,7 @@ class FmuConfig:
             CoreError: it cannot be had, or is another than the one that is meant.
         """
         if not Path(self.path).is_file():
-            raise CoreError(f"there is no file {self.path}; export it first, or correct the path")
+            raise CoreError(f"{self.path} does not exist; export it first, or correct the path")
         sha256 = hash_of(Path(self.path))
         check_meant(self.path, sha256, self.sha256, self.what)
         return unpacked(self.path, sha256)
@@ -240,7 +245,7 @@ class FmuConfig:
             found.append(Recorded(f"fmu_{plain}"[:32], fmu.variables[name].unit))
         names = [one.name for one in found]
         if len(set(names)) < len(names):
-            raise CoreError(f"record: two of {', '.join(self.record)} would have the same name")
+            raise CoreError(f"record: two of {', '.join(self.record)} would get the same name")
         return tuple(found)
 
     def struct(self) -> list[Any]:
@@ -252,7 +257,7 @@ class FmuConfig:
         fmu, cfg, own = self.fmu, ffi.new("rthyb_library_config *"), ffi.new("rthyb_fmu *")
         names = [name for name, _ in self.parameters]
         if len(names) > lib.RTHYB_FMU_PARAMETERS_MAX:
-            raise CoreError(f"parameters: up to {lib.RTHYB_FMU_PARAMETERS_MAX} can be set")
+            raise CoreError(f"parameters: at most {lib.RTHYB_FMU_PARAMETERS_MAX} can be set")
         kept = fill_setup(cfg.setup, [v for _, v in self.parameters], self.k_e_n_per_m,
                           self.period_s)  # fmt: skip
         own.fmi, own.interfaces = fmu.fmi, 1
@@ -286,7 +291,7 @@ class FmuConfig:
         for key, name in _FUNCTIONS[self.fmu.fmi].items():
             at = address(library, name)
             if not at:
-                raise CoreError(f"{self.path}: its binary has no function {name}")
+                raise CoreError(f"{self.path}: the binary in it has no function {name}")
             setattr(own.call, key, ffi.cast("rthyb_any_function", at))
         cfg.instance = own
         cfg.calls.init, cfg.calls.answer = lib.rthyb_fmu_init, lib.rthyb_fmu_answer

@@ -87,8 +87,8 @@ def check_meant(path: str, found: str, meant: str, what: str) -> None:
     """
     if meant and found != meant:
         raise CoreError(
-            f"{path} is not {what} that was meant: its SHA-256 begins with {found[:12]}, and "
-            f"{meant[:12]} was recorded; put that one in its place"
+            f"{path} is not {what} that was recorded: its SHA-256 begins with {found[:12]} "
+            f"instead of {meant[:12]}; put the recorded file in its place"
         )
 
 
@@ -99,14 +99,14 @@ def opened(path: Path) -> ctypes.CDLL:
         CoreError: it is none for this machine, or needs what is not here.
     """
     if not path.is_file():
-        raise CoreError(f"there is no file {path}; build it first, or correct the path")
+        raise CoreError(f"{path} does not exist; build it first, or correct the path")
     try:
         return ctypes.CDLL(str(path.resolve()))
     except OSError as error:
         raise CoreError(
-            f"{path} cannot be loaded ({str(error).removeprefix(str(path.resolve()) + ': ')}); a "
-            "shared library for this machine is needed, with all that it links to: "
-            "cc -O2 -shared -fPIC"
+            f"{path} cannot be loaded ({str(error).removeprefix(str(path.resolve()) + ': ')}); "
+            "it must be a shared library for this machine, and every library that it links to "
+            "must be installed: cc -O2 -shared -fPIC"
         ) from error
 
 
@@ -134,8 +134,8 @@ def load(path: str) -> Library:
         return known
     if known is not None:
         raise CoreError(
-            f"{place} has been built again since this process loaded it, which cannot load another "
-            "of that name: give the new one another name, or begin a new process"
+            f"{place} was rebuilt after this process had loaded it, and a process cannot load a "
+            "second library of the same name: rename the new library, or start a new process"
         )
     library = opened(place)
     functions = {name: address(library, PREFIX + name) for name in (*REQUIRED, *OPTIONAL)}
@@ -144,8 +144,8 @@ def load(path: str) -> Library:
     version = ffi.cast("int32_t(*)(void)", found["version"])()
     if version != LIBRARY_VERSION:
         raise CoreError(
-            f"{place} is made for version {version} of the interface, and this program has version "
-            f"{LIBRARY_VERSION}: build it again with the rthyb_library.h of this program"
+            f"{place} was built for version {version} of the interface, but this program has "
+            f"version {LIBRARY_VERSION}: build it again with the rthyb_library.h of this program"
         )
     interfaces = ffi.cast("int32_t(*)(void)", found["interfaces"])()
     if not 1 <= interfaces <= lib.RTHYB_INTERFACES_MAX:
@@ -165,7 +165,7 @@ def _check_functions(library: ctypes.CDLL, path: Path, functions: Mapping[str, i
         return
     mangled = [f"{name}_" for name in lacking if address(library, f"{name}_")]
     hint = (
-        f" ({mangled[0]} is there: in Fortran the function needs bind(C, name = "
+        f" ({mangled[0]} exists: in Fortran, the function needs bind(C, name = "
         f'"{mangled[0][:-1]}"))'
         if mangled
         else ""
@@ -193,20 +193,21 @@ def _names(path: Path, found: Mapping[str, int]) -> tuple[tuple[str, ...], tuple
         match = _RESPONSE.fullmatch(word)
         if match is None:
             raise CoreError(
-                f'{path}: {PREFIX}names gives "{word}" as a response; it must be a name of up to '
-                '32 small letters, digits and underscores with its unit, such as "roof[m]"'
+                f'{path}: {PREFIX}names returns the response "{word}"; a response must be a '
+                "name of up to 32 lower-case letters, digits and underscores with its unit, "
+                'such as "roof[m]"'
             )
         responses.append(Recorded(match[1], match[2] or ""))
     bad = [word for word in parameters if not _NAME.fullmatch(word)]
     names = [*parameters, *(one.name for one in responses)]
     if bad or len(set(parameters)) < len(parameters) or len(responses) > RESPONSES_MAX:
         raise CoreError(
-            f"{path}: {PREFIX}names gives {' '.join(names)}; it must give different names of "
-            f"letters, digits and underscores, and up to {RESPONSES_MAX} responses"
+            f"{path}: {PREFIX}names returns {' '.join(names)}; the names must differ, consist of "
+            f"letters, digits and underscores, and include at most {RESPONSES_MAX} responses"
         )
     if responses and "report" not in found:
         raise CoreError(
-            f"{path} names responses but has no {PREFIX}report, which gives their values"
+            f"{path} names responses but has no function {PREFIX}report to return their values"
         )
     return tuple(parameters), tuple(responses)
 
@@ -358,21 +359,23 @@ def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_
     lib.rthyb_part_try(part, period_s, k_e_n_per_m, steps, TRIAL_S, found)
     where = _STAGES.get(found.stage, "")
     if found.ended == lib.RTHYB_TRIAL_NOT_TRIED:
-        raise CoreError("could not be tried out: this system gives no second process")
+        raise CoreError(
+            "could not be tried out: the operating system did not start a second process"
+        )
     if found.ended == lib.RTHYB_TRIAL_REFUSED:
-        raise CoreError(f"refuses its settings (its init returned {found.number})")
+        raise CoreError(f"rejected its settings (its init returned {found.number})")
     if found.ended == lib.RTHYB_TRIAL_CRASHED:
         name = signal.Signals(found.number).name
         raise CoreError(
-            f"crashes {where} ({name}, {signal.strsignal(found.number)}); it was run in a "
+            f"crashed {where} ({name}, {signal.strsignal(found.number)}); it was run in a "
             "separate process; debug it there"
         )
     if found.ended == lib.RTHYB_TRIAL_ENDED:
-        raise CoreError(f"ends the process {where} (exit status {found.number})")
+        raise CoreError(f"ended the process {where} (exit status {found.number})")
     if found.ended == lib.RTHYB_TRIAL_STUCK:
         raise CoreError(
-            f"did not return from {2 * steps} steps within {TRIAL_S:g} s {where}: check for an "
-            "unbounded loop"
+            f"did not finish {2 * steps} steps within {TRIAL_S:g} s {where}: check for an "
+            "endless loop"
         )
     called = found.ended == lib.RTHYB_TRIAL_CALLED
     return Trial(

@@ -113,17 +113,21 @@ def check_channels(channels: Sequence[Channel]) -> None:
         ValueError: with the first fault.
     """
     if len(channels) > CHANNELS_MAX:
-        raise ValueError(f"{len(channels)} channels; a row has room for {CHANNELS_MAX}")
+        raise ValueError(f"found {len(channels)} channels; a row has room for {CHANNELS_MAX}")
     taken = set(RECORD_DTYPE.names or ())
     for channel in channels:
         if not _CHANNEL_NAME.fullmatch(channel.name):
             raise ValueError(
-                f"channel {channel.name!r}: a name has up to 32 of a-z 0-9 _, a letter first"
+                f"channel {channel.name!r}: a name has up to 32 of a-z 0-9 _ and starts with a "
+                "letter"
             )
         if channel.name in taken:
-            raise ValueError(f"channel {channel.name!r}: there is a field of that name already")
+            raise ValueError(f"channel {channel.name!r}: a field of this name already exists")
         if not (math.isfinite(channel.scale) and channel.scale):
-            raise ValueError(f"channel {channel.name!r}: scale {channel.scale} is no factor")
+            raise ValueError(
+                f"channel {channel.name!r}: found the scale {channel.scale}, which is not a "
+                "valid factor"
+            )
         taken.add(channel.name)
 
 

@@ -100,7 +100,9 @@ class LawConfig:
             return law_of(self.own)
         law = LAWS.get(self.name)
         if law is None:
-            raise CoreError(f"control law {self.name!r}: unknown; there are {', '.join(LAWS)}")
+            raise CoreError(
+                f"control law {self.name!r} is unknown; the control laws are {', '.join(LAWS)}"
+            )
         return law
 
     def values(self) -> list[float]:
@@ -196,8 +198,8 @@ class DenseConfig:
             shape = np.shape(getattr(self, name))
             if not 1 <= n <= DENSE_MAX or shape != (n, n):
                 raise CoreError(
-                    f"{name} is {shape} with {n} loads; both must have one size from 1 to "
-                    f"{DENSE_MAX}"
+                    f"{name}: found shape {shape} with {n} loads; both must have the same size, "
+                    f"from 1 to {DENSE_MAX}"
                 )
         plain = mapping(self) | {"size": n}
         flat = {name: [v for row in plain[name] for v in row] for name in names}
@@ -400,9 +402,13 @@ def element(kind: str, /, **params: float) -> ElementConfig:
     """
     names = ELEMENT_PARAMS.get(kind)
     if names is None:
-        raise CoreError(f"element {kind!r}: unknown; the catalogue has {', '.join(ELEMENT_PARAMS)}")
+        raise CoreError(
+            f"element {kind!r} is unknown; the elements are {', '.join(ELEMENT_PARAMS)}"
+        )
     if set(params) != set(names):
-        raise CoreError(f"element {kind!r}: takes {', '.join(names)}, got {', '.join(params)}")
+        raise CoreError(
+            f"element {kind!r}: found {', '.join(params)}; the parameters are {', '.join(names)}"
+        )
     return ElementConfig(kind, tuple(float(params[name]) for name in names))
 
 
@@ -454,10 +460,10 @@ def new_struct(ctype: str, plain: Mapping[str, Any], config: Any) -> Any:
 def rig_struct(config: RigConfig) -> Any:
     if len(config.elements) > ELEMENTS_MAX:
         raise CoreError(
-            f"a specimen has at most {ELEMENTS_MAX} elements, got {len(config.elements)}"
+            f"found {len(config.elements)} elements; a specimen has at most {ELEMENTS_MAX}"
         )
     if len(config.extras) > EXTRAS_MAX:
-        raise CoreError(f"a rig has at most {EXTRAS_MAX} extra sensors, got {len(config.extras)}")
+        raise CoreError(f"found {len(config.extras)} extra sensors; a rig has at most {EXTRAS_MAX}")
     apart = ("elements", "extras")
     plain: Mapping[str, Any] = {k: v for k, v in mapping(config).items() if k not in apart}
     struct = ffi.new("rthyb_rig_config *", dict(plain))

@@ -300,8 +300,8 @@ def _scipy_sparse() -> Any:
 def missing_library(name: str) -> LibraryMissing:
     """Return the error of a structure that needs more than is installed."""
     return LibraryMissing(
-        f"{name} is not installed, and structures of many degrees of freedom need it: "
-        'pip install "rthyb-rt[structures]"'
+        f"{name} is not installed, but structures with many degrees of freedom need it: pip "
+        'install "rthyb-rt[structures]"'
     )
 
 
@@ -377,7 +377,7 @@ def lowest_modes(config: SparseConfig, count: int) -> tuple[Floats, Floats]:
     try:
         w2, phi = eigsh(k, count, m, sigma=0.0, OPinv=inverse, v0=start)
     except ArpackError as error:
-        raise CoreError(f"the modes of the structure were not found: {error}") from error
+        raise CoreError(f"the modes of the structure could not be computed: {error}") from error
     order = np.argsort(w2)
     w2, phi = w2[order], phi[:, order]
     phi = phi / np.sqrt(np.einsum("ij,ij->j", phi, m @ phi))

@@ -143,7 +143,7 @@ class StationConfig:
             return cls(controller=ControllerConfig(**inner), watches=watches, **given)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CoreError(
-                f"station settings: {error}; replay with the version that recorded"
+                f"station settings: {error}; replay the recording with the version that recorded it"
             ) from error
 
 
@@ -201,8 +201,9 @@ class Calibration:
         struct = struct_of("rthyb_calibration", self)
         if lib.rthyb_calibration_check(struct):
             raise CoreError(
-                f"{self}: the size of a gain must lie in 1e-9 ... 1e9, of an offset of "
-                "displacement in 0 ... 1e3 m, of force in 0 ... 1e12 N"
+                f"{self}: the magnitude of a gain must be from 1e-9 to 1e9, that of a "
+                "displacement offset from 0 to 1e3 m, and that of a force offset from 0 to 1e12 "
+                "N"
             )
         return struct
 
@@ -408,12 +409,14 @@ class Station:
         one = AxisReading(x_m, f_n, lost, link_down, drive_stopped, taken_over_m)
         given = tuple(axes) or (one,)
         if len(given) != self._axes:
-            raise CoreError(f"{len(given)} readings for {self._axes} axes")
+            raise CoreError(
+                f"found {len(given)} readings; there must be one for each of the {self._axes} axes"
+            )
         told = [a.taken_over_m is not None for a in given]
         if any(told) and not all(told):
             raise CoreError(
-                f"taken_over_m of axis {told.index(False) + 1} is missing: the commands of all "
-                "axes are taken over, or of none"
+                f"taken_over_m is missing for axis {told.index(False) + 1}; give it for all axes "
+                "or for none"
             )
         i, out = self._in, self._out
         i.taken_over = any(a.taken_over_m is not None for a in given)
@@ -464,7 +467,8 @@ class Station:
         """
         if self.ticks:
             raise CoreError(
-                f"only a fresh station replays; this one has {self.ticks} ticks behind it"
+                "only a new station can replay a recording; this one has already run for "
+                f"{self.ticks} ticks"
             )
         recorded = as_records(rows)
         out = np.zeros(recorded.size, dtype=self._dtype)
@@ -605,7 +609,10 @@ def command_of(flags: int) -> Command:
     """
     number = int(flags) >> COMMAND_BIT
     if not 0 <= number < len(COMMANDS):
-        raise CoreError(f"flags {int(flags):#x} hold no command: {number} is beyond the last one")
+        raise CoreError(
+            f"found flags {int(flags):#x}, which contain command number {number}; no such "
+            "command exists"
+        )
     return COMMANDS[number]
 
 

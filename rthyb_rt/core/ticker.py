@@ -152,7 +152,7 @@ class Ticker:
         self._c = ffi.new("rthyb_ticker *")
         if lib.rthyb_ticker_init(self._c, _CLOCKS[clock], max(rate_hz, 0), t0_ns):
             raise core.CoreError(
-                f"ticks at {rate_hz} Hz, the first one due at {t0_ns} ns: possible are "
+                f"found ticks at {rate_hz} Hz, the first one due at {t0_ns} ns; allowed are "
                 f"{RATES_HZ[0]} to {RATES_HZ[1]} Hz, and 0 ns or later"
             )
         self._tick = ffi.new("rthyb_tick *")
@@ -356,7 +356,7 @@ class JitterRun:
         """
         error = lib.rthyb_jitter_run(self._c)
         if error:
-            raise RthybError(f"the threads to be timed were not started: {os.strerror(error)}")
+            raise RthybError(f"the threads to be timed could not be started: {os.strerror(error)}")
 
     def stop(self) -> None:
         """End the run early; from any thread."""

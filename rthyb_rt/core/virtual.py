@@ -54,18 +54,20 @@ class Virtual:
         error = lib.rthyb_virtual_init(self._c)
         if error == lib.RTHYB_E_PERIOD:
             raise CoreError(
-                f"the station ticks every {station._c.cfg.controller.period_s:g} s, the virtual "
-                f"rig every {lib.rthyb_plant_period_s(plant_of(rig)):g} s; they must be the same"
+                f"the station ticks every {station._c.cfg.controller.period_s:g} s, but the "
+                f"virtual rig every {lib.rthyb_plant_period_s(plant_of(rig)):g} s; the two must "
+                "be equal"
             )
         if error == lib.RTHYB_E_PLANT:
             raise CoreError(
-                f"the station has {station.config.controller.axis_count} axes, the virtual rig "
-                f"{lib.rthyb_plant_axes(plant_of(rig))}; they must be as many"
+                f"the station has {station.config.controller.axis_count} axes, but the virtual "
+                f"rig has {lib.rthyb_plant_axes(plant_of(rig))}; the two must be equal"
             )
         if error:
             raise CoreError(
-                f"the drive brakes with {stop_decel_m_per_s2} m/s^2, more than 0 is needed; of "
-                f"{freedoms} degrees of freedom 0 to {DENSE_MAX} can be told"
+                f"found a drive that brakes with {stop_decel_m_per_s2} m/s^2, and {freedoms} "
+                "degrees of freedom to report; the deceleration must be above 0, and 0 to "
+                f"{DENSE_MAX} degrees of freedom can be reported"
             )
 
     def run(
@@ -90,8 +92,8 @@ class Virtual:
             count = channels.shape[1]
             if len(channels) != records.size or count > CHANNELS_MAX:
                 raise CoreError(
-                    f"channels {channels.shape} for {records.size} records; one row each, "
-                    f"{CHANNELS_MAX} columns at most"
+                    f"found channels of shape {channels.shape} for {records.size} records; there "
+                    f"must be one row for each record and at most {CHANNELS_MAX} columns"
                 )
             values = writing(channels)
         done = int(

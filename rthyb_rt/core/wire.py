@@ -141,7 +141,7 @@ def crc16(data: bytes) -> int:
 def cobs_encode(data: bytes) -> bytes:
     """Return COBS of at most `COBS_MAX` bytes, with the 0 that ends the packet."""
     if len(data) > COBS_MAX:
-        raise CoreError(f"a packet has at most {COBS_MAX} bytes, got {len(data)}")
+        raise CoreError(f"found a packet of {len(data)} bytes; at most {COBS_MAX} are allowed")
     out = ffi.new("uint8_t[]", len(data) + 2)
     return bytes(ffi.buffer(out, lib.rthyb_cobs_encode(data, len(data), out)))
 
@@ -184,7 +184,7 @@ class Codec:
 
     def __init__(self, struct: Any) -> None:
         if lib.rthyb_codec_check(struct):
-            raise CoreError("the table of signals does not fit its frames")
+            raise CoreError("the table of signals does not match its frames")
         self.struct = struct
         self._frames = ffi.new("rthyb_frame[2]")
         self._sent = ffi.new("double *")
@@ -197,7 +197,7 @@ class Codec:
         struct = ffi.new("rthyb_codec *")
         # Without extra channels, as recordings of before have it, it is the beginning of this one.
         if len(table) not in (ffi.sizeof(struct[0]), _WITHOUT_EXTRAS):
-            raise CoreError("the table of signals is not one of this version")
+            raise CoreError("the table of signals was not written by this version")
         ffi.memmove(struct, table, len(table))
         return cls(struct)
 
@@ -256,7 +256,7 @@ class Codec:
             CoreError: there are more than `EXTRAS_MAX`, or one does not fit its frame.
         """
         if len(extras) > EXTRAS_MAX:
-            raise CoreError(f"at most {EXTRAS_MAX} extra channels, got {len(extras)}")
+            raise CoreError(f"found {len(extras)} extra channels; at most {EXTRAS_MAX} are allowed")
         if not extras:
             return self
         struct = ffi.new("rthyb_codec *")
@@ -291,7 +291,7 @@ class Codec:
         c = self._setpoint
         c.x_m, c.seq, c.state = setpoint.x_m, setpoint.seq & _WORD, setpoint.state
         if lib.rthyb_encode_setpoint(self.struct, c, self._frames, self._sent) & _NOT_FINITE:
-            raise CoreError(f"a command must be finite, got {setpoint.x_m}")
+            raise CoreError(f"found the command {setpoint.x_m}; a command must be finite")
         return _frame(self._frames[0]), self._sent[0]
 
     def encode_feedback(self, reading: Reading) -> list[Frame]:
@@ -301,7 +301,7 @@ class Codec:
         say that.
         """
         if reading.x_m is None or reading.f_n is None:
-            raise CoreError("a sample of the drive has a displacement and a force")
+            raise CoreError("a sample from the drive must have a displacement and a force")
         c = self._reading
         c.has = lib.RTHYB_HAS_X | lib.RTHYB_HAS_F
         c.x_m, c.f_n = reading.x_m, reading.f_n
@@ -310,7 +310,7 @@ class Codec:
             c.extra[i] = value
         n = lib.rthyb_encode_feedback(self.struct, c, self._frames)
         if n == 0:
-            raise CoreError("the DBC has no value for a reading that is not finite")
+            raise CoreError("the DBC file cannot represent a reading that is not finite")
         return [_frame(self._frames[i]) for i in range(n)]
 
     def decode_setpoint(self, frame: Frame) -> tuple[int, Setpoint]:
@@ -379,7 +379,7 @@ class Wire:
         self.codec = codec
         self.struct = ffi.new("rthyb_wire *")
         if lib.rthyb_wire_init(self.struct, codec.struct):
-            raise CoreError("the table of signals does not fit its frames")
+            raise CoreError("the table of signals does not match its frames")
         self._frame = ffi.new("rthyb_frame *")
         self._sent = ffi.new("double *")
         self._feedback = ffi.new("rthyb_feedback *")
@@ -391,7 +391,7 @@ class Wire:
         """
         code = lib.rthyb_wire_command(self.struct, x_m, state, self._frame, self._sent)
         if code & _NOT_FINITE:
-            raise CoreError(f"a command must be finite, got {x_m}")
+            raise CoreError(f"found the command {x_m}; a command must be finite")
         return _frame(self._frame), self._sent[0]
 
     def receive(self, frame: Frame) -> int:

@@ -55,7 +55,7 @@ class OfAxis:
             InputError: with the names of both.
         """
         if names != self.rig.names:
-            found = f"was recorded on the axes {', '.join(names)}" if names else "is of one axis"
+            found = f"was recorded on the axes {', '.join(names)}" if names else "has only one axis"
             raise InputError(
                 f'{found}, but the model "{self.rig.rig.name}" has the axes '
                 f"{', '.join(self.rig.names)}; give the rig file of this recording as --model",
@@ -111,7 +111,7 @@ def chosen(
         raise InputError(
             f"found {axis}; the recording has the axes {', '.join(names)}"
             if names
-            else f"found {axis}, but the recording is of one axis; leave this out",
+            else f"found {axis}, but the recording has only one axis; omit the option",
             asked,
         )
     if not names:
@@ -139,7 +139,7 @@ def read_axes_rig(path: Path) -> AxesRig:
         rig = config.load_any_rig(path)
     if not isinstance(rig, config.AxesRig):
         raise InputError(
-            "is a model of one axis, but the recording is of several; give the rig file with all "
+            "is a model of one axis, but the recording has several; give the rig file with all "
             "axes, such as the rig.toml in the folder of the run",
             str(path),
         )

@@ -79,7 +79,7 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
         InputError: the recording cannot be repeated, or a rig file is not in order.
     """
     if rec.meta.get("interrupted"):
-        raise InputError("the test was held and resumed: its ground motion does not run through")
+        raise InputError("the test was held and resumed, so its ground motion is interrupted")
     mask = rec.running()
     count = int(mask.sum())
     setup, settings = _as_recorded(rec, count)

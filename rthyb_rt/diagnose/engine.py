@@ -375,9 +375,9 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             found, ctx, search = next((a for a in again if a), (found, ctx, by_balance))
     elif "f_meas" in case.channels or case.model.family in ("ground", "forced"):
         raise InputError(
-            "gaps, clipped and stray readings leave no stretch in which the force could be judged "
-            f"(fewer than {POLICY.least_rows_force} rows); record again, or diagnose the parts "
-            "between the gaps",
+            "gaps, clipped readings and stray readings leave no part in which the force could "
+            f"be evaluated (fewer than {POLICY.least_rows_force} rows); record again, or "
+            "diagnose the parts between the gaps",
             case.name,
         )
     progress("verdict")
@@ -657,8 +657,8 @@ def _located(
 def _begun(candidates: list[Found], names: list[str]) -> list[str]:
     """Return a note for each effect named that begins in mid-record."""
     return [
-        f"{c.name} begins at {c.from_s:.4g} s; the augmented model, and a prediction of another "
-        "recording, have it throughout"
+        f"{c.name} begins at {c.from_s:.4g} s, but in the augmented model, and in a prediction "
+        "of another recording, it acts throughout"
         for c in candidates
         if c.name in names and c.from_s is not None
     ]

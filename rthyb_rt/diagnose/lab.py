@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import sizes
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
-from rthyb_rt.diagnose.mapping import EXAMPLE, Source, Wish, proposals, sources
+from rthyb_rt.diagnose.mapping import EXAMPLE, UNASSIGNED, Source, Wish, proposals, sources
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.table import TIME_NAMES, Column, Table, plain, read_table
 from rthyb_rt.diagnose.units import SI, USUAL, in_si, read_unit
@@ -75,7 +75,7 @@ def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> 
     channels = _channels(table, found, labels, model, where, notes)
     for channel, source in found.items():
         if source.unit is not None and not source.presumed and source.unit.factor != 1:
-            notes.append(f"{channel}: {labels[channel]!r} in {source.unit.text}, converted")
+            notes.append(f"{channel}: {labels[channel]!r} converted from {source.unit.text}")
     stated = {k: s.unit.text for k, s in found.items() if s.unit is not None and not s.presumed}
     further = _further(table, found, labels)
     return Lab(t, channels, notes, table.lines, labels, stated, table, found, further)
@@ -103,12 +103,12 @@ def stated(
     found, notes = sources(table, list(wishes), where, needed=False)
     found = {name: source for name, source in found.items() if name in channels}
     labels = {name: _label(table.columns[source.column]) for name, source in found.items()}
-    notes = table.notes + [note for note in notes if not note.startswith("not used")]
+    notes = table.notes + [note for note in notes if not note.startswith(UNASSIGNED)]
     problems = []
     for name in channels:
         if name not in found and name in needed:
             proposal = " ".join(proposals(table, found, (name,))) or EXAMPLE
-            problems.append(f"has no column for {name}; name it, for example: {proposal}")
+            problems.append(f"has no column for {name}; assign one, for example: {proposal}")
     columns = {name: table.columns[source.column] for name, source in found.items()}
     unsaid = [n for n, source in found.items() if source.unit is None and not columns[n].day]
     if unsaid:
@@ -122,7 +122,7 @@ def stated(
         factor = source.unit.factor if source.unit is not None else Fraction(1)
         out[name] = in_si(values * source.sign, factor)
         if source.unit is not None and factor != 1:
-            notes.append(f"{name}: {labels[name]!r} in {source.unit.text}, converted")
+            notes.append(f"{name}: {labels[name]!r} converted from {source.unit.text}")
     return out.pop("t"), out, notes
 
 
@@ -166,12 +166,12 @@ def _refuse_words(column: Column, channel: str, where: str) -> None:
     line, text = column.fault
     hint = ""
     if any(c.isdigit() for c in text):
-        hint = "; write numbers as 1234.5 or 1.2345e3, without separators of thousands"
+        hint = "; write numbers as 1234.5 or 1.2345e3, without thousands separators"
         if channel == "t":
             hint += ", and times of day as 2026-01-31 12:00:00.125"
     raise InputError(
-        f"column {column.header}: {text[:40]!r} is no number{hint}; an empty field or nan stands "
-        "for no reading",
+        f"column {column.header}: {text[:40]!r} is not a number{hint}; if there is no reading, "
+        "leave the field empty or write nan",
         f"{where}:{line}",
     )
 
@@ -188,15 +188,15 @@ def _time(
     source = source or _counting(table, labels, model, notes)
     if source is None:
         notes.append(
-            f"no column of time: rows are taken to be 1/{model.fs_hz:g} s apart, as fs_hz of the "
-            "model says"
+            f"no time column: rows are assumed to be 1/{model.fs_hz:g} s apart, the fs_hz of the "
+            "model"
         )
         return np.arange(n) / model.fs_hz
     column = table.columns[source.column]
     if source.sign < 0:
-        raise InputError("time cannot be counted backwards; leave the minus out", "--map t")
+        raise InputError("time cannot be inverted; omit the minus sign", "--map t")
     if column.day:
-        notes.append(f"time is of day; counted in s from {_midnight(column.day)}")
+        notes.append(f"times of day are converted to seconds since {_midnight(column.day)}")
         return column.values
     unit = source.unit
     if unit is None:
@@ -204,18 +204,22 @@ def _time(
         text = time_unit(float(np.median(steps)) * model.fs_hz) if steps.size else None
         if text is None:
             raise InputError(
-                f"column {column.header!r}: its unit is not stated, and in none of "
-                f"{', '.join(_TIME_UNITS)} are its rows 1/{model.fs_hz:g} s apart, as fs_hz of the "
-                f'model says; say it, as in --map t="{labels["t"]} [ms]", or correct fs_hz',
+                f"column {column.header!r}: its unit is not stated, and its rows are 1/"
+                f"{model.fs_hz:g} s apart (fs_hz of the model) in none of "
+                f"{', '.join(_TIME_UNITS)}; state the unit, as in "
+                f'--map t="{labels["t"]} [ms]", or correct fs_hz',
                 where,
             )
-        notes.append(f"time: {column.header!r} states no unit; taken for {text}, as fs_hz says")
+        notes.append(
+            f"time: the unit of {column.header!r} is not stated; assumed to be {text}, which "
+            "agrees with fs_hz"
+        )
         unit = read_unit(text)
     t = in_si(column.values, unit.factor if unit is not None else Fraction(1))
     first = t[np.isfinite(t)][:1]
     if first.size and first[0] >= STAMP_S:
         day = float(DAY_S * np.floor(first[0] / DAY_S))
-        notes.append(f"time is of the calendar; counted from {day:.0f} s, a midnight")
+        notes.append(f"time is a calendar time; it is counted from {day:.0f} s, a midnight")
         return t - day
     return t
 
@@ -242,7 +246,8 @@ def _counting(
         if unit is not None and _even(steps):
             labels["t"] = _label(column)
             notes.append(
-                f"column {column.header!r} counts up as fs_hz says: taken for t, in {unit}"
+                f"column {column.header!r} increases at the rate fs_hz, so it is read as t, in "
+                f"{unit}"
             )
             return Source(j, read_unit(unit))
     return None
@@ -286,9 +291,9 @@ def _channels(
         assert unit is not None
         known[channel] = in_si(open_.pop(channel), unit.factor)
         notes.append(
-            f"{channel}: {labels[channel]!r} states no unit; taken for {text}, in which it is "
-            f"{abs(relation.ratio) * float(unit.factor):.3g} of what {_basis(relation)} gives: "
-            "check it"
+            f"{channel}: the unit of {labels[channel]!r} is not stated; assumed to be {text}, "
+            f"which makes it {abs(relation.ratio) * float(unit.factor):.3g} times as large as "
+            f"{_basis(relation)} predicts: check it"
         )
     return {channel: known[channel] for channel in found if channel in known}
 
@@ -304,11 +309,11 @@ def _untold(
     parts = []
     for channel in names:
         column = table.columns[found[channel].column]
-        none = f"no unit that is known ({column.unit})" if column.sure else "no unit"
+        none = f"an unknown unit ({column.unit})" if column.sure else "no unit"
         usual = ", ".join(USUAL[SI[channel]])
         parts.append(
-            f"column {column.header!r} ({channel}) states {none}, and nothing tells it for sure; "
-            "say it "
-            f'({usual}): --map {channel}="{labels[channel]} [{USUAL[SI[channel]][0]}]"'
+            f"column {column.header!r} ({channel}) states {none}, and it cannot be inferred with "
+            f'certainty; state it ({usual}): --map {channel}="{labels[channel]} '
+            f'[{USUAL[SI[channel]][0]}]"'
         )
     return "; ".join(parts)

@@ -381,7 +381,7 @@ def _plate(rest: Rest, key: str) -> Plate:
 def _note(rest: Rest, quantity: str, off: Sequence[Part], cycle: bool, thin: bool) -> str:
     if not rest.laws:
         return "Recorded less the model; darker: more rows."
-    words = ["Grey: recorded less the model, its parameters adjusted within tolerance."]
+    words = ["Grey: recorded less the model, with parameters adjusted within tolerance."]
     if off:
         names = " and ".join(called(n) for p in off for n in p.names)
         do = "it does" if len(off) == 1 else "they do"

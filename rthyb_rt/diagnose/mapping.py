@@ -14,6 +14,8 @@ from rthyb_rt.diagnose.units import SI, USUAL, Stated, is_electric, read_unit, s
 from rthyb_rt.errors import InputError, Problem
 
 EXAMPLE = '--map x_meas="LVDT 1 [mm]"'
+UNASSIGNED = "columns not assigned to a channel"
+"""Beginning of the note on such columns, which means nothing where there is no diagnosis."""
 
 
 @dataclass(frozen=True)
@@ -154,7 +156,7 @@ def sources(
             if j is not None:
                 found[channel] = _named(table.columns[j], j, channel, where)
                 if plain(table.columns[j].name) != channel and table.columns[j].header != channel:
-                    notes.append(f"column {table.columns[j].header!r} is taken for {channel}")
+                    notes.append(f"column {table.columns[j].header!r} is read as {channel}")
         except InputError as error:
             problems += error.problems
     if problems:
@@ -168,8 +170,8 @@ def _unused(table: Table, found: dict[str, Source]) -> list[str]:
     if not strange:
         return []
     return [
-        f"columns that are no channel: {', '.join(strange)}; numbers in them are tried as what "
-        f"changes a law (channels: {', '.join(CHANNELS)})"
+        f"{UNASSIGNED}: {', '.join(strange)}; those with numbers are tried as quantities that "
+        f"modulate an effect (channels: {', '.join(CHANNELS)})"
     ]
 
 
@@ -206,8 +208,9 @@ def _wished(table: Table, wish: Wish, where: str) -> Source | None:
             if len(match) > 1:
                 listed = ", ".join(f"#{j + 1}" for j in match)
                 raise InputError(
-                    f"{where} has {len(match)} columns named {wanted!r}: {listed}; name it by its "
-                    f'number, as in --map {wish.channel}="#{match[0] + 1} [{SI[wish.channel]}]"',
+                    f"{where} has {len(match)} columns named {wanted!r}: {listed}; choose one by "
+                    f'its number, as in --map {wish.channel}="#{match[0] + 1} '
+                    f'[{SI[wish.channel]}]"',
                     wish.where,
                 )
             if match:
@@ -235,14 +238,14 @@ def _fitting(text: str, channel: str, column: Column, where: str) -> Stated:
         return unit
     known = ", ".join(USUAL[SI[channel]])
     if is_electric(text):
-        said = "is a sensor's signal and no reading; write the calibrated quantity"
+        said = "is the unit of a sensor's electrical signal; give the calibrated quantity"
     elif unit is None:
-        said = "is no unit that is known"
+        said = "is not known"
     else:
-        said = f"is no unit of {channel}, which is in {SI[channel]}"
+        said = f"is not a unit for {channel}, which is in {SI[channel]}"
     raise InputError(
-        f"column {column.header!r}: the unit {text!r} {said}; allowed are {known} and their like, "
-        f'as in --map {channel}="{_plainly(column)} [{USUAL[SI[channel]][-1]}]"',
+        f"column {column.header!r}: the unit {text!r} {said}; allowed are {known} and similar "
+        f'units, as in --map {channel}="{_plainly(column)} [{USUAL[SI[channel]][-1]}]"',
         where,
     )
 
@@ -277,9 +280,10 @@ def _by_name(table: Table, channel: str, taken: set[int], where: str) -> int | N
     if len(found) > 1:
         listed = ", ".join(f"#{j + 1} {table.columns[j].header!r}" for j in found)
         same = len({table.columns[j].header for j in found}) == 1
-        two = "two columns of one name" if same else f"more than one column for {channel}"
+        two = "two columns of the same name" if same else f"more than one column for {channel}"
         raise InputError(
-            f'has {two}: {listed}; say which: --map {channel}="#{found[0] + 1} [{SI[channel]}]"',
+            f'has {two}: {listed}; choose one, for example --map {channel}="#{found[0] + 1} '
+            f'[{SI[channel]}]"',
             where,
         )
     return found[0] if found else None
@@ -291,7 +295,7 @@ def _missing(table: Table, wish: Wish, where: str) -> Problem:
     near = difflib.get_close_matches(name, [*headers, *(c.name for c in table.columns)], 1, 0.5)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
     listed = ", ".join(repr(h) for h in headers[:12]) + (", ..." if len(headers) > 12 else "")
-    return Problem(wish.where, f"{where} has no column {name!r}{hint}; there are {listed}")
+    return Problem(wish.where, f"{where} has no column {name!r}{hint}; its columns are {listed}")
 
 
 def proposals(table: Table, found: dict[str, Source], wanted: Iterable[str]) -> list[str]:

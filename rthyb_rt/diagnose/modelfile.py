@@ -139,8 +139,8 @@ def _plain_of(rig: Any) -> _Plain:
     for item in (*specimen_elements(rig), *table_elements(rig)):
         if item.own is not None:
             raise InputError(
-                f"the element {item.own.name} is a class in Python, which a diagnosis cannot "
-                "refit; describe the specimen by elements of the catalogue (rthyb effects)",
+                f"the element {item.own.name} is a class in Python, which the diagnosis cannot "
+                "fit; describe the specimen by elements of the catalogue (rthyb effects)",
                 "specimen",
             )
         p = dict(zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True))

@@ -164,7 +164,7 @@ def in_words(names: Iterable[str], slopes: Iterable[dict[str, Any]]) -> list[str
         if "per_unit" in slope:
             said = f"{slope['param']} {slope['per_unit']:+.4g} for each of its units"
         elif slope:
-            said = f"its force {100.0 * slope.get('relative_per_unit', np.nan):+.3g} % for each"
+            said = f"its force by {100.0 * slope.get('relative_per_unit', np.nan):+.3g} % for each"
         if slope:
             out.append(
                 f"{name} changes with {slope['channel']}: {said}; its parameters are those at the "

@@ -66,7 +66,7 @@ def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
 def _close(d: Diagnosis, out: Outcome) -> None:
     """Simulate the whole loop again, or recover of it what its signals tell."""
     if d.case.axis:
-        why = "an axis of several cannot be simulated without the others"
+        why = "one of several axes cannot be simulated without the others"
         out.answer["closed_loop"] = {"possible": False, "why": why}
     elif d.case.own is not None:
         try:
@@ -75,7 +75,7 @@ def _close(d: Diagnosis, out: Outcome) -> None:
         except RthybError as error:
             out.answer["closed_loop"] = {"possible": False, "why": str(error)}
     elif d.case.model.family == "loop":
-        why = "a CSV recording holds neither the controller's settings nor the test"
+        why = "a CSV recording contains neither the controller's settings nor the test"
         out.answer["closed_loop"] = {"possible": False, "why": why}
         out.recovered = recover(d.case)
         out.answer["recovered"] = out.recovered.to_json()
@@ -89,7 +89,7 @@ def close_loop(d: Diagnosis, model: Augmented) -> ClosedLoop:
     """
     rec = d.case.own
     if rec is None:
-        raise InputError("not a recording of this program, so its test is not known")
+        raise InputError("the recording was not made by this program, so its test is not known")
     base = closed.same_actuator(d.case.model, rec)
     plain = engine.baseline(d)
     texts = []

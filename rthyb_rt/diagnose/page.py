@@ -345,8 +345,8 @@ def _recovered(found: Recovered, outcome: Outcome) -> Plate | None:
     draw.x_label(paper.axes[-1], "time, s")
     return paper.plate(
         "What the controller did, recovered from its signals",
-        "alpha from x_num and x_cmd (Eqn 2.5), k_t from the equation of motion (Eqn 3.2); gaps "
-        "where the motion does not determine them.",
+        "alpha from x_num and x_cmd (Eqn 2.5), k_t from the equation of motion (Eqn 3.2); there "
+        "are gaps where the motion does not determine them.",
     )
 
 
@@ -420,7 +420,7 @@ def _overlay(d: Diagnosis, s: _Signals) -> Plate:
     draw.head(top, f"{s.what}, {s.unit}")
     draw.head(low, f"residual, {s.unit}")
     draw.x_label(low, "time, s")
-    where = "Shaded: where the mismatch acts." if d.windows else ""
+    where = "Shaded: intervals in which the mismatch acts." if d.windows else ""
     return paper.plate(f"Recorded {s.what}, before and after", where)
 
 

@@ -66,7 +66,7 @@ def read_case(
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
         t, channels, notes = lab.t, lab.channels, lab.notes
     if model.unused:
-        notes.append(f"not used of the model: {', '.join(model.unused)}")
+        notes.append(f"parts of the model that are not used: {', '.join(model.unused)}")
     beyond = lab.further if lab is not None else {}
     t, whole, more = _uniform(t, {**beyond, **channels}, model.fs_hz, where, lab)
     channels = {k: whole[k] for k in channels}
@@ -130,7 +130,7 @@ def _run(path: Path, of: OfAxis | None) -> Recording | None:
     names = () if rec is None else rec.axis_names
     if of is None and names:
         raise InputError(
-            f"was recorded on several axes ({', '.join(names)}); name one of them", str(path)
+            f"was recorded on several axes ({', '.join(names)}); choose one of them", str(path)
         )
     if of is not None:
         of.fits(names, str(path))
@@ -158,9 +158,9 @@ def _take_extras(
         if wish.channel not in _EXTRA_OF or name not in extras:
             known = ", ".join(extras) or "none"
             raise InputError(
-                f"found {wish.channel}={wish.text}; in a recording of this program the columns are "
-                f"known: {', '.join(_EXTRA_OF)} may be an extra channel of the rig, and it has "
-                f"{known}",
+                f"found {wish.channel}={wish.text}; in a recording of this program only "
+                f"{', '.join(_EXTRA_OF)} can be replaced, by an extra channel of the rig; its "
+                f"extra channels: {known}",
                 wish.where,
             )
         channel, unit = extras[name], wish.unit or extras[name].unit
@@ -168,8 +168,8 @@ def _take_extras(
             factor = float(units.convert(f"1 {unit}", _EXTRA_OF[wish.channel]))
         except units.UnitError as error:
             raise InputError(
-                f"found the unit {unit!r} of {name} ({error}); {wish.channel} needs one of the "
-                f"kind of {_EXTRA_OF[wish.channel]}",
+                f"found the unit {unit!r} of {name} ({error}); {wish.channel} needs a unit of "
+                f"the same kind as {_EXTRA_OF[wish.channel]}",
                 wish.where,
             ) from None
         sign = -1.0 if text.startswith("-") or wish.sign < 0 else 1.0
@@ -177,7 +177,10 @@ def _take_extras(
         if wish.channel != "ag":
             values = values - _at_rest(rec, values)
         channels[wish.channel] = values[mask]
-        notes.append(f"{wish.channel} is the extra channel {name} of the rig, not its own sensor")
+        notes.append(
+            f"{wish.channel} is read from the extra channel {name} of the rig, not from its own "
+            "sensor"
+        )
 
 
 def _at_rest(rec: Recording, values: Floats) -> float:
@@ -204,7 +207,7 @@ def _own(rec: Recording, of: OfAxis | None) -> tuple[Floats, dict[str, Floats], 
     notes = []
     if made_up.any():
         channels["x_meas"][made_up] = channels["f_meas"][made_up] = np.nan
-        notes.append(f"{int(made_up.sum())} rows were predicted during the test and are left out")
+        notes.append(f"{int(made_up.sum())} rows were predicted during the test and are excluded")
     t = rec.time_s()[mask]
     out = {k: np.ascontiguousarray(v, dtype=np.float64) for k, v in channels.items()}
     for values in out.values():
@@ -220,22 +223,22 @@ def _uniform(
     """Return the recording on a uniform time base; rows missing in a gap become NaN."""
     bad = np.flatnonzero(~np.isfinite(t))
     if bad.size:
-        raise InputError("the time is no number", _line(where, int(bad[0]), lab))
+        raise InputError("the time is not a number", _line(where, int(bad[0]), lab))
     if t.size < 2:
-        raise InputError("has a single row", where)
+        raise InputError("has only one row", where)
     steps = np.diff(t)
     back = np.flatnonzero(steps <= 0)
     if back.size:
         i = int(back[0])
         raise InputError(
-            f"time does not increase: {t[i]:g} s is followed by {t[i + 1]:g} s; sort the rows, or "
-            "cut the recording where the clock was set",
+            f"time does not increase: {t[i]:g} s is followed by {t[i + 1]:g} s; sort the rows, "
+            "or split the recording where the clock was set",
             _line(where, i + 1, lab),
         )
     dt = float(np.median(steps))
     if abs(dt * fs_hz - 1.0) > POLICY.rate_off:
         raise InputError(
-            f"rows are {dt:.6g} s apart ({1 / dt:.6g} Hz), the model says fs_hz = {fs_hz:g}; "
+            f"rows are {dt:.6g} s apart ({1 / dt:.6g} Hz), but the model says fs_hz = {fs_hz:g}; "
             + _other_rate(dt * fs_hz, lab),
             where,
         )
@@ -246,10 +249,13 @@ def _uniform(
     dt = float(t[-1] - t[0]) / float(index[-1])
     jitter = float(np.max(np.abs((t - t[0]) / dt - index)))
     if jitter > POLICY.jitter_told:
-        notes.append(f"rows jitter by up to {jitter:.2f} of their distance; taken as uniform")
+        notes.append(
+            f"the spacing of the rows varies by up to {jitter:.2f} of the period; it is treated "
+            "as uniform"
+        )
     if jitter > POLICY.uneven_rows:
         raise InputError(
-            f"rows are spaced unevenly, by up to {jitter:.0f} of their distance; resample the "
+            f"the rows are unevenly spaced, by up to {jitter:.0f} times the period; resample the "
             "recording to one rate",
             where,
         )
@@ -258,7 +264,7 @@ def _uniform(
         return t, channels, notes
     if missing > t.size:
         raise InputError(
-            f"more rows are missing ({missing}) than there are ({t.size}); diagnose the parts "
+            f"more rows are missing ({missing}) than present ({t.size}); diagnose the parts "
             "between the gaps",
             where,
         )
@@ -269,7 +275,7 @@ def _uniform(
         full[index] = values
         out[name] = full
     gaps = int((jumps > 1).sum())
-    notes.append(f"{gaps} gap{'s' if gaps > 1 else ''} in time, {missing} rows; not judged")
+    notes.append(f"{gaps} gap{'s' if gaps > 1 else ''} in time, {missing} rows; not evaluated")
     return whole, out, notes
 
 
@@ -284,8 +290,8 @@ def _other_rate(ratio: float, lab: Lab | None) -> str:
     if lab is None or "t" not in lab.labels or unit in (None, "s"):
         return "correct the one that is wrong"
     return (
-        f'if the time is in {unit}, give --map t="{lab.labels["t"]} [{unit}]", else correct the '
-        "one that is wrong"
+        f'if the time is in {unit}, give --map t="{lab.labels["t"]} [{unit}]"; otherwise correct '
+        "the one that is wrong"
     )
 
 
@@ -307,20 +313,20 @@ def _usable(
     for name, values in channels.items():
         good = values[np.isfinite(values)]
         if good.size == 0:
-            reasons[name] = "holds no number"
+            reasons[name] = "contains no number"
         elif name == "f_in" and model.family == "forced" and not good.any():
             pass  # a body that is let go: nothing pushes it, and that is known
         elif good.size > 2 and np.all(good == good[0]):
             reasons[name] = f"is constant ({good[0]:g} {CHANNELS[name]})"
         elif judged and good.size < POLICY.numbers_least * values.size:
             reasons[name] = (
-                f"holds numbers in {100 * good.size / values.size:.0f} % of its rows only"
+                f"contains numbers in only {100 * good.size / values.size:.0f} % of its rows"
             )
         if name in reasons:
             del out[name]
             notes.append(f"{name} {reasons[name]} and is not used")
         elif good.size < values.size and judged:
-            notes.append(f"{name}: rows without a number: {values.size - good.size}; not judged")
+            notes.append(f"{name}: {values.size - good.size} rows without a number; not evaluated")
     choices = NEEDED[model.family]
     if judged and not any(set(choice) <= set(out) for choice in choices):
         asked = " or ".join(" and ".join(choice) for choice in choices)
@@ -340,9 +346,9 @@ def _offers(lab: Lab | None, choices: tuple[tuple[str, ...], ...]) -> str:
         return ""
     found = proposals(lab.table, lab.sources, dict.fromkeys(n for c in choices for n in c))
     if found:
-        return f"; columns become channels so, for example: {' '.join(found)}"
+        return f"; to assign columns to channels, for example: {' '.join(found)}"
     if len(lab.sources) < len(lab.table.columns):
-        return f"; columns become channels so: {EXAMPLE}"
+        return f"; to assign columns to channels: {EXAMPLE}"
     return ""
 
 
@@ -351,7 +357,8 @@ def _fits_family(channels: dict[str, Floats], model: Model, where: str) -> None:
     family = model.family
     if family in ("ground", "forced") and "x_cmd" in channels and "ag" not in channels:
         raise InputError(
-            f"has x_cmd and no ag: a recording of a driven specimen; the model says {family!r}",
+            "has x_cmd but no ag: it is a recording of a specimen that is moved by an actuator, "
+            f"but the model says {family!r}",
             where,
         )
     if (family == "ground" and model.mass <= 0) or (
@@ -360,17 +367,19 @@ def _fits_family(channels: dict[str, Floats], model: Model, where: str) -> None:
         table = "numerical.m" if family == "ground" else "specimen.moving_mass"
         raise InputError(f"family {family!r} needs a mass: {table} is missing or 0", where)
     if family == "drive" and "f_in" in channels and "f_meas" not in channels:
-        raise InputError("has f_in, the channel of family 'forced'; the model says 'drive'", where)
+        raise InputError(
+            "has f_in, the channel of family 'forced', but the model says 'drive'", where
+        )
     only_command = "x_meas" not in channels or "f_meas" not in channels
     if family in ("drive", "loop") and only_command and model.actuator is None:
         raise InputError(
-            "x_meas and f_meas are not both there, and the model has no [actuator] to make up for "
-            "it; add one, or record both",
+            "x_meas or f_meas is missing, and the model has no [actuator] from which the "
+            "missing one could be computed; add [actuator], or record both",
             where,
         )
     nothing = model.k == 0 and model.c == 0 and model.moving_mass == 0 and not model.extra
     if nothing and "f_meas" in channels:
-        raise InputError("the model's force is zero: give k, c or moving_mass", where)
+        raise InputError("the force of the model is zero: give k, c or moving_mass", where)
 
 
 def _spikes(channels: dict[str, Floats], notes: list[str]) -> None:
@@ -395,7 +404,7 @@ def _spikes(channels: dict[str, Floats], notes: list[str]) -> None:
             first = int(np.flatnonzero(off)[0])
             notes.append(
                 f"{name} has {int(off.sum())} stray reading{'s' if off.sum() > 1 else ''} "
-                f"({values[first]:.3g} {CHANNELS[name]} in row {first + 1}); not judged there"
+                f"({values[first]:.3g} {CHANNELS[name]} in row {first + 1}); not evaluated there"
             )
 
 
@@ -411,7 +420,7 @@ def _clipped(channels: dict[str, Floats], where: str, notes: list[str]) -> None:
             continue
         if share > POLICY.clipped_rows:
             raise InputError(
-                f"{name} stands at the end of its range in {100 * share:.0f} % of the rows: the "
+                f"{name} is at the end of its range in {100 * share:.0f} % of the rows: the "
                 "sensor is clipped; choose a larger range and repeat the test",
                 where,
             )
@@ -419,7 +428,8 @@ def _clipped(channels: dict[str, Floats], where: str, notes: list[str]) -> None:
         clean[rows] = np.nan
         channels[name] = clean
         notes.append(
-            f"{name} is clipped in {int(rows.sum())} rows ({100 * share:.1f} %); not judged there"
+            f"{name} is clipped in {int(rows.sum())} rows ({100 * share:.1f} %); not evaluated "
+            "there"
         )
 
 
@@ -463,8 +473,8 @@ def _means_nothing(case: Case, where: str) -> None:
         return
     if abs(float(np.corrcoef(f[good], expected)[0, 1])) < POLICY.dead_cell_follows**0.5:
         raise InputError(
-            f"f_meas shows nothing but noise ({spread:.3g} N) where the model has forces of "
-            f"{float(np.std(expected)):.3g} N: is the load cell connected, is it the right "
+            f"f_meas contains only noise ({spread:.3g} N), although the model predicts forces of "
+            f"{float(np.std(expected)):.3g} N: is the load cell connected, and is this the right "
             "channel?",
             where,
         )
@@ -484,4 +494,4 @@ def _filled_in(channels: dict[str, Floats], notes: list[str]) -> None:
         put_in = int(np.isfinite(clean).sum() - np.isfinite(values).sum())
         if put_in:
             channels[name] = clean
-            notes.append(f"{name}: {put_in} single missing rows were filled in")
+            notes.append(f"{name}: {put_in} missing rows were interpolated")

@@ -54,7 +54,7 @@ class Slope:
         """Return the summary for the answer."""
         good = np.isfinite(self.value)
         if self.why or not good.any():
-            return {"possible": False, "why": self.why or "nowhere identifiable"}
+            return {"possible": False, "why": self.why or "not identifiable anywhere"}
         value = self.value[good]
         return {
             "possible": True,
@@ -107,7 +107,7 @@ def recover_alpha(case: Case) -> Slope:
         return _without(
             case, "samples",
             f"x_cmd does not follow from x_num by Eqn 2.5 with W1 = {w1:g}, W2 = {w2:g}: "
-            f"{100 * unclosed:.0f} % of it is left",
+            f"{100 * unclosed:.0f} % of it remains unexplained",
         )  # fmt: skip
     value[error > POLICY.alpha_error] = np.nan
     return Slope(value, error, "samples")
@@ -142,8 +142,8 @@ def recover_stiffness(case: Case) -> Slope:
     if unclosed > POLICY.recovered_unclosed:
         return _without(
             case, unit,
-            f"x_num does not follow from ag and f_meas by m (x'' + ag) + c x' + F = 0: "
-            f"{100 * unclosed:.0f} % of the force is left",
+            "x_num does not follow from ag and f_meas by m (x'' + ag) + c x' + F = 0: "
+            f"{100 * unclosed:.0f} % of the force remains unexplained",
         )  # fmt: skip
     value[error > POLICY.stiffness_error * (abs(case.model.k) or 1e300)] = np.nan
     return Slope(value, error, unit)

@@ -120,7 +120,7 @@ def disagreement(case: Case) -> str:
     if abs(gain) - unsure[0] > POLICY.accelerometer_gain:
         words.append(f"is {100.0 * gain:+.2g} % larger")
     if abs(late) - unsure[1] > POLICY.accelerometer_late_s:
-        words.append(f"comes {1e3 * late:+.2g} ms later")
+        words.append(f"is {1e3 * late:+.2g} ms later")
     made_of = "x_meas'' + ag" if ground else "x_meas''"
     return f"a_meas {' and '.join(words)} than {made_of}: one of them is wrong" if words else ""
 

@@ -162,7 +162,7 @@ def _message(r: Relation, said: str, model: Model, labels: dict[str, str] | None
         same = CHANNELS[other] == CHANNELS[r.channel] or other.startswith("x_")
         if unit and same and unit != CHANNELS[other]:
             ways.append(f"if {other} is in {unit}, give {_mend(other, unit, labels)}")
-    return f"{text}; {'; '.join([*ways, 'else convert the column, or correct the model'])}"
+    return f"{text}; {'; '.join([*ways, 'otherwise convert the column, or correct the model'])}"
 
 
 def _sign(r: Relation, labels: dict[str, str] | None, unit: str | None) -> str:

@@ -115,8 +115,8 @@ def read_table(path: Path) -> Table:
     rows = [(i, line) for i, line in enumerate(lines, 1) if _is_content(line)]
     if len(rows) < 2:
         raise InputError(
-            "has no rows below its header; a recording has a row of names and a row of numbers for "
-            "each moment",
+            "has no rows below its header; a recording needs a row of names, and below it a row "
+            "of numbers for each instant",
             where,
         )
     dialect, width, numeric = _written(rows)
@@ -137,7 +137,10 @@ def read_table(path: Path) -> Table:
         ]
     if dialect != DIALECTS[0]:
         point = "a comma" if dialect.decimal == "," else "a point"
-        notes.append(f"columns are separated by {_WORDS[dialect.separator]}, decimals by {point}")
+        notes.append(
+            f"columns are separated by {_WORDS[dialect.separator]}, with {point} as decimal "
+            "separator"
+        )
     return Table(columns, np.array(line_of, dtype=np.int64), notes)
 
 
@@ -151,7 +154,7 @@ def _text(path: Path) -> str:
         # A pipe ends; a device does not.
         if not (stat.S_ISREG(mode) or stat.S_ISFIFO(mode)):
             raise InputError(
-                "is no file; a recording is a CSV file, or the folder or recording.h5 of a run",
+                "is not a file; a recording is a CSV file, or the folder or recording.h5 of a run",
                 where,
             )
         data = path.read_bytes()
@@ -162,7 +165,7 @@ def _text(path: Path) -> str:
         try:
             text = data.decode("utf-16")
         except UnicodeDecodeError as error:
-            raise InputError("begins like UTF-16 text and is none", where) from error
+            raise InputError("begins like UTF-16 text but is damaged", where) from error
     else:
         try:
             text = data.decode("utf-8-sig")
@@ -172,8 +175,8 @@ def _text(path: Path) -> str:
     if control is not None:
         line = text.count("\n", 0, control.start()) + 1
         raise InputError(
-            f"is no CSV text (byte {ord(control[0]):#04x}); give a recording as CSV, or the folder "
-            "or recording.h5 of a run",
+            f"is not CSV text (byte {ord(control[0]):#04x}); give a recording as CSV, or the "
+            "folder or recording.h5 of a run",
             f"{where}:{line}",
         )
     return text
@@ -311,7 +314,7 @@ def _head(
         )
         if names is None:
             raise _no_names(rows, dialect, width, where)
-        return names, [""] * len(names), rows[first:], ["the names stand in a comment"]
+        return names, [""] * len(names), rows[first:], ["the column names were found in a comment"]
     at, names = max(named, key=lambda item: (_known(item[1]), item[0]))
     if not _known(names):
         # Nothing is recognised: the lowest that is no row of units.
@@ -320,14 +323,16 @@ def _head(
     first = at + 1 if _known(names) > 1 else first
     notes, stated = [], [""] * len(names)
     if any(line.strip() for line in lines[: rows[at][0] - 1]):
-        notes.append(f"the names stand in line {rows[at][0]}; what is above it is not read")
+        notes.append(
+            f"the column names were found in line {rows[at][0]}; the lines above it are ignored"
+        )
     for k in range(at + 1, min(max(first, at + 2), len(rows))):
         found = _fields(rows[k][1], dialect)
         if _is_units(found) and len(found) <= len(names):
             stated = [*found, *[""] * (len(names) - len(found))]
             first = max(first, k + 1)
         elif k < first:
-            notes.append(f"line {rows[k][0]}, between names and numbers, is not read")
+            notes.append(f"line {rows[k][0]}, between names and numbers, is ignored")
     return names, stated, rows[first:], notes
 
 
@@ -393,16 +398,16 @@ def _no_names(rows: list[tuple[int, str]], dialect: Dialect, width: int, where: 
     fields = _fields(text, dialect)
     shown = text.strip()[:60]
     hint = (
-        "the first line is to name the columns: t and " + ", ".join(CHANNELS)
+        "the first line must name the columns: t and " + ", ".join(CHANNELS)
         if all(_is_cell(f, dialect) for f in fields)
         else f"the rows have {width} fields, and no line above them has as many names"
     )
     if width == 2 * len(re.split(r"[,;\t]", text)) and dialect == DIALECTS[0]:
         hint += (
-            "; numbers seem to have a decimal comma between commas: export with semicolons or a "
-            "decimal point"
+            "; the numbers seem to have decimal commas in a file whose columns are separated by "
+            "commas: export it with semicolons or with decimal points"
         )
-    return InputError(f"has no names over its columns; found {shown!r}; {hint}", f"{where}:{line}")
+    return InputError(f"has no column names; found {shown!r}; {hint}", f"{where}:{line}")
 
 
 # ---- rows ---------------------------------------------------------------------------------------
@@ -437,11 +442,13 @@ def _parted(
             hint = ""
             if dialect == DIALECTS[0] and len(fields) == 2 * width:
                 hint = (
-                    "; decimal commas between commas cannot be told apart: export with semicolons "
-                    "or a decimal point"
+                    "; decimal commas cannot be distinguished from the commas between columns: "
+                    "export with semicolons or with decimal points"
                 )
             problems.append(
-                Problem(f"{where}:{i}", f"has {len(fields)} fields, the header {width}{hint}")
+                Problem(
+                    f"{where}:{i}", f"has {len(fields)} fields, but the header has {width}{hint}"
+                )
             )
             if len(problems) == 5:
                 break

@@ -96,7 +96,9 @@ TITLES = {
     "disp": "Sets of effects of the actuator, best first",
     "force": "Sets of effects on the force, best first",
     "dropped": "Sets that a rule excluded beforehand",
-    "refused": "Other effects on the force, each in the best of its forms that are tried first",
+    "refused": "Other effects on the force, each with the best of the forms of its law that "
+    "are tried "
+    "first",
 }
 
 
@@ -222,8 +224,10 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
     gain = search.null.chi2 - fit.chi2
     if fit is best and best.members:
         share = _percent(min(search.held_gain, 1.0))
-        held = "" if search.moved else f"; {share} of that is confirmed on held-out rows"
-        return f"brings {count(gain)}, {count(gain - own)} beyond its price{held}"
+        held = "" if search.moved else f"; {share} of that is confirmed on rows that were held out"
+        return (
+            f"improves chi-squared by {count(gain)}, {count(gain - own)} more than its price{held}"
+        )
     if not best.members:
         return _not_enough(search, fit, gain)
     named = (best.chi2, evidence.cost(problem, best), best.names)
@@ -240,36 +244,43 @@ def _not_enough(search: forces.Search, fit: Fit, gain: float) -> str:
     """Return why a set is not named where none is."""
     needs = evidence.to_earn(search.problem, fit)
     if gain <= needs:
-        return f"brings {_gain(gain)}, but needs {count(needs)}"
+        return f"improves chi-squared by {_gain(gain)}, but must improve it by {count(needs)}"
     size = evidence.size(search.problem, fit)
     if size <= POLICY.least_force:
         return (
-            f"brings {count(gain)}, but is {_percent(size)} of the force; less than "
-            f"{_percent(POLICY.least_force)} is not reported"
+            f"improves chi-squared by {count(gain)}, but its force is only {_percent(size)} of "
+            f"the whole; less than {_percent(POLICY.least_force)} is not reported"
         )
     if not search.moved:
         held = evidence.held_out_gain(search.problem, fit)
         if held < POLICY.held_out_share:
             return (
-                f"brings {count(gain)}, of which {_percent(max(held, 0.0))} is confirmed on "
-                f"held-out rows; at least {_percent(POLICY.held_out_share)} is required"
+                f"improves chi-squared by {count(gain)}, of which {_percent(max(held, 0.0))} is "
+                "confirmed on rows that were held out; at least "
+                f"{_percent(POLICY.held_out_share)} is required"
             )
-    return f"brings {count(gain)}; the set before it was rejected, so later sets are not considered"
+    return (
+        f"improves chi-squared by {count(gain)}; because the set before it was rejected, later "
+        "sets are not considered"
+    )
 
 
 DROPPED = {
-    "needed": "{part} beside the others brings {found}, but needs {wanted}",
-    "share": "{part} beside the others brings {found}; up to {wanted} may come from the form of "
-    "the laws",
-    "in time": "needs a time offset between the channels beyond its tolerance, and without {part} "
-    "only noise is left",
-    "off zero": "moves the body by no more than the zero of the displacement sensor may be off",
-    "driven": "{part} brings {found} by the motion that the test makes, without the noise that the "
-    "load cell feeds back, but needs {wanted}",
+    "needed": "{part}, added to the others, improves chi-squared by {found}, but must improve it "
+    "by {wanted}",
+    "share": "{part}, added to the others, improves chi-squared by {found}; up to {wanted} may "
+    "be due to the form of the laws",
+    "in time": "needs a time offset between the channels beyond its tolerance, while without "
+    "{part} only noise remains",
+    "off zero": "moves the body by no more than the possible zero error of the displacement sensor",
+    "driven": "{part} improves chi-squared by {found} through the motion that the test imposes, "
+    "without the noise that the load cell feeds back, but must improve it by {wanted}",
     "drift goes on": "the drift is smaller within each half of the recording",
-    "more laws": "brings {found} more than the best set with fewer laws, but needs {wanted}",
-    "yielding": "{against} describes the same with a simpler effect",
-    "plainest": "brings {found} more than {against}, but needs {wanted}",
+    "more laws": "improves chi-squared by {found} more than the best set with fewer laws, but must "
+    "improve it by {wanted} more",
+    "yielding": "{against} explains the same with a simpler effect",
+    "plainest": "improves chi-squared by {found} more than {against}, but must improve it by "
+    "{wanted} more",
 }
 """What each rule of `decide` that takes a set out says of it."""
 MOST = 12
@@ -300,22 +311,22 @@ def _against(
     if set(names) > set(best_names):
         more = _words(sorted(set(names) - set(best_names)))
         return (
-            f"{more} beside the best set brings {_gain(best - chi2)} and costs "
-            f"{count(costs - best_costs)}"
-            + ("" if score >= 0.0 else "; so small a share may come from the form of a law")
+            f"{more}, added to the best set, improves chi-squared by {_gain(best - chi2)} at a "
+            f"price of {count(costs - best_costs)}"
+            + ("" if score >= 0.0 else "; so small an improvement may be due to the form of a law")
         )
     if set(names) < set(best_names):
         less = _words(sorted(set(best_names) - set(names)))
         return (
-            f"without {less} chi-squared is {count(chi2 - best)} higher, and the price "
+            f"without {less}, chi-squared is {count(chi2 - best)} higher and the price "
             f"{count(best_costs - costs)} lower"
         )
     if score < 0.0:
         return (
-            f"better by {count(-score)}, price included, which may come from the form of a law: "
-            "the simpler set is preferred"
+            f"better by {count(-score)}, including the price; this may be due to the form of a "
+            "law, so the simpler set is preferred"
         )
-    return f"{count(score)} worse than the best set, price included"
+    return f"{count(score)} worse than the best set, including the price"
 
 
 def _apart(value: float) -> str:
@@ -324,7 +335,7 @@ def _apart(value: float) -> str:
 
 def _parameters(more: int) -> str:
     if more == 0:
-        return "as many parameters"
+        return "the same number of parameters"
     return f"{abs(more)} parameter{'s' if abs(more) > 1 else ''} {'more' if more > 0 else 'less'}"
 
 
@@ -351,21 +362,23 @@ def _refused(search: forces.Search, known: set[str]) -> list[Decision]:
         if name in known or set(effect.names) <= known:
             continue
         if name not in alone:
-            why = "not tried: this kind of recording does not reveal it"
+            why = "not tried: this kind of recording cannot reveal it"
             if name in free:
-                why = "refitted with the model, which states no tolerance for it"
+                why = "already fitted with the model, which states no tolerance for it"
             if any(e.name == name for e in problem.effects):
-                why = "not tried: nothing in this recording or model calls for it"
+                why = "not tried: nothing in this recording or model suggests it"
                 if effect.trials(problem.ctx):
-                    why = "does not help in any of its forms: its force would have the wrong sign"
+                    why = (
+                        "improves the fit in none of its forms: its force would have the wrong sign"
+                    )
             nan = float("nan")
             out.append(Decision("force", (name,), "refused", (), nan, nan, nan, why))
             continue
         chi2, costs = alone[name]
-        words = [f"alone it brings {count(max(base - chi2, 0.0))}"]
+        words = [f"alone it improves chi-squared by {count(max(base - chi2, 0.0))}"]
         if name in beside:
-            words.append(f"beside the best set {count(max(floor - beside[name][0], 0.0))}")
-        why = f"{', '.join(words)}, and costs {count(costs)}"
+            words.append(f"added to the best set by {count(max(floor - beside[name][0], 0.0))}")
+        why = f"{', '.join(words)}, at a price of {count(costs)}"
         left = max(chi2 * search.scale / n - 1.0, 0.0) / max(search.excess_before, 1e-12)
         out.append(Decision("force", (name,), "refused", (), chi2, costs, min(left, 1.0), why))
     return out
@@ -419,13 +432,16 @@ def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
     own = disp.task.price(fit)
     gain = disp.null.misfit(scale) - fit.misfit(scale)
     if fit is best and fate == "named":
-        return f"brings {count(gain)}, {count(gain - own)} beyond its price"
+        return f"improves chi-squared by {count(gain)}, {count(gain - own)} more than its price"
     if fit is best:
         return f"the best set, but it leaves {_percent(disp.left)} of the misfit"
     if not best.effects:
         if gain <= own:
-            return f"brings {_gain(gain)}, but needs {count(own)}"
-        return f"brings {count(gain)}, but it or one of its effects hardly changes the motion"
+            return f"improves chi-squared by {_gain(gain)}, but must improve it by {count(own)}"
+        return (
+            f"improves chi-squared by {count(gain)}, but the set or one of its effects hardly "
+            "changes the motion"
+        )
     if fate == "as good":
         return (
             f"{_apart(fit.misfit(scale) - best.misfit(scale))} in chi-squared with "
@@ -483,16 +499,17 @@ def _verdict(d: Diagnosis) -> str:
         changed = next((r for r in d.ledger if r.rule == "steady"), None)
         if changed is not None:
             return (
-                f"unknown: {_words(changed.names)} would have other numbers in {changed.part} than "
-                f"in the rest ({changed.found:.1f} standard deviations, where chance explains "
-                f"{changed.wanted:g}), and so stands for a law that is not known"
+                f"unknown: {_words(changed.names)} would have different parameters in "
+                f"{changed.part} than in the rest ({changed.found:.1f} standard deviations, of "
+                f"which chance explains {changed.wanted:g}), and so probably stands for a law "
+                "that is not known"
             )
         rival = next((r for r in d.ledger if r.rule in NAMELESS), None)
         if rival is not None:
             return (
                 f"unknown: {NAMELESS[rival.rule]} explains more than {_words(rival.names)}, by "
-                f"{rival.found:.0f} in chi-squared after the price of its parameters (more than "
-                f"{rival.wanted:g} decides)"
+                f"{rival.found:.0f} in chi-squared after subtracting the price of its parameters "
+                f"(the limit is {rival.wanted:g})"
             )
         if d.disp is not None and not d.disp.known:
             left = _percent(d.disp.left)
@@ -525,9 +542,9 @@ def _verdict(d: Diagnosis) -> str:
 
 
 def _noise(believed: float, sheet: float | None, unit: str, coloured: bool) -> str:
-    text = f"{quantity(believed, unit)} believed"
+    text = f"{quantity(believed, unit)} assumed"
     if coloured:
-        text = f"coloured; if it were white, {text}"
+        text = f"coloured; for white noise, {text}"
     if not sheet:
         return f"{text}; the model states no noise"
     return f"{text}, {quantity(sheet, unit)} stated"
@@ -540,7 +557,7 @@ def _facts_of_displacement(d: Diagnosis, disp: Displacement) -> list[tuple[str, 
             "noise of the displacement",
             _noise(task.sigma, d.case.model.x_std, "m", task.own is not None),
         ),
-        ("rows judged, actuator", f"{task.rows.size} of {d.case.t.size}"),
+        ("rows evaluated, actuator", f"{task.rows.size} of {d.case.t.size}"),
         (
             "misfit, actuator",
             f"{count(disp.null.chi2 / task.rows.size)} times the noise power before, "
@@ -549,11 +566,17 @@ def _facts_of_displacement(d: Diagnosis, disp: Displacement) -> list[tuple[str, 
     ]
     if disp.scale > 1.0:
         rows.append(
-            ("evidence, actuator", f"divided by {count(disp.scale)}because its rows are correlated")
+            (
+                "evidence, actuator",
+                f"divided by {count(disp.scale)} because its rows are correlated",
+            )
         )
     if fit.zero_m:
         rows.append(
-            ("zero of the displacement", f"{quantity(fit.zero_m, 'm')} from that of the command")
+            (
+                "zero of the displacement",
+                f"{quantity(fit.zero_m, 'm')} away from that of the command",
+            )
         )
     return rows
 
@@ -570,7 +593,7 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
     rows = [
         ("noise of the force", _noise(found.sigma_n, model.f_std, "N", found.coloured)),
         ("motion", motion),
-        ("rows judged, force", f"{int(found.rows.sum())} of {d.case.t.size}{looked}"),
+        ("rows evaluated, force", f"{int(found.rows.sum())} of {d.case.t.size}{looked}"),
         (
             "misfit, force",
             f"{count(search.excess_before + 1.0)} times the noise power before, "
@@ -579,25 +602,25 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
     ]
     if search.scale > 1.0:
         rows.append(
-            ("evidence, force", f"divided by {count(search.scale)}because its rows are correlated")
+            ("evidence, force", f"divided by {count(search.scale)} because its rows are correlated")
         )
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        held = "free, no tolerance stated"
+        held = "adjusted freely, no tolerance stated"
         if nuisance.sigma:
             held = f"{_moved(nuisance, nuisance.sigma)} stated"
         rows.append(
-            (f"tolerance, {nuisance.plain}", f"moved by {_moved(nuisance, float(b))}; {held}")
+            (f"tolerance, {nuisance.plain}", f"adjusted by {_moved(nuisance, float(b))}; {held}")
         )
     known = redundant.witness(d.case, problem.ctx, found)
     if known is not None:
         before, after = (float(np.mean(known.left(f) ** 2)) for f in (search.null, fit))
         rows.append(
             (
-                "load cell against m a_meas",
-                f"{count(before)} times the noise power beside the force that moves the body, "
-                f"{count(after)} with the effects named: the remainder comes from the load cell "
-                "itself",
+                "load cell compared with m a_meas",
+                f"{count(before)} times the noise power in addition to the force that moves the "
+                f"body, {count(after)} with the effects named: the remainder comes from the load "
+                "cell itself",
             )
         )
     rows.append(

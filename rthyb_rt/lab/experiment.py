@@ -315,16 +315,16 @@ def refuse_other_rate(test: TestFile, rig: RigFile | AxesRig) -> None:
     hz, key = test.test.sample_rate_hz, "test.sample_rate_hz"
     if hz != round(hz):
         raise InputError(
-            f"found {hz:g} Hz; real time goes at a whole number of samples a second: take "
-            f"{round(hz)}, or run it without --realtime",
+            f"found {hz:g} Hz; a test in real time needs a whole number of samples per second: "
+            f"use {round(hz)}, or run it without --realtime",
             key,
         )
     if rig.link is not None and hz != rig.rate.hz:
         raise InputError(
             f"found {hz:g} Hz; the drive of this rig is sampled at {rig.rate.hz:g} Hz "
-            "(link.sample_rate_hz of the rig file), and a test in real time goes at its drive's "
-            f"rate: say {key} = {rig.rate.hz:g}, or link.sample_rate_hz = {hz:g} if the drive has "
-            "that rate, or run it without --realtime",
+            "(link.sample_rate_hz in the rig file), and a test in real time must run at the "
+            f"rate of its drive: set {key} = {rig.rate.hz:g}, or link.sample_rate_hz = {hz:g} if "
+            "that is the drive's rate, or run the test without --realtime",
             key,
         )
 
@@ -348,7 +348,7 @@ def refuse_python(test: TestFile, elements: Sequence[Any]) -> None:
         found.append(("controller.python", "a control law in C, docs/extending.md"))
     for i, one in enumerate(elements):
         if isinstance(one, PythonClass):
-            found.append((f"specimen.{i}", "elements of the catalogue"))
+            found.append((f"specimen.{i}", "elements from the catalogue"))
     if found:
         raise InputError(
             Problem(
@@ -446,8 +446,9 @@ def refuse_slow(structure: Structure | SparseStructure | OwnStructure | None) ->
         raise InputError(
             f"a step of the structure takes {taken_s * 1e6:.0f} us on this computer (median of "
             f"200, {part.size} degrees of freedom, {len(part.joints)} elements); in real time at "
-            f"most {most_s * 1e6:.0f} us is allowed, half of the sampling period: condense "
-            "degrees of freedom without mass, use a coarser model, or run it in virtual time",
+            f"most {most_s * 1e6:.0f} us is allowed, half of the sampling period: eliminate "
+            "degrees of freedom without mass by static condensation, use a coarser model, or "
+            "run the test in virtual time",
             "numerical",
         )
 
@@ -622,7 +623,8 @@ def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
     for i, one in enumerate(rig.sensors.extra):
         if one.name in taken:
             raise InputError(
-                f'found "{one.name}", which is a name in every recording; choose another name',
+                f'found "{one.name}", a name that every recording already uses; choose another '
+                "name",
                 f"sensors.extra.{i}.name",
             )
     return tuple(core.Channel(one.name, one.unit) for one in rig.sensors.extra)

@@ -102,7 +102,7 @@ def plan(
     count = lasts_s * own_hz + REST_S * rate_hz
     if count > MOST_SAMPLES:
         raise InputError(
-            f"the history has {lasts_s * time_scale:.6g} s, {count:.0f} samples at {rate_hz:g} "
+            f"the history lasts {lasts_s * time_scale:.6g} s, {count:.0f} samples at {rate_hz:g} "
             f"Hz; at most {MOST_SAMPLES} are allowed; shorten it, make it faster, or lower "
             "test.sample_rate_hz",
             "history",

@@ -102,7 +102,7 @@ class Case:
         }[self.payload]
         beside = {"telemetry": self.telemetry, "busy Python": self.burner}
         others = " and ".join(name for name, there in beside.items() if there)
-        return f"{payload}, beside {others}" if others else payload
+        return f"{payload}, together with {others}" if others else payload
 
 
 CASES: Final = (
@@ -420,9 +420,10 @@ def judge(results: Sequence[Result], facts: Mapping[str, Any]) -> Verdict:
         )
         return Verdict(True, sentence, (), ())
     remedies = tuple(_remedies(results, facts))
-    change = ", ".join(keyword for keyword, _ in remedies) or "what else runs on it"
+    change = ", ".join(keyword for keyword, _ in remedies) or "the other programs that run on it"
     sentence = (
-        f"This PC is not fit for {rate.hz:g} Hz, because {', '.join(faults)}; to change: {change}."
+        f"This PC is not fit for {rate.hz:g} Hz, because {', '.join(faults)}; to improve it, "
+        f"change: {change}."
     )
     return Verdict(False, sentence, faults, remedies)
 
@@ -462,8 +463,9 @@ def _remedies(results: Sequence[Result], facts: Mapping[str, Any]) -> Iterator[t
         )
     if facts["virtual_machine"]:
         yield (
-            "a PC of its own",
-            "a virtual machine is stalled by its host for tens of ms, whatever is set inside it",
+            "a dedicated PC",
+            "a virtual machine is stalled by its host for tens of ms, whatever its own settings "
+            "are",
         )
     if facts["preemption"] != "PREEMPT_RT":
         yield (

@@ -253,7 +253,7 @@ class Page:
         try:
             said = json.loads(text)
         except RecursionError as error:
-            raise ValueError("not a message of the page") from error
+            raise ValueError("not a message that the page may send") from error
         if not isinstance(said, dict):
             raise ValueError("a message must be an object")
         if "view" in said:

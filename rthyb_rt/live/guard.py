@@ -88,7 +88,7 @@ class Guard:
         token, _, rest = scope["path"].lstrip("/").partition("/")
         opened = self._tokens.opens(token) if why is None else None
         if opened is None:
-            await _turn_away(scope, receive, send, why or "This address is not that of the page.")
+            await _turn_away(scope, receive, send, why or "This is not the address of the page.")
             return
         inner = {**scope, "path": f"/{rest}", "raw_path": None, "rthyb.pass": opened}
         await self._app(inner, receive, _with_headers(send))
@@ -107,7 +107,7 @@ class Guard:
             return "Only the page of the live view itself may send requests."
         # Each browser says where a socket's page is from.
         if scope["type"] == "websocket" and len(origins) != 1:
-            return "A socket must name the page it belongs to."
+            return "A socket must state the page to which it belongs."
         return None
 
 

@@ -127,7 +127,7 @@ class History:
             ValueError: the positions do not rise.
         """
         if at.size and (np.any(np.diff(at) <= 0) or (self._size and at[0] <= self.last)):
-            raise ValueError("positions must rise")
+            raise ValueError("positions must increase")
         lacking = values.shape[0] - self._values.shape[0]
         if lacking > 0:
             further = np.empty((lacking, self._at.size), dtype=np.float32)

@@ -135,7 +135,7 @@ def rig_of(rec: Recording) -> AxesRig:
     """
     rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
     if not isinstance(rig, AxesRig):
-        raise InputError("the recording is of one axis: leave the option out", "--axis")
+        raise InputError("the recording has only one axis: omit the option", "--axis")
     return rig
 
 

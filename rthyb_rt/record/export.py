@@ -39,8 +39,8 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
     """
     if rec.axis_names and not full:
         raise InputError(
-            f"the recording has the axes {', '.join(rec.axis_names)}, and this format is of one: "
-            f"name it (--axis {rec.axis_names[0]}), or write all fields (--full)",
+            f"the recording has the axes {', '.join(rec.axis_names)}, but this format holds one: "
+            f"choose it (--axis {rec.axis_names[0]}), or write all fields (--full)",
             "export",
         )
     if full:

@@ -527,7 +527,7 @@ def _load(file: Any, where: str, rows: bool) -> Recording:
     version = _version(file, where)
     samples_set = file["samples"]
     if samples_set.ndim != 1:
-        raise InputError(f"'samples' has shape {samples_set.shape}, allowed is (n,)", where)
+        raise InputError(f"'samples' has shape {samples_set.shape}; it must be (n,)", where)
     _require_fields(samples_set.dtype, fields_of(version), "samples", where)
     samples = samples_set[()] if rows else np.zeros(0, dtype=samples_set.dtype)
     reference = None
@@ -582,14 +582,14 @@ def _version(file: Any, where: str) -> int:
         raise InputError(
             "an HDF5 file, but not a recording: the attribute 'schema' "
             + (f"is {schema!r}" if schema is not None else "is missing")
-            + f", allowed is {SCHEMA!r}",
+            + f"; it must be {SCHEMA!r}",
             where,
         )
     number = schema.removeprefix(_SCHEMAS)
     version = int(number) if number.isascii() and number.isdecimal() else 0
     if version in VERSIONS:
         return version
-    known = f"schema {schema!r}, this version reads {_SCHEMAS}1 to {VERSION}"
+    known = f"schema {schema!r}, but this version reads {_SCHEMAS}1 to {VERSION}"
     program = plain(file.attrs.get("rthyb_version"))
     if version < VERSION or not program:
         raise InputError(f"{known}; use the version of rthyb_rt that wrote the file", where)

@@ -137,7 +137,7 @@ def trusted(folder: Path) -> Path:
             "administrator to remove it"
         )
     elif found.st_mode & 0o077:
-        why = f"has the mode {found.st_mode & 0o777:o}; chmod 700 {folder}"
+        why = f"has the mode {found.st_mode & 0o777:o}; run chmod 700 {folder}"
     else:
         return folder
     raise RthybError(
@@ -216,7 +216,7 @@ class Ring:
             ValueError: ``capacity`` is no power of two.
         """
         if capacity < 1 or capacity & (capacity - 1):
-            raise ValueError(f"capacity must be a power of two, got {capacity}")
+            raise ValueError(f"found a capacity of {capacity} rows; it must be a power of two")
         dtype = row_dtype(session.channels, session.axis_count)
         about = json.dumps(_description(session)).encode()
         count = len(session.channels)
@@ -506,7 +506,7 @@ def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any],
     writer = f" of rthyb_rt {version}" if version else ""
     if refused:
         raise OtherVersionError(
-            f"layout {layout} of the ring{writer}, this version reads layout {LAYOUT}; "
+            f"the ring{writer} has layout {layout}, but this version reads layout {LAYOUT}; "
             + _OTHER_VERSION,
             str(path),
         )
@@ -521,7 +521,7 @@ def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any],
         dtype = row_dtype(channels, axis_count)
         if about.get("fields") == _fields(channels, axis_count) and dtype.itemsize == row_bytes:
             return about, dtype
-    raise OtherVersionError(f"the ring{writer} has other fields; {_OTHER_VERSION}", str(path))
+    raise OtherVersionError(f"the ring{writer} has different fields; {_OTHER_VERSION}", str(path))
 
 
 def _axes_of(about: Mapping[str, Any]) -> int:

@@ -89,9 +89,9 @@ def _check_limits(rig: AxesRig, amplitude_m: float) -> None:
                 problems.append(
                     Problem(
                         f"axis.{name}.limits.{key}",
-                        f"{'missing' if limit is None else 'ends nothing'}; no axis is moved "
-                        "without a limit on position and on force that holds, ramps out or trips, "
-                        f"such as {key} = {example}",
+                        f"{'missing' if limit is None else 'does not end the motion'}; no "
+                        "axis is moved without a limit on position and on force that holds, ramps "
+                        f"out or trips, such as {key} = {example}",
                     )
                 )
         position = limits.command_position_m
@@ -99,8 +99,9 @@ def _check_limits(rig: AxesRig, amplitude_m: float) -> None:
             problems.append(
                 Problem(
                     f"axis.{name}.limits.command_position_m",
-                    f"{amplitude_m * 1e3:g} mm are more than its {position.value * 1e3:g} mm; "
-                    "identify with a smaller amplitude (--amplitude)",
+                    f"{amplitude_m * 1e3:g} mm is more than the limit of "
+                    f"{position.value * 1e3:g} mm; identify with a smaller amplitude "
+                    "(--amplitude)",
                 )
             )
     if problems:

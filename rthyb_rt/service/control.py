@@ -177,7 +177,7 @@ def parse(message: bytes) -> Call:
 
 
 def _no_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no number")
+    raise ValueError(f"{name} is not a number")
 
 
 class Dispatcher:
@@ -213,7 +213,7 @@ class Dispatcher:
             raise ReplyError(f"{SERVICE}.MethodNotFound", method=call.method[:200])
         self.require(peer, method.role, name)
         if size > REQUEST_BYTES and not method.large:
-            raise limited(f"{name} is {REQUEST_BYTES} bytes long at most, found {size}")
+            raise limited(f"{name} may be at most {REQUEST_BYTES} bytes long, found {size}")
         _check_parameters(call.parameters, method.parameters)
         return await _guarded(name, method.handle(peer, call.parameters))
 
@@ -247,8 +247,12 @@ class Dispatcher:
         if found >= role:
             return
         group = GROUP_OF[role]
-        has = f"group {GROUP_OF[found]} may watch, hold and stop" if found else "no right here"
-        reason = f"{name} is for members of group {group}; {peer.user}: {has}"
+        has = (
+            f"is in group {GROUP_OF[found]}, which may watch, hold and stop"
+            if found
+            else "is not in any group with rights here"
+        )
+        reason = f"{name} requires membership of group {group}; {peer.user} {has}"
         raise ReplyError(f"{INTERFACE}.NotPermitted", reason=reason, group=group)
 
 
@@ -378,8 +382,8 @@ class ControlServer:
         except OSError as error:
             listener.close()
             raise RthybError(
-                f"{self.path}: no control socket can be made here ({error.strerror or error}); "
-                "check the folder, or name another path with --socket"
+                f"{self.path}: the control socket cannot be created ({error.strerror or error}); "
+                "check the folder, or choose another path with --socket"
             ) from error
         self._listener = listener
         self._accepting = asyncio.create_task(self._accept(listener))
@@ -403,7 +407,7 @@ class ControlServer:
                 connection, _ = await loop.sock_accept(listener)
             except OSError as error:
                 # No descriptors left, for instance: those that are there come first.
-                log.warning("no connection accepted: %s", error)
+                log.warning("a connection could not be accepted: %s", error)
                 await asyncio.sleep(0.5)
                 continue
             connection.setblocking(False)
@@ -438,14 +442,14 @@ class ControlServer:
         """Return why there is no room for one more, or None."""
         limits = self._limits
         if role == Role.NONE and self._strangers >= limits.strangers:
-            return "too many connections of users who may do nothing here"
+            return "too many connections from users without rights here"
         if peer.uid == 0:
             # An administrator always comes in.
             return None
         if self._by_user[peer.uid] >= limits.connections // 2:
-            return f"{peer.user} has {self._by_user[peer.uid]} connections already"
+            return f"{peer.user} already has {self._by_user[peer.uid]} connections"
         if self.connections >= limits.connections:
-            return f"there are {self.connections} connections already"
+            return f"the service already has {self.connections} connections"
         return None
 
     async def _send(self, connection: socket.socket, reply: dict[str, Any]) -> None:
@@ -517,7 +521,7 @@ class _Conversation:
             while self._buffer.find(b"\0", seen) < 0:
                 seen = len(self._buffer)
                 if seen > LOAD_BYTES:
-                    raise limited(f"a request is {LOAD_BYTES} bytes long at most")
+                    raise limited(f"a request may be at most {LOAD_BYTES} bytes long")
                 if not await self._receive(end - time.monotonic()):
                     return None
             # To take it apart keeps this thread, which gives the sign of life, for a while: not
@@ -533,7 +537,9 @@ class _Conversation:
         """
         for name, method in self._dispatcher.methods.items():
             if method.large:
-                self._dispatcher.require(self._peer, method.role, f"a request this long ({name})")
+                self._dispatcher.require(
+                    self._peer, method.role, f"a request as long as this one ({name})"
+                )
                 try:
                     method.may_begin()
                 except StateError as error:
@@ -552,7 +558,7 @@ class _Conversation:
             async with asyncio.timeout(max(seconds, 0.001)):
                 data = await loop.sock_recv(self._connection, REQUEST_BYTES)
         except TimeoutError:
-            raise limited("nothing came for too long") from None
+            raise limited("the request was not completed in time") from None
         self._buffer += data
         return bool(data)
 
@@ -578,14 +584,17 @@ def encode(document: dict[str, Any]) -> bytes:
 def _remove_abandoned(path: Path) -> None:
     if path.is_symlink():
         raise RthybError(
-            f"{path}: is a symbolic link; remove it, or set another path with --socket"
+            f"{path} is a symbolic link; remove it, or choose another path with --socket"
         )
     if not path.is_socket():
         return
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         if probe.connect_ex(str(path)) != errno.ECONNREFUSED:
-            raise RthybError(f"{path}: another service listens here; stop it, or name another")
+            raise RthybError(
+                f"{path}: another service is already listening here; stop it, or choose another "
+                "path with --socket"
+            )
     path.unlink()
 
 
@@ -653,8 +662,8 @@ class Client:
     def _unreachable(self, error: OSError | str) -> UnreachableError:
         words = error if isinstance(error, str) else error.strerror or str(error)
         return UnreachableError(
-            f"{self._path}: the service cannot be reached ({words}); is it running? "
-            "systemctl status rthyb, or name its socket with --socket"
+            f"{self._path}: the service cannot be reached ({words}); is it running? See "
+            "systemctl status rthyb, or give the path of its socket with --socket"
         )
 
     def __enter__(self) -> Client:
@@ -684,7 +693,7 @@ class Client:
                 self._socket.sendall(encode(request))
             reply = self._reply()
         except TimeoutError:
-            raise self._unreachable("it does not answer") from None
+            raise self._unreachable("it did not answer") from None
         except OSError as error:
             raise self._unreachable(error) from error
         if "error" in reply:
@@ -695,14 +704,14 @@ class Client:
         while b"\0" not in self._buffer:
             data = self._socket.recv(REQUEST_BYTES)
             if not data or len(self._buffer) > REPLY_BYTES:
-                raise self._unreachable("it hung up")
+                raise self._unreachable("it closed the connection")
             self._buffer += data
         message, _, rest = bytes(self._buffer).partition(b"\0")
         self._buffer = bytearray(rest)
         try:
             reply = json.loads(message)
         except ValueError:
-            raise self._unreachable("what it says is no JSON") from None
+            raise self._unreachable("its answer is not valid JSON") from None
         if not isinstance(reply, dict):
-            raise self._unreachable("what it says is no reply")
+            raise self._unreachable("its answer is not a valid reply")
         return reply

@@ -61,8 +61,8 @@ TRIPPED: Final = 6
 """Exit status after a second signal, or a trip on the way out."""
 
 _PRIVILEGES: Final = (
-    "LimitRTPRIO=80 and LimitMEMLOCK=infinity in its unit give both, link.require_realtime = false "
-    "in the rig file does without"
+    "set LimitRTPRIO=80 and LimitMEMLOCK=infinity in its unit to obtain both, or "
+    "link.require_realtime = false in the rig file to run without them"
 )
 _STATUS_S: Final = 1.0
 _METRICS_S: Final = 5.0
@@ -280,10 +280,12 @@ class Daemon:
         """Ramp out and end; at the second time trip. From the thread that works."""
         self._stops += 1
         if not self.engine.moving:
-            log.info("asked to end, in state %s", self.engine.state)
+            log.info("asked to stop the service, in state %s", self.engine.state)
             return
         self._was_moving = True
-        log.warning("asked to end: %s", "ramping out" if self._stops == 1 else "tripping")
+        log.warning(
+            "asked to stop the service: %s", "ramping out" if self._stops == 1 else "tripping"
+        )
         systemd.notify("STOPPING=1", "STATUS=ramping out")
         name: core.Command = "stop" if self._stops == 1 else "trip"
         with contextlib.suppress(StateError):
@@ -311,7 +313,7 @@ class Daemon:
         end = time.monotonic() + _RECORDER_READY_S
         while not self._recorder_alive():
             if self._child is not None and self._child.poll() is not None:
-                raise RthybError("the recorder did not start; what it said is above")
+                raise RthybError("the recorder did not start; its messages are above")
             if time.monotonic() > end:
                 raise RthybError(f"the recorder did not respond within {_RECORDER_READY_S:g} s")
             time.sleep(TURN_S)
@@ -346,14 +348,14 @@ class Daemon:
         child = self._child
         old_enough = time.monotonic() - self._child_s > _RESTART_S
         if child is not None and old_enough and child.poll() is not None:
-            log.error("the recorder ended with status %s; started again", child.returncode)
+            log.error("the recorder ended with status %s; it has been restarted", child.returncode)
             assert child.stdin is not None
             child.stdin.close()
             self._launch_recorder()
         fault = "" if self._recorder_alive() else "the recorder does not respond"
         fault = fault or (self._recorder.fault if self._recorder is not None else "")
         if fault != self._reported_fault:
-            log.error("recorder: %s", fault) if fault else log.info("recorder: in order again")
+            log.error("recorder: %s", fault) if fault else log.info("recorder: working again")
         self._reported_fault = fault
 
     async def _await_recorder(self) -> None:
@@ -381,7 +383,9 @@ class Daemon:
             raise StateError("arm", f"recorder: {found.fault}", state)
         if found.run_id != self.engine.run_id:
             why = found.fault or "check its journal"
-            raise StateError("arm", f"the recorder has not begun with this test: {why}", state)
+            raise StateError(
+                "arm", f"the recorder has not started to record this test: {why}", state
+            )
         axes = setup.controller.axis_count
         needed = disk.needed_bytes(setup.ticks, setup.channels, axes, setup.rate)
         if found.free_bytes < needed:
@@ -433,7 +437,9 @@ class Daemon:
         """Refuse what would come between the two halves of something longer, or before the end."""
         self._refuse_at_the_end(command)
         if self._busy.locked():
-            raise StateError(command, "load, zero or reload is under way", self.engine.state)
+            raise StateError(
+                command, "another load, zero or reload is in progress", self.engine.state
+            )
         yield
 
     def _refuse_at_the_end(self, command: str) -> None:
@@ -443,7 +449,7 @@ class Daemon:
             StateError: it is.
         """
         if self._stops:
-            raise StateError(command, "the service is about to end", self.engine.state)
+            raise StateError(command, "the service is shutting down", self.engine.state)
 
     async def _load(self, peer: Peer, given: dict[str, Any]) -> dict[str, Any]:
         with self._alone("load"):
@@ -514,7 +520,11 @@ class Daemon:
 
     async def _reload_rig(self) -> int:
         if self._read_rig is None:
-            raise StateError("reload", "there is no rig file to read again", self.engine.state)
+            raise StateError(
+                "reload",
+                "the service was started without a rig file that it could read again",
+                self.engine.state,
+            )
         # Reading the file is work, of which a test that moves shall have none beside it.
         self.engine.check_reload()
         async with self._busy:
@@ -525,7 +535,10 @@ class Daemon:
             self.engine.know(facts)
             self._commissioned = covered
             if covered != rig:
-                log.warning("these limits are not commissioned: a restart asks for that")
+                log.warning(
+                    "the rig has not been commissioned with these limits: the next start of the "
+                    "service will require it"
+                )
             return generation
 
     def _renewed(self, rig: RigFile | AxesRig) -> Loaded | None:
@@ -551,7 +564,8 @@ class Daemon:
             if more := reloading.looser(rig, before):
                 raise RefusedError(
                     f"reload: {', '.join(more)} would allow more than was commissioned; stop the "
-                    "service, run `rthyb commission` on the changed file, and start it again"
+                    "service, run `rthyb commission` on the changed file, and start the service "
+                    "again"
                 ) from None
             covered = reloading.with_limits_of(rig, before)
             return covered, self._demand(covered)
@@ -678,7 +692,7 @@ def _record(given: dict[str, Any]) -> GroundMotion:
             "record.acceleration_mps2",
         )
     if not samples or any(type(value) not in (int, float) for value in samples):
-        raise InputError("must be a row of numbers, at least one", "record.acceleration_mps2")
+        raise InputError("must be a list of at least one number", "record.acceleration_mps2")
     if not all(abs(value) <= _AG_MOST_MPS2 for value in samples):
         raise InputError(
             f"found more than {_AG_MOST_MPS2:g} m/s2: check the unit", "record.acceleration_mps2"
@@ -706,7 +720,8 @@ def _check_texts(record: dict[str, Any]) -> None:
         or sum(map(len, (*details, *details.values()))) > _DETAILS_SIGNS
     ):
         raise InputError(
-            f"at most {_DETAILS_MOST} are accepted, with {_DETAILS_SIGNS} signs in all",
+            f"at most {_DETAILS_MOST} entries are accepted, with {_DETAILS_SIGNS} characters in "
+            "total",
             "record.details",
         )
     named = [(f"record.{key}", record[key], "") for key in ("name", "source")]
@@ -715,7 +730,9 @@ def _check_texts(record: dict[str, Any]) -> None:
         for sign in text:
             # Control signs, halves of signs, and what turns the direction of reading.
             if unicodedata.category(sign).startswith("C") and sign not in also:
-                raise InputError(f"has the sign U+{ord(sign):04X}, which is no text", where)
+                raise InputError(
+                    f"contains the character U+{ord(sign):04X}, which is not allowed in text", where
+                )
 
 
 def record_of(motion: GroundMotion) -> dict[str, Any]:

@@ -360,11 +360,11 @@ class Engine(Conductor):
         if self.state == "IDLE" and self.run is not self._rest:
             raise StateError("load", self._between_tests(), self.state)
         if self.state != "IDLE":
-            raise StateError("load", "a test is loaded between two tests only", self.state)
+            raise StateError("load", "a test can be loaded only in IDLE", self.state)
 
     def _between_tests(self) -> str:
         if self.run.begun:
-            return "the last test is still being closed; try again"
+            return "the recording of the last test is still being completed; try again"
         return "a test is being zeroed; wait for the end of the tare, or stop it"
 
     @property
@@ -426,7 +426,7 @@ class Engine(Conductor):
         try:
             loaded = self.check_zero()
             if run is not None and run.digest != loaded.digest:
-                raise StateError("zero", "another test was loaded meanwhile", self.state)
+                raise StateError("zero", "another test has been loaded in the meantime", self.state)
             if self.recorded is not None:
                 self._obey("stop")
                 self._finish()
@@ -475,7 +475,8 @@ class Engine(Conductor):
             owner = self.armed_by or "nobody"
             raise StateError(
                 "start",
-                f"the token is not that of this arming; armed by {owner}, and only who arms starts",
+                "the token does not belong to the current arming; the test was armed by "
+                f"{owner}, and only that user may start it",
                 self.state,
             )
         self._obey("start")
@@ -522,7 +523,8 @@ class Engine(Conductor):
         if changed:
             raise StateError(
                 "reload",
-                f"{', '.join(changed)} of the rig file changed too; restart the service for that",
+                f"{', '.join(changed)} of the rig file also changed; restart the service to "
+                "apply that",
                 self.state,
             )
         loaded = loaded or self.with_rig(rig)
@@ -559,7 +561,7 @@ class Engine(Conductor):
             StateError: it is not.
         """
         if self.state not in allowed_states(name):
-            raise StateError(name, "not in this state", self.state)
+            raise StateError(name, "not possible in this state", self.state)
 
     def _check_digest(self, name: str, digest: str) -> None:
         if digest != self.run.digest:
@@ -572,7 +574,7 @@ class Engine(Conductor):
 
     def _refusal(self, name: str, state: str, why: str) -> StateError:
         command = "reload" if name == "parameters" else name
-        return StateError(command, why or "not in this state", state)
+        return StateError(command, why or "not possible in this state", state)
 
     # ---- stations and rings ---------------------------------------------------------------------
 
@@ -597,7 +599,7 @@ class Engine(Conductor):
         generation = self.loop.load(run.station, run.ring)
         taken = self._wait_for(lambda: self.loop.loaded(generation))
         if not taken:
-            raise RthybError(f"the station of before is in {self.state}, not in IDLE")
+            raise RthybError(f"the previous test is in state {self.state}, not in IDLE")
         self._drain()
         run.recent_flags, self.run = self.run.recent_flags, run
         run.counted = self._count()
@@ -625,7 +627,7 @@ class Engine(Conductor):
     def _end_run(self, run: ServiceRun) -> None:
         name = run.setup.test.test.name
         if not run.moved and not run.tripped_rows:
-            self._say("info", f"{name}: nothing moved, nothing is kept")
+            self._say("info", f"{name}: nothing moved, so no recording is kept")
             run.remove()
             return
         run.bare.meta |= self.ending(run)

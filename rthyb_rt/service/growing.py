@@ -117,7 +117,7 @@ class GrowingFile:
         """Go on where another process ended; False: the file is damaged, and was put aside."""
         try:
             if self._tries > _TRIES_MOST:
-                raise ValueError("nobody has lived to take it up")
+                raise ValueError("every process that tried to continue it has ended early")
             self._open()
             self.missing = self._gaps()
             self._drop_damaged_blocks()

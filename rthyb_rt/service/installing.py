@@ -72,15 +72,15 @@ def program() -> Path:
     """
     path = Path(sys.prefix) / "bin" / "rthyb"
     if not path.is_file():
-        raise RthybError(f"{path}: there is no program rthyb in this installation")
+        raise RthybError(f"{path}: this installation has no program rthyb")
     # An environment in /opt is of no use with an interpreter that is in somebody's home, nor with
     # sources there, nor by a name that leads there.
     for needed in (path, path.resolve(), Path(sys.executable).resolve(), _PACKAGE):
         for folder in HIDDEN:
             if needed.is_relative_to(folder):
                 raise RthybError(
-                    f"{needed} lies below {folder}, which the service does not see; install into "
-                    "/opt with the system's Python, for instance: /usr/bin/python3 -m venv "
+                    f"{needed} is in {folder}, which the service cannot see; install into /opt "
+                    "with the system's Python, for example: /usr/bin/python3 -m venv "
                     "/opt/rthyb, /opt/rthyb/bin/pip install, and /opt/rthyb/bin/rthyb "
                     "install-service"
                 )
@@ -124,7 +124,8 @@ def _beside(rig: Path, dbc: Path) -> list[Path]:
         if target.exists():
             if target.read_bytes() != content:
                 raise RthybError(
-                    f"already exists and differs from {dbc}; move it, or rename yours",
+                    f"already exists and differs from {dbc}; move it elsewhere, or rename your "
+                    "file",
                     where=str(target),
                 )
             return []
@@ -168,7 +169,7 @@ def carry_out(steps: Steps) -> list[str]:
     for step in steps:
         words = " ".join(step)
         if shutil.which(step[0]) is None:
-            failed.append(f"{words}: not on this system")
+            failed.append(f"{words}: not available on this system")
             continue
         ran = subprocess.run(step, capture_output=True, text=True, check=False)
         if ran.returncode:

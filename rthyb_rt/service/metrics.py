@@ -6,22 +6,22 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 _HELP: dict[str, tuple[str, str]] = {
-    "rthyb_up": ("gauge", "1 while the service answers"),
-    "rthyb_state": ("gauge", "1 for the present state"),
-    "rthyb_ticks_total": ("counter", "Ticks since the service began"),
+    "rthyb_up": ("gauge", "1 while the service responds"),
+    "rthyb_state": ("gauge", "1 for the current state"),
+    "rthyb_ticks_total": ("counter", "Ticks since the service started"),
     "rthyb_ticks_skipped_total": ("counter", "Ticks that were not executed"),
     "rthyb_wake_late_seconds": ("gauge", "Wake-up latency of the tick thread"),
     "rthyb_displacement_metres": ("gauge", "Measured displacement of the last tick, after tare"),
     "rthyb_force_newtons": ("gauge", "Measured force of the last tick, after tare"),
     "rthyb_command_metres": ("gauge", "Command of the last tick"),
     "rthyb_alpha_samples": ("gauge", "Delay estimate"),
-    "rthyb_wire_frames_total": ("counter", "Frames by what became of them"),
-    "rthyb_commands_sent_total": ("counter", "Commands that left"),
-    "rthyb_commands_lost_total": ("counter", "Commands that the link did not take"),
-    "rthyb_recorder_up": ("gauge", "1 while the recorder gives signs of life"),
-    "rthyb_recorder_behind_rows": ("gauge", "Rows that wait in the ring"),
-    "rthyb_recorder_missing_rows": ("gauge", "Rows of the present test that are lost"),
-    "rthyb_recorder_free_bytes": ("gauge", "Room on the recordings' disk"),
+    "rthyb_wire_frames_total": ("counter", "Frames by outcome"),
+    "rthyb_commands_sent_total": ("counter", "Commands sent"),
+    "rthyb_commands_lost_total": ("counter", "Commands that the link did not accept"),
+    "rthyb_recorder_up": ("gauge", "1 while the recorder responds"),
+    "rthyb_recorder_behind_rows": ("gauge", "Rows waiting in the ring to be recorded"),
+    "rthyb_recorder_missing_rows": ("gauge", "Rows of the current test that were lost"),
+    "rthyb_recorder_free_bytes": ("gauge", "Free space on the disk of the recordings"),
     "rthyb_connections": ("gauge", "Clients of the control socket"),
 }
 

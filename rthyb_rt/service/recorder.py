@@ -224,7 +224,9 @@ class Tape:
         while self.reader.next < self.file.next_row:
             rows = self.reader.read(min(self.file.next_row - self.reader.next, _CHUNK))
             if not rows.samples.size:
-                raise InputError("the file has rows that its ring never had", str(self.path))
+                raise InputError(
+                    "the file contains rows that its ring never contained", str(self.path)
+                )
             if self.reader.next == self.file.next_row:
                 _require_same(rows.samples[-1:], self.file, self.path)
 
@@ -363,18 +365,19 @@ class _NotOursError(InputError):
 def _session(path: Path) -> Recording:
     place = ring.session_path(path)
     if not place.is_file():
-        raise InputError("no session file beside the ring", str(path))
+        raise InputError("the session file is missing beside the ring", str(path))
     session = recording.read(place)
     about = session.meta.get("service")
     if not isinstance(about, dict) or about.get("purpose") != "test":
-        raise _NotOursError("no test of the service", str(path))
+        raise _NotOursError("not a test of the service", str(path))
     return session
 
 
 def _require_same(row: NDArray[np.void], file: GrowingFile, path: Path) -> None:
     if int(row["tick"][0]) != file.last_tick:
         raise InputError(
-            f"the file ends with tick {file.last_tick}, the ring has {int(row['tick'][0])} there",
+            f"the file ends with tick {file.last_tick}, but the ring has tick "
+            f"{int(row['tick'][0])} in that place",
             str(path),
         )
 
@@ -499,7 +502,7 @@ class Recorder:
             ) from error
         if not _locked(self._lock, patience_s):
             os.close(self._lock)
-            raise RthybError(f"{rings}: another recorder is running here; stop that one")
+            raise RthybError(f"{rings}: another recorder is already running here; stop it first")
         self._tapes: dict[Path, Tape] = {}
         self._passed: dict[Path, tuple[int, int]] = {}
         self._synced_s = self._said_s = 0.0
@@ -511,7 +514,7 @@ class Recorder:
         self._orphans = set(self.runs.glob(f"*/{PART_NAME}"))
         self._patience = _Patience(rings)
         self._patience.say(self.status())
-        with self._patience.of("finishing what a reboot broke off"):
+        with self._patience.of("completing recordings that a reboot interrupted"):
             self._finish_orphans()
 
     def _runs_with_ring(self) -> set[str]:
@@ -540,7 +543,7 @@ class Recorder:
             try:
                 self._tidy(part.parent)
             except (InputError, KeyError, TypeError) as error:
-                self._give_up(place, f"{error}; {part.name} beside it may be whole")
+                self._give_up(place, f"{error}; {part.name} beside it may be intact")
             return
         # What may not be opened is not damaged.
         part.open("rb").close()
@@ -554,7 +557,7 @@ class Recorder:
                 raise
             aside = part.with_name(DAMAGED_NAME)
             part.replace(aside)
-            self._give_up(aside, f"{error}; it cannot be repaired, and is now {aside.name}")
+            self._give_up(aside, f"{error}; it cannot be repaired, and was renamed to {aside.name}")
             return
         if run_id not in self._known:
             with contextlib.closing(GrowingFile(part.parent, session)) as file:
@@ -565,7 +568,7 @@ class Recorder:
         states, ticks = file.all_rows("state"), file.all_rows("tick")
         if not file.resumed:
             aside = file.folder / DAMAGED_NAME
-            self._give_up(aside, f"{aside}: damaged, {ticks.size} rows of it could be read")
+            self._give_up(aside, f"{aside}: damaged; {ticks.size} of its rows could be read")
         if not (states > STATES.index("ARMED")).any():
             file.discard()
             return
@@ -579,7 +582,7 @@ class Recorder:
         _write_settings(file.folder, session)
         run_id = str(session.meta["service"]["run_id"])
         _append_to_index(self.runs, _entry(run_id, place, final, ticks, file.missing))
-        log.warning("%s: finished without its ring, %d rows", place, ticks.size)
+        log.warning("%s: completed without its ring, %d rows", place, ticks.size)
 
     def _give_up(self, path: Path, why: str) -> None:
         """Say what nothing can be done about here; a fault for as long as the path is there."""
@@ -643,7 +646,7 @@ class Recorder:
                 except InputError as error:
                     if whole and path.exists():
                         self._passed[path] = identity
-                        self._give_up(path, f"this test is not recorded: {_remedied(error)}")
+                        self._give_up(path, f"this test is not being recorded: {_remedied(error)}")
         for path in set(self._faults) - set(found) - self._orphans:
             del self._faults[path]
         for path in tuple(self._given_up):
@@ -658,10 +661,10 @@ class Recorder:
             ring.delete(path)
             return
         tape = self._tapes[path] = Tape(path, folder, session)
-        how = f"goes on at row {tape.file.next_row}" if tape.file.resumed else "recording"
+        how = f"continued at row {tape.file.next_row}" if tape.file.resumed else "recording"
         log.info("%s: %s, %s", path.name, how, folder)
         if (folder / DAMAGED_NAME).exists():
-            log.error("%s: damaged, the rest comes from the ring", folder / DAMAGED_NAME)
+            log.error("%s: damaged; the rest is taken from the ring", folder / DAMAGED_NAME)
 
     # The process before had the recording finished, and no time for what comes after that.
     def _tidy(self, folder: Path) -> None:
@@ -689,11 +692,11 @@ class Recorder:
             self._again_s[path] = time.monotonic() + _RETRY_S
 
     def _finish(self, path: Path, tape: Tape) -> None:
-        with self._patience.of(f"finishing {tape.file.folder.name}"):
+        with self._patience.of(f"completing {tape.file.folder.name}"):
             entry = tape.finish()
         del self._tapes[path]
         if entry is None:
-            log.info("%s: nothing moved, nothing is kept", path.name)
+            log.info("%s: nothing moved, so no recording is kept", path.name)
             return
         _append_to_index(self.runs, entry)
         ring.delete(path)
@@ -756,7 +759,7 @@ def _locked(lock: int, patience_s: float) -> bool:
 
 def _remedied(error: InputError) -> str:
     if isinstance(error, ring.OtherVersionError):
-        return f"{error}: whoever restarts rthyb restarts rthyb-recorder too"
+        return f"{error}: restart rthyb-recorder whenever rthyb is restarted"
     return str(error)
 
 

@@ -94,7 +94,7 @@ class Behind(logging.Handler):
             # Those that were lost came after all that waited.
             if self._lost and self._lines.empty():
                 lost, self._lost = self._lost, 0
-                text = f"{lost} lines were lost because nothing read them"
+                text = f"{lost} log lines were lost because nothing read them"
                 self._print(logging.LogRecord("", logging.ERROR, "", 0, text, None, None))
             if self._over and self._lines.empty():
                 return

@@ -109,7 +109,7 @@ def _check(effect: Effect, where: str) -> None:
         if not there
     ]
     if len(effect.params) > 1 and kind.report is Effect.report:
-        lacking.append("report(ctx, trial, beta), as it has several parameters")
+        lacking.append("report(ctx, trial, beta), because it has several parameters")
     if lacking:
         remove(effect.name)
         raise InputError(

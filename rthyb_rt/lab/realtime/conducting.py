@@ -88,7 +88,7 @@ def run(
     ) as session:
         try:
             session.start()
-            hint = "rthyb jitter says how to obtain them"
+            hint = "run rthyb jitter to see how to obtain them"
             session.check_privileges(warn, required=require_realtime, hint=hint)
             teller = Teller(progress or _no_progress, warn, at_once=clock == "stepped")
             try:
@@ -133,7 +133,7 @@ def _say_where(session: Session, error: BaseException) -> None:
         return
     path = session.run.ring.path
     error.add_note(
-        f"what was recorded is in {path}; to make a recording of it: rthyb recover {path}"
+        f"what was recorded is in {path}; to make a recording from it: rthyb recover {path}"
     )
 
 

@@ -189,7 +189,7 @@ class Conductor:
         lacking = {"fifo": "real-time priority", "memory_locked": "locked memory"}
         words = f"the tick thread did not obtain {' and '.join(lacking[n] for n in missing)}"
         if required:
-            raise TimingError(f"{words}, which require_realtime demands; {hint}")
+            raise TimingError(f"{words}, which require_realtime requires; {hint}")
         warn(f"{words}: ticks may be late or skipped; {hint}")
 
     def close(self) -> None:
@@ -385,11 +385,11 @@ class Conductor:
             return
         late_us = now.wake.since(before.wake).percentile_ns(99) / 1e3
         raise TimingError(
-            f"this PC does not wake up for {self.rate.hz:g} Hz: of {ticks} ticks at rest {skipped} "
-            f"were skipped ({100 * skipped / ticks:.1f} %), and {100 * most:.1f} % end a test "
-            f"(limits.skipped_ticks_share); 99 % woke within {late_us:.0f} us, a tick has "
-            f"{1e6 * self.rate.period_s:.0f} us; rthyb jitter says what to change on this PC, or "
-            "take a lower rate"
+            f"this PC does not wake up in time for {self.rate.hz:g} Hz: of {ticks} ticks at rest "
+            f"{skipped} were skipped ({100 * skipped / ticks:.1f} %), and {100 * most:.1f} % "
+            f"would end a test (limits.skipped_ticks_share); 99 % woke at most {late_us:.0f} us "
+            f"late, and a tick lasts {1e6 * self.rate.period_s:.0f} us; run rthyb jitter to see "
+            "what to change on this PC, or use a lower sample rate"
         )
 
     def _is_released(self) -> bool:
@@ -405,7 +405,7 @@ class Conductor:
 
     def _not_released(self) -> str:
         if all(one.codec.has_reset for one in self.opened.all):
-            return "the drive was sent a reset but stays stopped; its panel shows why"
+            return "the drive was sent a reset but remains stopped; its panel shows why"
         return "its frames have no reset command (link.reset_state): release it at its own panel"
 
     def _answered(self, name: core.Command) -> tuple[bool, int]:
@@ -436,9 +436,10 @@ class Conductor:
         if axis is None:
             return "the sample counts of the drives have not been compared yet; try again"
         return (
-            f"since the drives were first heard, the sample count of axis "
-            f"{self.run.setup.axis_names[axis]} has moved by more than one sample against another "
-            f"drive's. {REMEDIES['apart']} After a trip and a reset the counts are compared anew"
+            "since contact with the drives began, the sample count of axis "
+            f"{self.run.setup.axis_names[axis]} has moved by more than one sample against "
+            f"another drive's. {REMEDIES['apart']} After a trip and a reset the counts are "
+            "compared anew"
         )
 
     def set_parameters(self, parameters: core.Parameters) -> int:
@@ -482,17 +483,17 @@ class Conductor:
             if cause == "rig_position":
                 name, unit, factor = ("displacement", "mm", 1e3)
             return (
-                f"the tare of the {name} would be {value * factor:.3g} {unit}, at most "
+                f"the tare of the {name} would be {value * factor:.3g} {unit}, but at most "
                 f"{limit * factor:.3g} {unit} is allowed, {100 * share:g} % of the rig's limit "
                 "(limits.tare_share_most); bring the specimen to rest without load, or check "
-                f"the sensor and its calibration.{name}"
+                f"the sensor and calibration.{name} in the rig file"
             )
         whose, spread_m, allowed_m = self._restless()
         return (
             f"the rig is not at rest: the displacement{whose} moved by {spread_m * 1e3:.3g} mm "
-            f"during the tare of {run.config.tare_ticks / self.rate.hz:g} s, at most "
-            f"{allowed_m * 1e3:.3g} mm is allowed (limits.rest_spread_m); let it come to rest, "
-            "or check its sensor"
+            f"during the tare of {run.config.tare_ticks / self.rate.hz:g} s, but at most "
+            f"{allowed_m * 1e3:.3g} mm is allowed (limits.rest_spread_m); wait until it is at "
+            "rest, or check its sensor"
         )
 
     def _restless(self) -> tuple[str, float, float]:
@@ -573,9 +574,9 @@ class Conductor:
                 continue
             whose = f"axis {name}: " if name else ""
             return (
-                f"{whose}the drive sends about {hz:.0f} samples a second, the test runs at "
+                f"{whose}the drive sends about {hz:.0f} samples per second, but the test runs at "
                 f"{self.rate.hz:g} Hz; set test.sample_rate_hz and the rig file's "
-                "link.sample_rate_hz to the drive's rate, or the drive to theirs"
+                "link.sample_rate_hz to the drive's rate, or set the drive to theirs"
             )
         return ""
 

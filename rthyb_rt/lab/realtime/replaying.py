@@ -80,7 +80,7 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
     ticks = rec.samples["tick"]
     if not ticks.size or ticks[0] != 0:
         raise InputError(
-            "the rows before the first one are missing; only a test that was recorded from its "
+            "the first rows of the test are missing; only a test that was recorded from its "
             "first tick can be replayed",
             "recording",
         )

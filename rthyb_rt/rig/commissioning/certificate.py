@@ -221,7 +221,7 @@ def read(path: Path) -> Certificate:
         with path.open("rb") as file:
             document = json.loads(file.read(_MAX_BYTES))
         if document["schema"] != SCHEMA:
-            raise ValueError(f"schema {document['schema']!r}, this version reads {SCHEMA!r}")
+            raise ValueError(f"schema {document['schema']!r}, but this version reads {SCHEMA!r}")
         return Certificate(
             rig_name=str(document["rig_name"]),
             rig_hash=str(document["rig_hash"]),
@@ -236,7 +236,7 @@ def read(path: Path) -> Certificate:
         raise InputError(f"cannot be read ({error.strerror or error})", str(path)) from error
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise InputError(
-            f"is no commissioning file ({error}); run `rthyb commission` again", str(path)
+            f"is not a commissioning file ({error}); run `rthyb commission` again", str(path)
         ) from error
 
 
@@ -415,8 +415,8 @@ def _why_not(
         )
     if older is not None and older.sample_rate_hz != rig.rate.whole_hz:
         return (
-            f"the rig was commissioned on {older.date[:10]} at {older.sample_rate_hz} Hz, and is "
-            f"to run at {rig.rate.whole_hz} Hz (link.sample_rate_hz); {remedy}"
+            f"the rig was commissioned on {older.date[:10]} at {older.sample_rate_hz} Hz, but is "
+            f"now to run at {rig.rate.whole_hz} Hz (link.sample_rate_hz); {remedy}"
         )
     if older is not None:
         return (

@@ -96,13 +96,13 @@ def commission(
     for name in (name for name in STEPS if name in plan.steps):
         step = _MADE[name](connection, plan)
         if step is None:
-            plan.tell(f"{name}: left out")
+            plan.tell(f"{name}: skipped")
             continue
         certificate = certificate.with_step(step)
         keep(certificate)
         _tell(plan, step)
         if not step.passed and name in ("link", "polarity"):
-            plan.tell("the following steps need this: correct it, then start again")
+            plan.tell("the following steps depend on this one: correct the fault, then start again")
             break
     return certificate
 
@@ -138,8 +138,8 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
     if figures["fresh_share"] < FRESH_SHARE:
         faults.append(
             f"{100 * figures['fresh_share']:.1f} % of the ticks had a new pair of displacement "
-            f"and force, {100 * FRESH_SHARE:g} % is needed; check the wiring and the drive's "
-            "sample rate"
+            f"and force, at least {100 * FRESH_SHARE:g} % is needed; check the wiring and the "
+            "drive's sample rate"
         )
     setup = experiment.prescribed(connection.rig, rest.name, rest.path_m)
     spread_m = setup.derived.limits.rest_spread_m
@@ -152,7 +152,9 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
     rate = figures["rate_hz"]
     wanted_hz = connection.rig.rate.hz
     if rate is not None and abs(rate / wanted_hz - 1.0) > RATE_TOLERANCE:
-        faults.append(f"the drive sends {rate:.1f} samples per second, {wanted_hz:g} are needed")
+        faults.append(
+            f"the drive sends {rate:.1f} samples per second, but {wanted_hz:g} are needed"
+        )
     return Step("link", not faults, now(), figures, tuple(faults))
 
 
@@ -299,7 +301,7 @@ def _trip(connection: Connection, plan: Plan) -> Step | None:
     if not stop.stopped:
         faults.append("the drive did not report a stop when it was sent TRIPPED")
     else:
-        faults += _late(stop, stops.TRIP_TICKS, "the command that said TRIPPED")
+        faults += _late(stop, stops.TRIP_TICKS, "the command with the state TRIPPED")
     if codec.has_reset:
         stops.release(connection)
     elif stop.stopped:

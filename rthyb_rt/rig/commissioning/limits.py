@@ -133,7 +133,7 @@ def check_all(
     # A limit that trips has the drive stop by itself, and the next motion begins with its reset.
     connection = replace(connection, resets=True)
     if not wanted or not allowed(
-        f"Move by {distance_m * 1e3:g} mm and back, with no limit close by?"
+        f"Move by {distance_m * 1e3:g} mm and back, well within all limits?"
     ):
         return [Check(key, action, reason="not allowed") for key, action in wanted]
     usual = undisturbed(connection, plain)
@@ -197,11 +197,13 @@ def _check(
     h = connection.rig.rate.period_s
     least = _LEAST_STEPS * reached[_QUANTUM] / h**2 if key == ACCELERATION else 0.0
     if not reached[key] > least:
-        return Check(key, action, reason="the small motion does not come close enough to it")
+        return Check(
+            key, action, reason="the small motion does not come close enough to this limit"
+        )
     given = getattr(connection.rig.limits, key)
     share = _SHARE_OF_ACCELERATION if key == ACCELERATION else _SHARE
     value = share * min(reached[key], given if key == ACCELERATION else given.value)
-    outcome = "only bound the command" if action == "limit" else _OUTCOMES[action]
+    outcome = "only limit the command" if action == "limit" else _OUTCOMES[action]
     unit = limits_file.unit_of(key)
     question = f"Provoke limits.{key}, lowered to {value:.3g} {unit}? It should {outcome}."
     if not allowed(question):
@@ -219,7 +221,7 @@ def _check(
 
 
 _OUTCOMES: Final = {
-    "indicate": "be noted while the motion continues",
+    "indicate": "be reported while the motion continues",
     "hold": "hold",
     "ramp-out": "ramp out, back to where it began",
     "trip": "trip; afterwards release the drive if necessary",
@@ -250,7 +252,7 @@ def _why_not_seen(moved: Moved, cause: str, action: str) -> str:
     """Return what is wrong with the reaction to a limit, "" for nothing."""
     if action == "indicate":
         if cause not in moved.facts["indicated"]:
-            return "was not noted"
+            return "was not reported"
         return "" if moved.cause == "completed" else f"ended the motion: {moved.end_reason}"
     if moved.cause != cause:
         return f"was not reached; the motion ended for another reason: {moved.end_reason}"

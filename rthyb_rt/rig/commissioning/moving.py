@@ -309,7 +309,7 @@ def check_limits(rig: RigFile) -> None:
     for key, example in (("command_position_m", '"20 mm"'), ("force_n", '"5 kN"')):
         limit: Limit | None = getattr(rig.limits, key)
         if limit is None or not limit.ends:
-            found = "missing" if limit is None else "ends nothing"
+            found = "missing" if limit is None else "does not end the motion"
             problems.append(
                 Problem(
                     f"limits.{key}",
@@ -384,7 +384,7 @@ class _Beginning:
         if reach is not None and max(map(abs, ends)) >= reach:
             raise realtime.RefusedError(
                 f"the specimen is at {x_m * 1e3:.4g} mm and would move to "
-                f"{max(ends, key=abs) * 1e3:.4g} mm; the displacement sensor reaches to "
+                f"{max(ends, key=abs) * 1e3:.4g} mm, but the displacement sensor reaches only to "
                 f"{reach * 1e3:g} mm (sensors.displacement.range_m)"
             )
 
@@ -395,9 +395,10 @@ class _Beginning:
         left = limit.value - abs(f_n)
         if left <= 0.0:
             raise realtime.RefusedError(
-                f"the load cell reads {f_n:.5g} N at rest, limits.force_n is {limit.value:g} N; "
-                "relieve the specimen, correct the load cell's zero ([calibration] "
-                "force.offset_n), or raise the limit for this motion with --set limits.force_n=..."
+                f"the load cell reads {f_n:.5g} N at rest, but limits.force_n is {limit.value:g} "
+                "N; relieve the specimen, correct the load cell's zero ([calibration] "
+                "force.offset_n), or raise the limit for this motion with --set "
+                "limits.force_n=..."
             )
         return {"force": core.Watch(left, limit.reaction)}
 

@@ -62,8 +62,8 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
         )
     if stiffness is None:
         faults.append(
-            f"the force did not answer: {f_n:.3g} N for {_mm(x_m)}; is a specimen mounted and the "
-            "load cell connected? For a soft specimen use a larger distance"
+            f"the force did not respond: {f_n:.3g} N for {_mm(x_m)}; is a specimen mounted and "
+            "the load cell connected? For a soft specimen use a larger distance"
         )
     elif stiffness < 0.0 and slope > 0.0:
         faults.append(

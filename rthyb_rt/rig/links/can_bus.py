@@ -282,5 +282,5 @@ def _facts(interface: Interface, codec: Codec, sock: socket.socket, rate_hz: int
     }
     known = {name: value for name, value in facts.items() if value is not None}
     if rate is None and interface.driver == "can":
-        known["notes"] = ["the kernel does not know the bit rate; it was not checked"]
+        known["notes"] = ["the kernel does not know the bit rate, so it was not checked"]
     return known

@@ -28,7 +28,8 @@ def parse_mishaps(
     faults, cut_s = parse_faults(texts, axes, rate)
     if cut_s is not None:
         raise InputError(
-            f"{POWER_CUT}: a rig in this process has no power supply of its own; use silence"
+            f"{POWER_CUT}: a virtual rig in this process has no power supply of its own; use "
+            "silence"
         )
     return faults
 
