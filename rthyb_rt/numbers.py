@@ -59,6 +59,21 @@ def quantity(value: float | None, unit: str, factor: float = 1.0, digits: int = 
     return f"{number(value * factor, digits)} {unit}"
 
 
+def delay(samples: float, fs_hz: float, digits: int = 3) -> str:
+    """Return a delay as a person reads it, ``17 samples (16.6 ms)``.
+
+    Args:
+        samples: the delay in sampling periods; a dash for nan, ``∞ samples`` for infinity.
+        fs_hz: sample rate, Hz.
+        digits: significant digits of both numbers.
+    """
+    if not np.isfinite(samples):
+        return "–" if np.isnan(samples) else f"{number(samples)} samples"
+    text = f"{samples:.{digits}g}"
+    noun = "sample" if text == "1" else "samples"
+    return f"{text} {noun} ({1e3 * samples / fs_hz:.{digits}g} ms)"
+
+
 def count(n: int, noun: str) -> str:
     """Return a number of things, ``1 sample``, ``2 samples``."""
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

@@ -274,7 +274,7 @@ def test_a_trip_names_limit_value_and_what_was_known_of_it() -> None:
     text = ending(example("section5-no-compensation"))
     assert text == (
         "force 15.0 kN (limit 15 kN) at 3.1 s; without compensation this structure remains stable "
-        "up to a delay of 3.3 samples; the rig has 17"
+        "up to a delay of 3.3 samples (3.2 ms); the rig has 17 samples (16.6 ms)"
     )
 
 
@@ -293,8 +293,9 @@ def test_a_limit_that_the_reference_exceeds_is_told_as_that() -> None:
 def test_a_trip_with_compensation_names_alpha() -> None:
     rec = example("section5-T0.5", "limits.tracking_error_m=0.00005")
     assert ending(rec).startswith("tracking error 0.050")
-    assert "tolerates an error of 3.3 samples in alpha; the rig's delay is 17, alpha was at 17" in (
-        ending(rec)
+    assert (
+        "tolerates an error of 3.3 samples (3.2 ms) in alpha; the rig's delay is 17 samples "
+        "(16.6 ms), alpha was at 17" in ending(rec)
     )
 
 

@@ -531,8 +531,8 @@ def test_uncompensated_test_beyond_its_critical_delay_is_warned_of(rthyb: Rthyb)
     answer = rthyb("check", example("section4.2.toml"), "--set", "controller.type=none")
     assert answer.code == 0
     assert (
-        "remains stable only up to a delay of 2.3 samples, but the rig has a delay of 10: the "
-        "motion will grow" in answer.out
+        "remains stable only up to a delay of 2.3 samples (2.2 ms), but the rig has a delay of 10 "
+        "samples (9.77 ms): the motion will grow" in answer.out
     )
     assert "Lead, Nyquist" not in answer.out
 

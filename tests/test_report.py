@@ -409,7 +409,7 @@ def test_fixed_delay_is_told_in_words() -> None:
     )
     rec.samples["alpha"] = 17.0
     text = render(rec).replace("\N{NO-BREAK SPACE}", " ")
-    assert "The delay was fixed at 17.0 samples (16.6 ms)." in text
+    assert "The delay was fixed at 17 samples (16.6 ms)." in text
 
 
 # --- tests that went wrong --------------------------------------------------------------------

@@ -27,6 +27,7 @@ from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.core import ControllerConfig, DenseConfig, LawConfig
 from rthyb_rt.core.sparse import SparseConfig
 from rthyb_rt.errors import InputError
+from rthyb_rt.numbers import delay
 
 if TYPE_CHECKING:
     from rthyb_rt.lab.experiment import Setup
@@ -392,13 +393,12 @@ def remark(found: Verdict | None) -> str | None:
         return None
     known = f"the rig's response is known up to {found.swept_hz:g} Hz"
     if found.thin:
-        per_ms = 1e3 / STANDARD_HZ
+        found_delay = delay(found.delay_margin_samples, STANDARD_HZ)
         return (
             "the whole loop is stable, but with little margin: it tolerates "
             f"{found.gain_margin:.3g} times the rig's gain ({THIN_GAIN:g} are advised) and an "
-            f"additional delay of {found.delay_margin_samples * per_ms:.3g} ms, "
-            f"{found.delay_margin_samples:.3g} samples ({THIN_DELAY_SAMPLES * per_ms:.2g} ms are "
-            f"advised); {known}"
+            f"additional delay of {found_delay}; at least "
+            f"{delay(THIN_DELAY_SAMPLES, STANDARD_HZ)} is advised; {known}"
         )
     remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else _FAST
     return (

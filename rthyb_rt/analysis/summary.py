@@ -24,7 +24,7 @@ from rthyb_rt.core.laws import LAWS, Law
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import trips
 from rthyb_rt.lab.trips import Met
-from rthyb_rt.numbers import count, number, percent, quantity
+from rthyb_rt.numbers import count, delay, number, percent, quantity
 from rthyb_rt.record.recording import Recording
 
 Floats = NDArray[np.float64]
@@ -65,6 +65,7 @@ class Setup:
         reference_peak_n: the same of its force.
         description: the test file's.
         rig_name: name of the rig.
+        fs_hz: sample rate of the test, by which delays in samples become milliseconds.
         history: what was prescribed, in words; "": a hybrid test.
         time_scale: seconds in the laboratory per second of the structure; masses, dampings and
             periods are those of the laboratory's time.
@@ -91,6 +92,7 @@ class Setup:
     reference_peak_n: float | None
     description: str
     rig_name: str
+    fs_hz: float
     history: str = ""
     time_scale: float = 1.0
 
@@ -170,6 +172,7 @@ def setup(rec: Recording) -> Setup:
         reference_peak_n=_reference_peak(rec, "f_ref_n"),
         description=_words(_get(test, "test", "description")),
         rig_name=_words(_get(rig, "rig", "name")),
+        fs_hz=rate.hz,
         history=_words(rec.ground_motion.get("name")) if _get(test, "history") else "",
         time_scale=slow,
     )
@@ -790,9 +793,10 @@ def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding])
     if one.kind == "delay":
         away = abs(one.value - (given.alpha_identified or 0.0))
         found = (
-            f"Alpha departed from the identified delay of {number(given.alpha_identified)} "
-            f"samples: {span} it reached {number(one.value)}, an error of {number(away)} where "
-            f"this structure remains stable up to {number(one.allowed, 2)}"
+            f"Alpha departed from the identified delay of "
+            f"{delay(given.alpha_identified or 0.0, given.fs_hz)}: {span} it reached "
+            f"{delay(one.value, given.fs_hz)}, an error of {delay(away, given.fs_hz)}; this "
+            f"structure remains stable up to an error of {delay(one.allowed, given.fs_hz, 2)}"
         )
         return f"{found}; {_remedy_of_delay(given)}."
     if one.kind == "damping":
@@ -1085,7 +1089,7 @@ def _end(s: Summary) -> str:
 def _alpha(s: Summary) -> str:
     if not s.setup.plc_enabled:
         return "no compensation"
-    text = f"{quantity(s.alpha_end, 'samples')} ({quantity(s.alpha_end, 'ms', 1e3 / s.fs_hz)})"
+    text = delay(s.alpha_end, s.fs_hz)
     return text if s.setup.estimator_enabled else f"{text}, fixed"
 
 

@@ -12,7 +12,7 @@ from rthyb_rt.checking.history import HistoryFigures
 from rthyb_rt.config import STANDARD_HZ, Limit
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.numbers import quantity
+from rthyb_rt.numbers import delay, quantity
 
 MUCH_DAMPING: Final = 0.5
 """As a part of critical. No structure has it; who wrote 2 meant per cent."""
@@ -104,18 +104,19 @@ def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     """Compare the rig's delay with what the structure survives."""
     leads = f.critical_delay_with_lead_samples is not None
     critical = f.critical_delay_with_lead_samples if leads else f.critical_delay_samples
-    delay = f.identified_delay_samples
+    identified = f.identified_delay_samples
     # The estimator moves a lead that starts too short; force compensation removes the error.
     helped = setup.derived.rfc_enabled or (leads and setup.derived.estimator_enabled)
-    if delay is None or critical is None or delay < critical:
+    if identified is None or critical is None or identified < critical:
         return None
+    rig_has = delay(identified, setup.rate.hz)
     how, at = _lead_in_words(f) if leads else ("without phase lead", "at any delay")
     found = (
         f"{how} the structure with an elastic specimen remains stable only up to a delay "
-        f"of {critical:.2g} samples, but the rig has a delay of {delay:g}"
+        f"of {delay(critical, setup.rate.hz, 2)}, but the rig has a delay of {rig_has}"
         if critical
         else f"{how} the structure with an elastic specimen is unstable {at}, and the rig has "
-        f"a delay of {delay:g} samples"
+        f"a delay of {rig_has}"
     )
     if helped:
         return False, f"{found}: the test depends on the delay estimate and the force compensation"

@@ -73,16 +73,16 @@ def _print(rows: Sequence[dict[str, Any]], file: IO[str]) -> None:
 def _cells(row: dict[str, Any]) -> list[str]:
     """Return response, largest difference, tracking, delay and end of a law."""
     from rthyb_rt.campaign.plan import COMPLETED
-    from rthyb_rt.numbers import number, percent
+    from rthyb_rt.numbers import delay, number, percent
 
     if row["ending"] != COMPLETED:
         # What it came to until then says nothing beside a whole test.
         return ["–", "–", "–", "–", " ".join(str(row["cause"]).split())]
-    difference, delay = row["response_peak_difference_m"], row["alpha_end"]
+    difference, alpha = row["response_peak_difference_m"], row["alpha_end"]
     return [
         percent(row["response_nrmse"]),
         "–" if difference is None else f"{number(1e3 * difference)} mm",
         percent(row["tracking_nrmse"]),
-        "–" if delay is None else f"{number(1e3 * delay / row['fs_hz'])} ms",
+        "–" if alpha is None else delay(alpha, row["fs_hz"]),
         "",
     ]

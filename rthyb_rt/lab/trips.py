@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.core import RUNNING, STATES, STATUS
-from rthyb_rt.numbers import number
+from rthyb_rt.numbers import delay, number
 from rthyb_rt.record.recording import Recording
 
 if TYPE_CHECKING:
@@ -205,22 +205,18 @@ def _known(met: Met, given: Setup) -> str:
         watched = _WATCHED[met.cause]
         reached = f"{number(peak * watched.factor)} {watched.unit}"
         return f"even the reference simulation reaches {reached}"
-    critical, delay = given.critical_delay_samples, given.alpha_identified
-    if critical is None or delay is None or np.isinf(critical):
+    critical, identified = given.critical_delay_samples, given.alpha_identified
+    if critical is None or identified is None or np.isinf(critical):
         return ""
+    survives, rig_has = delay(critical, given.fs_hz, 2), delay(identified, given.fs_hz)
     if not given.plc_enabled:
         helped = " phase lead" if given.rfc_enabled else " compensation"
         return (
-            f"without{helped} this structure remains stable up to a delay of "
-            f"{_samples(critical)}; the rig has {delay:.3g}"
+            f"without{helped} this structure remains stable up to a delay of {survives}; the rig "
+            f"has {rig_has}"
         )
-    stood = "" if np.isnan(met.alpha) else f", alpha was at {met.alpha:.3g}"
+    stood = "" if np.isnan(met.alpha) else f", alpha was at {delay(met.alpha, given.fs_hz)}"
     return (
-        f"this structure tolerates an error of {_samples(critical)} in alpha; the rig's delay is "
-        f"{delay:.3g}{stood}"
+        f"this structure tolerates an error of {survives} in alpha; the rig's delay is "
+        f"{rig_has}{stood}"
     )
-
-
-def _samples(value: float) -> str:
-    text = f"{value:.2g}"
-    return f"{text} sample" if text == "1" else f"{text} samples"

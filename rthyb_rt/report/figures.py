@@ -18,7 +18,7 @@ from rthyb_rt.analysis.summary import (
 )
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.laws import law_value
-from rthyb_rt.numbers import number, quantity
+from rthyb_rt.numbers import delay, number, quantity
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import cyclic, extras, frequency
 from rthyb_rt.report import drawing as draw
@@ -324,7 +324,7 @@ class _Figures:
             return draw.Plate("delay", title, "", "The test ran without delay compensation.", False)
         alpha = self.rec.samples["alpha"]
         if not given.estimator_enabled:
-            fixed = _alpha_words(self.s.alpha_end, self.rec.fs_hz)
+            fixed = delay(self.s.alpha_end, self.rec.fs_hz)
             return draw.Plate("delay", title, "", f"The delay was fixed at {fixed}.", False)
         beta = self.rec.samples["beta"]
         curved = bool(np.ptp(beta[np.isfinite(beta)]) > 0.0) if np.isfinite(beta).any() else False
@@ -366,7 +366,7 @@ class _Figures:
             draw.fit_range(second, beta, limit=robust_limit(beta), ticks=3)
             draw.head(second, self._reported("beta"))
         self._time_axis(paper.axes[-1])
-        note = f"At the end {_alpha_words(self.s.alpha_end, self.rec.fs_hz)}."
+        note = f"At the end {delay(self.s.alpha_end, self.rec.fs_hz)}."
         far = [f"{b:g}" for b in bounds if b not in near]
         if far:
             note += f" Outside the figure: bound{'s' if len(far) > 1 else ''} {' and '.join(far)}."
@@ -488,10 +488,6 @@ def _alpha_range(alpha: Floats, identified: float | None) -> tuple[float, float]
     # At least four samples, lest noise in the third decimal fills the picture.
     spare = max(0.0, 4.0 - (high - low)) / 2.0
     return low - spare, high + spare
-
-
-def _alpha_words(alpha: float, fs_hz: float) -> str:
-    return f"{quantity(alpha, 'samples')} ({quantity(alpha, 'ms', 1e3 / fs_hz)})"
 
 
 def _cut(y: Floats, limit: float) -> str:

@@ -27,6 +27,7 @@ from rthyb_rt.core import FLAGS, RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.realtime import Operator
+from rthyb_rt.numbers import delay
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig.commissioning import moving, polarity
 from rthyb_rt.rig.commissioning.moving import Connection, Moved
@@ -530,16 +531,16 @@ def _tone(part: Part, signals: _Signals, before_s: float | None, noise_n2: float
     total = float(np.sqrt(np.mean(f[part.fit][read[part.fit]] ** 2)))
     unexplained = math.sqrt(max(float(np.mean(rest**2)) - noise_n2, 0.0))
     period = 1.0 / part.frequency_hz
-    delay = float(-np.angle(ratio)) / (2 * np.pi) * period
+    delay_s = float(-np.angle(ratio)) / (2 * np.pi) * period
     # A phase leaves whole periods open: the delay nearest to the one before; the first may be a
     # small lead, from noise, but no large one.
     nearest = 0.375 * period if before_s is None else before_s
-    delay += round((nearest - delay) / period) * period
+    delay_s += round((nearest - delay_s) / period) * period
     return Tone(
         frequency_hz=part.frequency_hz,
         amplitude_m=abs(sent),
         gain=abs(ratio),
-        delay_s=delay,
+        delay_s=delay_s,
         force_in_phase_n_per_m=stiffness.real,
         force_in_quadrature_n_per_m=stiffness.imag,
         distortion=unexplained / total if total else 0.0,
@@ -736,7 +737,8 @@ def _notes(tones: list[Tone], stiffness: float, alpha: float) -> list[str]:
     samples = delays[0] * core.FS_HZ
     if abs(alpha - samples) > 0.1 * samples + 0.5:
         notes.append(
-            f"alpha is {alpha:.4g} samples, although the delay at {tones[0].frequency_hz:g} Hz is "
-            f"{samples:.4g}: a phase lead cannot compensate this actuator"
+            f"alpha is {delay(alpha, core.FS_HZ)}, although the delay at "
+            f"{tones[0].frequency_hz:g} Hz is {delay(samples, core.FS_HZ)}: a phase lead cannot "
+            "compensate this actuator"
         )
     return notes
