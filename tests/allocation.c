@@ -1,11 +1,12 @@
-/* Counts what the per-sample path of the core asks of the allocator and of the kernel: every
- * controller, integrator, actuator and specimen element, with lost and absurd samples among the good
- * ones. Every allocation function of the C library is replaced by one that counts; and after the
- * set-up the process gives up all system calls but write and exit, so that any other kills it.
+/* Counts what the per-sample path of the core requests from the allocator and from the kernel:
+ * every controller, integrator, actuator and specimen element, with lost and implausible samples
+ * among valid ones. Every allocation function of the C library is replaced by one that counts; and
+ * after the set-up, the process gives up all system calls except write and exit, so that any other
+ * kills it.
  *
- * Prints "CASES SAMPLES ALLOCATIONS WATCHED", WATCHED being 1 where this system can forbid calls.
- * The arguments "allocate" and "call" break the rule once, after the cases of one law, to show that it
- * is watched. */
+ * Prints "CASES SAMPLES ALLOCATIONS WATCHED"; WATCHED is 1 if this system can forbid calls. The
+ * arguments "allocate" and "call" break the rule once, after the cases of one law, to show that it
+ * is enforced. */
 #define _GNU_SOURCE
 #include <linux/seccomp.h>
 #include <math.h>
@@ -72,7 +73,8 @@ typedef struct {
     int law, tangent, integrator, servo, hold, half;
 } choice;
 
-/* Behind the integrators of one degree of freedom: CR and RK4 of a part of three, then a sparse part. */
+/* After the integrators for one degree of freedom: CR and RK4 for a part with three, then a sparse
+ * part. */
 enum { SPARSE = RTHYB_PRESCRIBED + 3 };
 
 static int dense_integrator(const choice *c)
@@ -101,8 +103,9 @@ static const rthyb_dense_config *dense_part(int integrator)
 
 enum { STOREYS = 4, SPARSE_STATE = 4096 };
 
-/* A chain, 1 and k K_E throughout, with rho_inf = 1: S = M / 2 + (h C + h^2 K / 2) / 4 is tridiagonal and
- * is factored from its first row on. One storey is Bouc-Wen besides, one mode has modal damping. */
+/* A chain, with 1 and k K_E throughout and rho_inf = 1: S = M / 2 + (h C + h^2 K / 2) / 4 is
+ * tridiagonal and is factored from its first row on. In addition, one storey is Bouc-Wen, and one
+ * mode has modal damping. */
 static rthyb_numerical sparse_part(void)
 {
     static const int32_t start[] = {0, 1, 2, 3, 3}, next[] = {1, 2, 3}, none[] = {0, 0, 0, 0, 0};
@@ -228,7 +231,7 @@ static int set_up_rig(rthyb_rig *rig, const choice *c)
     return error | rthyb_rig_init(rig, &cfg);
 }
 
-/* Set-up and run of one test; 0, or what was refused. */
+/* Set-up and run of one test; returns 0, or the error. */
 static int run_case(const choice *c)
 {
     static rthyb_controller controller;
@@ -307,7 +310,7 @@ static int set_up_axes(int choice, rthyb_coupled_plant *plant, rthyb_matrix_lead
            rthyb_matrix_rfc_init(rfc, &compensated, rest, rest);
 }
 
-/* Two axes that feel one another, the same absurd readings among the good ones. */
+/* Two coupled axes, with the same implausible readings among valid ones. */
 static int run_axes(int choice)
 {
     static rthyb_coupled_plant plant;
@@ -342,7 +345,7 @@ static void finish(int status)
 int main(int argc, char **argv)
 {
     const char *wrong = argc > 1 ? argv[1] : "";
-    free(malloc(64)); /* so that the allocator itself is set up */
+    free(malloc(64)); /* so that the allocator itself is initialised */
     const int watched = prctl(PR_SET_SECCOMP, SECCOMP_MODE_STRICT) == 0;
     const unsigned long before = allocations;
     unsigned long cases = 0;

@@ -1,5 +1,5 @@
-/* A set of parameters that is half written, as the tick finds it. Prints how often it took something before the set
- * was whole, or not all of it then. */
+/* A set of parameters that is half written, as seen by the tick. Prints how often something was
+ * adopted before the set was complete, or less than all of it afterwards. */
 #include <stdio.h>
 #include <string.h>
 

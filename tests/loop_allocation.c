@@ -1,12 +1,12 @@
-/* Counts what a whole real-time run asks of the allocator and of the kernel: loop and drive in threads
- * of their own, from the start to the join. Whatever thread but the main one allocates is counted; and
- * from the tenth tick on any system call but those of the clock, the link and a thread's end kills the
- * process.
+/* Counts what a complete real-time run requests from the allocator and from the kernel: loop and
+ * drive in threads of their own, from start to join. Allocations in all threads except the main one
+ * are counted; and from the tenth tick on, any system call except those of the clock, the link and
+ * the end of a thread kills the process.
  *
  *   loop_allocation CLOCK TICKS [allocate | call]       CLOCK: enum rthyb_clock
  *
- * Prints "ELAPSED SENT ALLOCATIONS WATCHED", WATCHED being 1 where this system can forbid calls. The
- * last argument has the drive's thread break the rule once, to show that it is watched. */
+ * Prints "ELAPSED SENT ALLOCATIONS WATCHED"; WATCHED is 1 if this system can forbid calls. With the
+ * last argument, the drive's thread breaks the rule once, to show that it is enforced. */
 #define _GNU_SOURCE
 #include <linux/filter.h>
 #include <linux/seccomp.h>
@@ -30,7 +30,7 @@ static void note_allocation(void)
         __atomic_fetch_add(&allocations, 1, __ATOMIC_RELAXED);
 }
 
-/* The clock; the link; what ends a thread and is waited for; what says so at the end. */
+/* The clock; the link; the end of a thread, and waiting for it; the output at the end. */
 static const long ALLOWED[] = {
     SYS_clock_nanosleep, SYS_clock_gettime,  SYS_ppoll,   SYS_recvfrom, SYS_sendto, SYS_getrusage,
     SYS_futex,           SYS_rt_sigprocmask, SYS_madvise, SYS_munmap,   SYS_exit,   SYS_exit_group,
@@ -66,7 +66,7 @@ static void *drive(void *shared)
     run *r = shared;
     rthyb_tick tick;
     const int allocate = !strcmp(r->wrong, "allocate"), call = !strcmp(r->wrong, "call");
-    if (allocate) /* so that the thread's own heap is there */
+    if (allocate) /* so that the thread has its heap already */
         free(malloc(64));
     while (rthyb_ticker_wait(&r->clock, &tick)) {
         rthyb_drive_tick(&r->e.drive);
@@ -90,7 +90,8 @@ static void wait_for(const uint64_t *count, uint64_t value)
         sched_yield();
 }
 
-/* Zero, arm, start: whatever is not for this state is refused, and asked for again. */
+/* Zero, arm, start: a command that is not allowed in the current state is refused, and sent
+ * again. */
 static void operate(rthyb_loop *loop, uint64_t ticks)
 {
     static const int32_t NEXT[] = {[RTHYB_IDLE] = RTHYB_CMD_ZERO,

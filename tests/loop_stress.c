@@ -1,13 +1,14 @@
-/* The tick thread with everybody who may look at it or talk to it, for a race detector.
+/* The tick thread, with every thread that may observe it or communicate with it, for a race
+ * detector.
  *
- *   loop_stress          a stepped test of TICKS ticks, a second on the host clock and one on the link's,
- *                        tickers that are granted and stopped from several threads. Prints what
- *                        happened; 1 if something does not add up.
- *   loop_stress race     reads one counter as nobody may: the detector must say so.
+ *   loop_stress          a stepped test of TICKS ticks, a second on the host clock and one on the
+ *                        link's, tickers that are granted and stopped from several threads. Prints
+ *                        what happened; 1 if something is inconsistent.
+ *   loop_stress race     reads one counter in a forbidden way: the detector must report it.
  *
- * Threads of the stepped test: the tick thread; the clock, which is the drive as well; an operator;
- * one that sets parameters; one that loads; a heartbeat; two that read every counter and histogram; three readers of
- * the ring. */
+ * Threads of the stepped test: the tick thread; the clock, which is also the drive; an operator;
+ * one that sets parameters; one that loads; a heartbeat; two that read every counter and histogram;
+ * three readers of the ring. */
 #define _GNU_SOURCE
 
 #include <pthread.h>
@@ -42,7 +43,7 @@ typedef struct {
 } reader_job;
 
 static uint64_t obeyed, refused,
-    generations; /* by the operator's count; written by one thread each */
+    generations; /* as counted by the operator; each written by one thread */
 static int faults;
 
 static void must(int holds, const char *what)
@@ -152,7 +153,7 @@ static void *watch(void *shared)
     return NULL;
 }
 
-/* What an operator would do next, and now and then what he may not. */
+/* What an operator would do next, sometimes something that is not allowed. */
 static int32_t next_command(uint64_t state, uint64_t *random)
 {
     static const int32_t USUAL[] = {
@@ -222,7 +223,7 @@ static void *follow(void *argument)
 
 /* ---- parameters --------------------------------------------------------------------------------- */
 
-/* Set number k: every number in it tells which one it is. */
+/* Set number k: every value in it identifies the set. */
 static rthyb_parameters parameters(uint64_t k)
 {
     const double part = 1.0 + 1e-3 * (double)(k % 1000);
@@ -251,7 +252,7 @@ static void *set_parameters(void *shared)
     return NULL;
 }
 
-/* After the thread's end: the set in force is one that was published, in all its parts. */
+/* After the end of the thread: the set in effect is one that was published, in all its parts. */
 static void check_parameters(const bench *b)
 {
     const rthyb_parameters p = parameters(b->e.station.controller.generation);
@@ -266,7 +267,7 @@ static void check_parameters(const bench *b)
 
 /* ---- loads -------------------------------------------------------------------------------------- */
 
-/* The same station again and again, which is taken in any state. */
+/* The same station again and again, which is accepted in any state. */
 static void *load(void *shared)
 {
     bench *b = shared;
@@ -336,7 +337,7 @@ static void add_up(const bench *b, const char *name)
            (unsigned long long)obeyed, (unsigned long long)refused);
 }
 
-/* The drive's tick, then the loop's; skips now and then. */
+/* The drive's tick, then the loop's; sometimes with skips. */
 static void run_stepped(bench *b)
 {
     uint64_t random = 2;
@@ -426,7 +427,7 @@ static void *wait_for_ticks(void *shared)
     return NULL;
 }
 
-/* Stopped while the others grant and it waits; every third time after all of it was done. */
+/* Stopped while the others grant and it waits; every third time after everything was done. */
 static void ticker_test(void)
 {
     uint64_t done = 0;

@@ -1,8 +1,8 @@
-/* The telemetry ring under load, without Python: for a race detector and for a stop-watch.
+/* The telemetry ring under load, without Python: for a race detector and for timing.
  *
  *   ring_stress                one producer at full speed, three readers, a ring that laps them
- *                              often. Prints "pushed read lost torn disordered", a line a reader.
- *   ring_stress speed          prints "name ns" for one record, the least of many rounds. */
+ *                              often. Prints "pushed read lost torn disordered", a line per reader.
+ *   ring_stress speed          prints "name ns" for one record, the smallest of many rounds. */
 #include "rthyb.h"
 
 #include <pthread.h>
@@ -17,7 +17,7 @@
 
 enum { READERS = 3, PUSHES = 400000, TRIP = 3000, BATCH = 32, ROUNDS = 60 };
 
-/* Of one axis: a record up to its first axis. */
+/* With one axis: a record up to its first axis. */
 enum { ROW_BYTES = (RTHYB_TEST_WORDS + RTHYB_AXIS_WORDS) * (int)sizeof(uint64_t) };
 
 typedef struct {
@@ -30,7 +30,7 @@ typedef struct {
     uint64_t read, torn, disordered, wanted, newest;
 } reader_job;
 
-/* A record that shows in every word which one it is; now and then a long TRIP. */
+/* A record in which every word identifies it; sometimes a long TRIP. */
 static rthyb_record made(uint64_t n)
 {
     const double x = (double)n;
@@ -173,7 +173,7 @@ static void read_all(bench *b)
         (void)rthyb_ring_read(&b->reader, rows_read[i * BATCH].words, BATCH);
 }
 
-/* The yardstick: the same bytes to the same two places, without any order. */
+/* For comparison: the same bytes to the same two places, without any ordering. */
 static void copy_all(bench *b)
 {
     for (size_t i = 0; i < RTHYB_RING_CAPACITY; i++) {

@@ -1,5 +1,5 @@
-/* Preloaded: kills its process at a write of its choice, as SIGKILL does: before it, or after those of
- * its pages that were copied by then. kill_at(n, pages): the n-th write from now on; 0: none. */
+/* Preloaded library: kills its process at a chosen write, like SIGKILL: before the write, or after
+ * some of its pages were copied. kill_at(n, pages): at the n-th write from now on; 0: at none. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <signal.h>

@@ -1,7 +1,8 @@
-/* Sets a traced process's registers as the guest's kernel does: with an area too short for the host.
+/* Sets the registers of a traced process as the guest's kernel does: with an area that is too short
+ * for the host.
  *
- * Prints "refused" where the host's kernel does not take it; or which part of the whole area is as
- * it was handed over, and which as it was before: "front given" and "rest kept". */
+ * Prints "refused" if the host's kernel does not accept it; otherwise which part of the whole area
+ * is as passed, and which is unchanged: "front given" and "rest kept". */
 #define _GNU_SOURCE
 #include <elf.h>
 #include <stdio.h>
@@ -12,13 +13,14 @@
 #include <unistd.h>
 
 enum {
-    SHORT = 576, /* x87, SSE and the header; what AVX adds comes after */
+    SHORT = 576, /* x87, SSE and the header; the state of AVX follows */
     XMM0 = 160
 };
 
 static char area[1 << 16], before[1 << 16];
 
-/* Every byte of ymm0 is 0xA5 at the stop: its lower half in the front, its upper in the rest. */
+/* At the stop, every byte of ymm0 is 0xA5: its lower half is in the front, its upper half in the
+ * rest. */
 __attribute__((target("avx"))) static void be_traced(void)
 {
     char pattern[32];

@@ -1,13 +1,14 @@
-/* Random tests of two to four axes: operators, kinematics, limits, and troubles of each axis by itself, against
- * what must hold of all of them together.
+/* Random tests of two to four axes: operators, kinematics, limits, and troubles of each axis
+ * separately, checked against the rules that must hold for all of them together.
  *
- *   fuzz_axes ticks COUNT [SEED]     so many ticks, or
- *   fuzz_axes seconds COUNT [SEED]   so many seconds: prints how often each rule had its say, and for a broken one
- *                                    the episode's seed; 1 if one was broken
- *   fuzz_axes episode SEED           one episode again, up to the tick that breaks a rule
+ *   fuzz_axes ticks COUNT [SEED]     this many ticks, or
+ *   fuzz_axes seconds COUNT [SEED]   this many seconds: prints how often each rule was checked and,
+ *                                    for a broken one, the seed of the episode; 1 if one was broken
+ *   fuzz_axes episode SEED           repeats one episode, up to the tick that breaks a rule
  *
- * Stations, moods and troubles are those of station_world.h; every axis has troubles of its own. The books are
- * kept here: of the station only state, tare, cause and the settings are taken. */
+ * Stations, moods and troubles are those of station_world.h; every axis has troubles of its own.
+ * What is expected is tracked here: only state, tare, cause and settings are taken from the
+ * station. */
 #define _GNU_SOURCE
 
 #include <inttypes.h>
@@ -24,9 +25,10 @@
 #include "station_world.h"
 #pragma GCC diagnostic pop
 
-#define WIRE_M 1e-9 /* of its steps */
-/* What a command at rest may still move: it comes within 1 um of where its path has ended, is there in passing if its
- * law swings, and stands once it is further away. The most that 15 million ticks had was 2.0 um. */
+#define WIRE_M 1e-9 /* step of the wire */
+/* Largest movement of a command at rest: the command comes to within 1 um of the end of its path,
+ * through which it may be swinging, depending on its law, and is held once it is farther away. The
+ * largest movement in 15 million ticks was 2.0 um. */
 #define SETTLES_M 5e-6
 
 enum { MOST = RTHYB_COUPLED_MAX, ROWS = 1 << 14, WAY_BACK = 32, PARTS = 2 };
@@ -77,7 +79,7 @@ static rule_tally axes_tally[AXES_RULES];
 
 /* ---- a test ------------------------------------------------------------------------------------- */
 
-/* Oscillators side by side, one a direction: stands in for any numerical part. */
+/* Oscillators in parallel, one per direction: represents any numerical part. */
 typedef struct {
     double x[MOST], v[MOST], damping[MOST], per_mass[MOST], share[MOST];
     int32_t n;
@@ -90,7 +92,7 @@ typedef struct {
     scale size;
     rthyb_station_config cfg;
     rthyb_library_config part;
-    side_by_side model; /* as it begins */
+    side_by_side model; /* in its initial state */
     uint64_t state[128], other_state[128];
     rthyb_station station, twin;
     rthyb_codec codec;
@@ -98,20 +100,20 @@ typedef struct {
     size_t ag_count;
     operator_mood mood;
     troubles troubles[MOST];
-    /* the drives: what each was told, as long ago as its delay */
-    double told[MOST][WAY_BACK], origin[MOST], k[MOST], bias[MOST], noise_m;
+    /* the drives: received commands, as far back as the longest delay */
+    double received_m[MOST][WAY_BACK], origin[MOST], k[MOST], bias[MOST], noise_m;
     uint32_t delay[MOST];
     int latched[MOST], tells;
     uint32_t silent[MOST];
-    int apart; /* as the station is told it */
+    int apart; /* as reported to the station */
     uint32_t apart_left, apart_ticks;
     uint32_t missing[MOST];
-    /* the books */
+    /* tracked independently of the station */
     int known;
     double before[MOST], step[MOST], pose[MOST];
     rthyb_kinematics kinematics;
     int posed;
-    int anew[MOST]; /* its next command is put where the specimen is */
+    int anew[MOST]; /* its next command is set to the position of the specimen */
     uint32_t frames, seen;
     int cause, cause_axis;
     size_t rows;
@@ -120,7 +122,7 @@ typedef struct {
 static axes_episode one;
 static uint64_t packed[ROWS][RTHYB_RECORD_WORDS], again[ROWS][RTHYB_RECORD_WORDS];
 static uint64_t all_ticks, tests, trips, held;
-static int shown; /* what an episode comes to is printed */
+static int shown; /* prints what happens in an episode */
 
 static void axes_must(axes_episode *e, int rule, int holds, double value, double bound)
 {
@@ -280,14 +282,14 @@ static int set_up_axes(axes_episode *e)
 static void read_axes(axes_episode *e, rthyb_station_input *in)
 {
     for (int i = 0; i < e->n; i++) {
-        const double x = e->told[i][(e->tick - e->delay[i]) % WAY_BACK];
+        const double x = e->received_m[i][(e->tick - e->delay[i]) % WAY_BACK];
         in->axis[i].x_m = x + e->origin[i] + between(&e->d, -1.0, 1.0) * e->noise_m;
         in->axis[i].f_n = e->k[i] * x + e->bias[i];
         in->axis[i].drive_stopped = e->tells && e->latched[i];
     }
 }
 
-/* Each axis has its own; what belongs to the PC comes from any of them. */
+/* Each axis has troubles of its own; those of the PC may come from any of them. */
 static void suffer_axes(axes_episode *e, rthyb_station_input *in, int *unsent)
 {
     for (int i = 0; i < e->n; i++) {
@@ -310,7 +312,7 @@ static void suffer_axes(axes_episode *e, rthyb_station_input *in, int *unsent)
     in->apart = e->apart;
 }
 
-/* Over the wire: bits of the axes whose command has left. */
+/* Sends over the wire; bits of the axes whose command was sent. */
 static uint32_t send_axes(axes_episode *e, const rthyb_station_output *out, int unsent)
 {
     static const rthyb_calibration AS_IT_IS = {1.0, 0.0, 1.0, 0.0, 1.0, 0.0};
@@ -334,18 +336,19 @@ static void drive_axes(axes_episode *e, const rthyb_station_output *out, const d
                        uint32_t sent)
 {
     for (int i = 0; i < e->n; i++) {
-        const int heard = (int)(sent >> i & 1u);
-        const double last = e->told[i][e->tick % WAY_BACK];
-        e->silent[i] = heard ? 0 : e->silent[i] + 1;
-        if (heard && (out->sent_state == RTHYB_NOTICE_RESET))
+        const int received = (int)(sent >> i & 1u);
+        const double last = e->received_m[i][e->tick % WAY_BACK];
+        e->silent[i] = received ? 0 : e->silent[i] + 1;
+        if (received && (out->sent_state == RTHYB_NOTICE_RESET))
             e->latched[i] = 0;
         if (out->state == RTHYB_TRIPPED || e->silent[i] >= RTHYB_DRIVE_WATCHDOG)
             e->latched[i] = e->seen > 0;
-        e->told[i][(e->tick + 1) % WAY_BACK] = heard && !e->latched[i] ? x[i] - e->origin[i] : last;
+        e->received_m[i][(e->tick + 1) % WAY_BACK] =
+            received && !e->latched[i] ? x[i] - e->origin[i] : last;
     }
 }
 
-/* ---- the books ------------------------------------------------------------------------------------- */
+/* ---- what is expected --------------------------------------------------------------------------- */
 
 static const rthyb_watch *axis_watch(const axes_episode *e, int i, int cause)
 {
@@ -381,7 +384,7 @@ static void judge_step(axes_episode *e, int i, double x, int at_direction)
                   step - e->step[i], most);
 }
 
-/* Whether the commands are put where the specimen is, which is no step. */
+/* Whether the commands are set to the position of the specimen, which does not count as a step. */
 static int puts_anew(const axes_episode *e, const rthyb_station_input *in, int refused, int was)
 {
     int stopped = 0;
@@ -391,7 +394,8 @@ static int puts_anew(const axes_episode *e, const rthyb_station_input *in, int r
            (was == RTHYB_IDLE && e->station.state == RTHYB_IDLE && stopped);
 }
 
-/* Where the commands have the specimen, by a kinematics of the books' own. Bits of the directions at their limits. */
+/* Pose that corresponds to the commands, from a separate kinematics. Bits of the directions at
+ * their limits. */
 static uint32_t judge_directions(axes_episode *e, const double *x)
 {
     double axis[MOST], pose[MOST];
@@ -416,7 +420,7 @@ static uint32_t judge_directions(axes_episode *e, const double *x)
     return at;
 }
 
-/* x: what each drive has, sent: bits of those that it has from this tick. */
+/* x: commands of the drives; sent: bits of those received in this tick. */
 static void judge_commands(axes_episode *e, const rthyb_station_input *in,
                            const rthyb_station_output *out, const double *x, uint32_t sent, int was)
 {
@@ -463,7 +467,7 @@ static void judge_trip(axes_episode *e, const rthyb_station_input *in,
     e->cause_axis = s->cause_axis;
 }
 
-/* TRIPPED; and where nothing has taken the test off its course before, by that axis. */
+/* Must be TRIPPED; if nothing had interrupted the test before, by that axis. */
 static void trips_by(axes_episode *e, int rule, int was, int clean, int axis)
 {
     const rthyb_station *s = &e->station;
@@ -511,7 +515,7 @@ static found_faults look_at_axes(axes_episode *e, const rthyb_station_input *in,
     return f;
 }
 
-/* The axis that has been without a sound reading for longest, the first of several. */
+/* The axis that has been without a valid reading for longest, the first of several. */
 static int longest_missing(const axes_episode *e)
 {
     int longest = 0;
@@ -520,7 +524,7 @@ static int longest_missing(const axes_episode *e)
     return longest;
 }
 
-/* A sound reading that leaps is not taken either, and of those no book is kept here. */
+/* A valid reading that jumps is rejected too; jumps are not tracked here. */
 static int may_leap(const axes_episode *e, int axis)
 {
     return axis >= 0 && (axis_watch(e, axis, RTHYB_CAUSE_SENSOR_JUMP)->value > 0.0 ||
@@ -627,7 +631,7 @@ static void tick_axes(axes_episode *e)
     all_ticks += out.records;
 }
 
-/* Which words of a row are others, as they are. */
+/* Prints which words of a row differ. */
 static void show_difference(const axes_episode *e, size_t at)
 {
     const uint64_t *mine = packed[0] + at * record_bytes(e->n) / sizeof(uint64_t);

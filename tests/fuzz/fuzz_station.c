@@ -1,13 +1,15 @@
-/* Random operators, readings, losses, skips, unsent commands, parameter sets and reloads against the
- * station on a virtual rig: what must hold whatever happens is in station_rules.h.
+/* Random operators, readings, losses, skips, unsent commands, parameter sets and reloads against
+ * the station with a virtual rig. The rules that must always hold are in station_rules.h.
  *
- *   fuzz_station ticks COUNT [SEED]     so many ticks, or
- *   fuzz_station seconds COUNT [SEED]   so many seconds: prints how often each rule had its say, and for a
- *                                       broken one the episode's seed; 1 if one was broken
- *   fuzz_station episode SEED [TICKS]   one episode again, with its last TICKS ticks
+ *   fuzz_station ticks COUNT [SEED]     this many ticks, or
+ *   fuzz_station seconds COUNT [SEED]   this many seconds: prints how often each rule was checked
+ *                                       and, for a broken one, the seed of the episode; 1 if one
+ *                                       was broken
+ *   fuzz_station episode SEED [TICKS]   repeats one episode, and prints its last TICKS ticks
  *
- * Two levels: the station alone with a rig that answers directly, and one episode in LOOP_SHARE the whole
- * loop, wire, link and drive on the stepped clock. Each episode's rows are replayed. */
+ * Two levels: the station alone, with a rig that answers directly, and, in one of LOOP_SHARE
+ * episodes, the whole loop with wire, link and drive on the stepped clock. The rows of each episode
+ * are replayed. */
 #define _GNU_SOURCE
 
 #include <inttypes.h>
@@ -26,7 +28,7 @@
 enum { ROWS_MAX = 1 << 15, SETS_MAX = 256, LOOP_SHARE = 12, FAULTS_MAX = 8, SHOWN_MAX = 1 << 15 };
 
 static rthyb_record rows[ROWS_MAX];
-/* Of one axis: a record up to its first axis. */
+/* With one axis: a record up to its first axis. */
 static uint64_t packed[ROWS_MAX][RTHYB_TEST_WORDS + RTHYB_AXIS_WORDS];
 static uint64_t again[ROWS_MAX][RTHYB_TEST_WORDS + RTHYB_AXIS_WORDS];
 static size_t row_count;
@@ -41,20 +43,20 @@ typedef struct {
     world w;
     operator_mood mood;
     troubles t;
-    rthyb_station station, twin, first; /* first: as it was set up, for the replay */
+    rthyb_station station, twin, first; /* first: as initialised, for the replay */
     rthyb_rig rig;
     rthyb_codec codec;
     rthyb_calibration calibration;
-    int coded;               /* commands leave by the codec, else as they are */
-    uint64_t executed, most; /* ticks; most: of the episode when it was played before */
+    int coded;               /* commands pass through the codec, otherwise unchanged */
+    uint64_t executed, most; /* ticks; most: length of the episode, from an earlier run */
     double ag_mps2[AG_MAX];
     size_t ag_count;
-    rthyb_link near, far; /* from here on: of the whole loop */
+    rthyb_link near, far; /* from here on: for the whole loop */
     rthyb_wire wire;
     rthyb_drive drive;
     rthyb_loop loop;
     rthyb_fault faults[FAULTS_MAX];
-    uint32_t mute, stall; /* ticks that no heart beats, that the drive does not tick */
+    uint32_t mute, stall; /* ticks without a heartbeat, ticks without the drive */
 } episode;
 
 static episode one;
@@ -76,7 +78,7 @@ static rthyb_signal value(int32_t start, int32_t length, double scale)
                           .high = INFINITY};
 }
 
-/* A drive of another make, its commands in steps of so many m. */
+/* A drive by another manufacturer, with commands in steps of `step_m`. */
 static void describe(rthyb_codec *codec, double step_m)
 {
     rthyb_message *c = &codec->command, *x = &codec->displacement;
@@ -207,14 +209,14 @@ static void judge(episode *e, const event *v)
 
 /* ---- the station alone ---------------------------------------------------------------------------- */
 
-/* A drive that does what it is told, and stops when it is told to or when it is told nothing. */
+/* A drive that follows its commands, and stops on command or when it receives none. */
 typedef struct {
     double target_m; /* of the rig, from its own zero */
     int latched;
     int follows, tells; /* tells: has a status byte */
     uint32_t silent;
-    int beyond;     /* the wire could not hold the last command */
-    int taken_over; /* a station before has told it taken_m */
+    int beyond;     /* the wire could not represent the last command */
+    int taken_over; /* an earlier station has sent it taken_m */
     double taken_m;
 } plain_drive;
 
@@ -224,7 +226,7 @@ static void drive_stops(plain_drive *p)
     p->follows = 0;
 }
 
-/* After a stop of its own it follows again when it is reset, and not before. */
+/* After a stop on its own, it follows again when it is reset, and not before. */
 static void drive_hears(plain_drive *p, const world *w, int state, double x_m)
 {
     if (state == RTHYB_NOTICE_RESET || (state == RTHYB_IDLE && !p->latched)) {
@@ -248,7 +250,7 @@ static void drive_ticks(episode *e, plain_drive *p, uint32_t count, double *x_m,
         drive_stops(p);
 }
 
-/* Without a wire commands arrive as they are computed, and each does. */
+/* Without a wire, commands arrive as computed, and none is lost. */
 static int pass_on(episode *e, plain_drive *p, const rthyb_station_output *out, int unsent)
 {
     rthyb_frame frame;
@@ -290,7 +292,7 @@ static void adopt(episode *e)
     e->o.adopted = e->o.adopted || taken;
 }
 
-/* The same tick without the command that was refused comes to the same. */
+/* The same tick without the refused command has the same result. */
 static void judge_refusal(episode *e, const event *v, const rthyb_station_output *out)
 {
     static rthyb_record other[RTHYB_BLIND_MAX + 1];
@@ -350,7 +352,7 @@ static void tick_alone(episode *e, plain_drive *p)
     station_ticks += 1u + (in->skipped < RTHYB_LOST_TICKS ? in->skipped : RTHYB_LOST_TICKS);
 }
 
-/* Another test with the drive as it is. */
+/* Another test with the same drive. */
 static void reload(episode *e, plain_drive *p)
 {
     judge_replay(e);
@@ -452,7 +454,7 @@ static void tick_drive(episode *e)
     must(&e->o, RULE_FINITE, isfinite(d->target_m), d->target_m, 0.0);
 }
 
-/* What the station was told, from what the loop wrote down of it. */
+/* The inputs of the station, as recorded by the loop. */
 static event as_written(const episode *e, uint32_t skipped, int was, int wanted)
 {
     const rthyb_record *last = &rows[row_count + e->loop.record_count - 1];
@@ -506,7 +508,7 @@ static void load_another(episode *e)
     const rthyb_load load = {&e->twin, NULL, e->ag_mps2, 0};
     judge_replay(e);
     e->twin = e->station;
-    e->loop.cfg.station = &e->twin; /* as it was: the one that goes */
+    e->loop.cfg.station = &e->twin; /* a copy, which is about to be replaced */
     another_test(&e->d, &e->w);
     take_test(e);
     const rthyb_load next = {&e->station, load.ring, e->ag_mps2, e->ag_count};
@@ -514,7 +516,7 @@ static void load_another(episode *e)
     observe_another(&e->o);
 }
 
-/* Skips, a drive that stands still so that the queue fills, an operator's side that hangs. */
+/* Skips, a drive that stands still so that the queue fills, an operator's program that hangs. */
 static uint32_t trouble_the_loop(episode *e)
 {
     dice *d = &e->d;

@@ -1,11 +1,11 @@
-/* Bytes of all kinds against the wire. What must hold whatever comes:
- *   - a frame that is damaged or not for us changes nothing but its counter;
+/* Arbitrary bytes against the wire. Whatever is received:
+ *   - a frame that is damaged, or not addressed to this end, changes nothing but its counter;
  *   - a pair is newer than the one before, unless the line was silent in between;
- *   - what is handed on is finite, and every tick without a pair says so;
- *   - a command that was made is read back as it was sent.
+ *   - values that are passed on are finite, and every tick without a pair reports that;
+ *   - an encoded command is decoded as it was sent.
  *
- * With clang and libFuzzer: make fuzz. As a program of its own (-DRTHYB_FUZZ_ALONE): arguments COUNT
- * and SEED; makes COUNT inputs by itself and prints how many frames they held. */
+ * With clang and libFuzzer: make fuzz. As a separate program (-DRTHYB_FUZZ_ALONE), with the
+ * arguments COUNT and SEED: generates COUNT inputs and prints how many frames they contained. */
 #include <math.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -67,7 +67,8 @@ static rthyb_signal value(int32_t kind, int32_t start, int32_t length, int32_t b
                           .high = INFINITY};
 }
 
-/* A drive of another make: CAN FD, both values in one frame, floats and odd big-endian places. */
+/* A drive by another manufacturer: CAN FD, both values in one frame, floats and odd big-endian
+ * positions. */
 static void describe_one_frame(rthyb_codec *codec)
 {
     rthyb_message *c = &codec->command, *x = &codec->displacement;
@@ -83,7 +84,7 @@ static void describe_one_frame(rthyb_codec *codec)
     codec->force = *x;
 }
 
-/* Two frames, values of few bits with a range and a way to say that there is none. */
+/* Two frames, with values of few bits, a limited range and a code for "no number". */
 static void describe_two_frames(rthyb_codec *codec)
 {
     rthyb_message *c = &codec->command, *x = &codec->displacement, *f = &codec->force;
@@ -152,7 +153,7 @@ static void receive(rthyb_wire *wire, const rthyb_frame *frame)
         must(wire->counters.pairs == before.counters.pairs, "no pair is taken unsaid");
 }
 
-/* A frame as it happens to come. */
+/* A frame with arbitrary content. */
 static void receive_anything(rthyb_wire *wire, source *s)
 {
     static const uint32_t ids[] = {0x101, 0x181, 0x182, 0x223, 0x18ff1234 | RTHYB_ID_EXTENDED};
@@ -181,7 +182,7 @@ static double next_double(source *s)
     return bits & 1 ? (double)(int32_t)(uint32_t)(bits >> 32) * 1e-9 : number;
 }
 
-/* A sample that a sound drive sends, then perhaps one bit of it turned over. */
+/* A sample as an intact drive sends it, possibly with one bit inverted. */
 static void receive_sample(rthyb_wire *wire, source *s)
 {
     rthyb_frame frames[2];

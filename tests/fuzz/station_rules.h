@@ -1,5 +1,6 @@
-/* What must hold of a station, whatever happens to it: judged from what it was told and what left it, by
- * books of its own. Of the station it takes nothing but state, tare and the settings in force. */
+/* Rules that a station must obey, whatever happens to it: judged by its inputs and outputs, which
+ * are tracked independently. Only state, tare and the settings in effect are taken from the
+ * station. */
 #ifndef STATION_RULES_H
 #define STATION_RULES_H
 
@@ -10,16 +11,16 @@
 #include "rthyb.h"
 
 #define PERIOD_S (1.0 / 1024.0)
-#define AT_REST_M 4e-6  /* what a command at rest may still move: what is left of its arrival */
-#define FORCE_TICKS 256 /* .25 s: how long a force may stay beyond its limit in HOLD and RAMP_OUT */
-#define FORCE_WORST 1.5 /* times that limit: the end at once */
-#define LOST_TICKS 20   /* without a pair */
-#define STALLED_TICKS 20  /* skipped in a row */
-#define SKIPS_IN_A_ROW 10 /* more of them end the motion */
+#define AT_REST_M 4e-6   /* largest movement of a command at rest: what remains of its arrival */
+#define FORCE_TICKS 256  /* 0.25 s: longest time of a force beyond its limit in HOLD and RAMP_OUT */
+#define FORCE_WORST 1.5  /* times that limit: must trip at once */
+#define LOST_TICKS 20    /* without a pair */
+#define STALLED_TICKS 20 /* consecutive skipped ticks */
+#define SKIPS_IN_A_ROW 10 /* more consecutive ones end the motion */
 #define SKIPS_RECENT 50   /* and so do more of them in the window */
 #define RECENT_TICKS 1024
 #define TRIP_COMMANDS 3
-#define REST_READINGS 20 /* that stand still before a RESET */
+#define REST_READINGS 20 /* at rest, before a RESET */
 
 enum rule {
     RULE_FINITE,
@@ -100,55 +101,55 @@ static const char *const RULE_TEXT[RULES] = {
 
 typedef struct {
     uint64_t met, broken;
-    uint64_t seed, tick; /* of the first time that it was broken */
+    uint64_t seed, tick; /* of the first violation */
     double value, bound;
 } rule_tally;
 
 static rule_tally tally[RULES];
 
-/* Ticks of a kind among the last 1024. */
+/* Ticks of one kind among the last 1024. */
 typedef struct {
     uint8_t is[RECENT_TICKS];
     uint32_t count;
 } window;
 
-/* What is known of one station and the drive behind it. */
+/* What is known of a station and the drive behind it. */
 typedef struct {
     uint64_t seed;
     uint64_t tick;    /* of the episode: executed and skipped */
-    uint64_t station; /* tick that the station's next row has */
+    uint64_t station; /* tick of the station's next row */
     int over;         /* a rule was broken: the episode ends */
     int commanded;    /* the drive has a command */
-    int anew;         /* the next one is set to where the specimen stands */
+    int anew;         /* the next one is set to the position of the specimen */
     double at_drive_m, step_m;
-    uint64_t since;       /* ticks since it came */
+    uint64_t since;       /* ticks since the last command */
     double resolution_m;  /* of the wire */
-    int adopted;          /* parameters were changed since this motion began */
-    int commands_left;    /* of a trip */
+    int adopted;          /* parameters have changed since this motion began */
+    int commands_left;    /* commands of a trip still to come */
     uint32_t missing;     /* ticks without a pair */
-    uint64_t beyond[2];   /* readings with the force beyond its limit, while held or ramping */
+    uint64_t beyond[2];   /* readings with the force beyond its limit, in HOLD or RAMP_OUT */
     uint64_t running;     /* rows in RUNNING since START */
-    double low_m, high_m; /* the widest position limits since then */
+    double low_m, high_m; /* widest position limits since the parameters changed */
     window skips, losses;
-    double rest_x[REST_READINGS]; /* the last readings */
+    double rest_x[REST_READINGS]; /* last readings */
     uint64_t readings;
     int seen, tared;
-    double force_n; /* the last reading of it */
+    double force_n; /* last reading of the force */
     int zeroing;
-    uint64_t tare_readings; /* since ZERO, and between what they lay */
+    uint64_t tare_readings; /* since ZERO, and the range of these readings */
     double tare_x[2], tare_f[2];
 } observer;
 
-/* One tick of the station as everybody outside sees it. */
+/* One tick of the station as seen from outside. */
 typedef struct {
     rthyb_station_input in;
     const rthyb_record *rows;
     uint32_t count;
     int was, is;       /* state before and after */
     int wanted;        /* the station had a command to send */
-    int sent;          /* it left */
-    int refused;       /* the operator's command was */
-    double at_drive_m; /* what the drive has after it, if sent */
+    int sent;          /* it was sent */
+    int refused;       /* the operator's command was refused */
+    double at_drive_m; /* the drive's command afterwards, if sent */
 } event;
 
 static void must(observer *o, int rule, int holds, double value, double bound)
@@ -193,7 +194,7 @@ static int permitted(int state, int command)
     return command > RTHYB_CMD_NONE && command < RTHYB_CMD_COUNT && (FOR[command] >> state & 1u);
 }
 
-/* From one state to the next, without a command and with the one that was obeyed. */
+/* Whether a state may follow another, without a command or with the one that was executed. */
 static int leads_to(int from, int to, int obeyed)
 {
     static const unsigned ALONE[] = {
@@ -224,7 +225,7 @@ static int leads_to(int from, int to, int obeyed)
     }
 }
 
-/* In one tick some ways may be gone one after another. */
+/* Several transitions may take place in one tick. */
 static int reaches(int from, int to, int obeyed, int depth)
 {
     if (from == to || leads_to(from, to, obeyed))
@@ -273,7 +274,7 @@ static void judge_states(observer *o, const event *e, const rthyb_station *s)
 
 /* ---- rows --------------------------------------------------------------------------------------- */
 
-/* A law that has no alpha, or no beta, has no number there. */
+/* A law without alpha, or without beta, has NaN there. */
 static int is_finite(const rthyb_law *law, const rthyb_record *r)
 {
     return isfinite(r->ag_mps2) && isfinite(r->x_num_m) && isfinite(r->x_plc_m) &&
@@ -301,8 +302,9 @@ static void judge_rows(observer *o, const event *e, const rthyb_station *s)
 
 /* ---- what leaves -------------------------------------------------------------------------------- */
 
-/* Whether the command is set to where the specimen stands, which nobody calls a step: nothing follows then,
- * or nobody knows what the drive has. If that one is not sent, it is the next. */
+/* Whether the command is set to the position of the specimen, which does not count as a step: no
+ * drive follows then, or its command is unknown. If that command is not sent, the next one is
+ * set. */
 static int sets_anew(observer *o, const event *e)
 {
     const int stands_by = e->is == RTHYB_IDLE && e->in.axis[0].drive_stopped;
@@ -314,15 +316,16 @@ static int sets_anew(observer *o, const event *e)
     return anew || !o->commanded;
 }
 
-/* What takes a test off its course, or so far that nothing reaches it. */
+/* Limit that interrupts a test; infinite if there is none. */
 static double ending(const rthyb_station *s, int cause)
 {
     const rthyb_watch *w = &s->cfg.watch[cause];
     return w->reaction >= RTHYB_REACT_HOLD && w->value > 0.0 ? w->value : INFINITY;
 }
 
-/* Between what a command may lie: the test's limit is counted from the tare, the rig's is not. One that was
- * drawn in is braked into, which needs an acceleration limit, and never beyond what held before. */
+/* Bounds of a command: the test's limit is relative to the tare, the rig's is not. When a limit is
+ * tightened, the command brakes into it, which requires an acceleration limit, but never goes
+ * beyond the previous limit. */
 static void note_bounds(observer *o, const rthyb_station *s, double *low_m, double *high_m)
 {
     const double test = ending(s, RTHYB_CAUSE_POSITION), rig = ending(s, RTHYB_CAUSE_RIG_POSITION);
@@ -368,8 +371,9 @@ static void judge_limits(observer *o, const event *e, const rthyb_station *s, do
         must(o, RULE_POSITION, x <= most + fine && x >= least - fine, x, x > most ? most : least);
     }
     judge_velocity(o, s, step_m, wire);
-    /* An acceleration limit that was drawn in may be too small to brake before the position limit, which
-     * comes first; where that has itself been drawn in, it is as far out as could be braked until then. */
+    /* A reduced acceleration limit may be too small to brake before the position limit, which has
+     * priority; if that was tightened too, it is as far out as the command could brake until
+     * then. */
     const int at_the_end =
         x >= s->controller.axis[0].limiter.upper_m + s->axis[0].tare_cmd - wire ||
         x <= s->controller.axis[0].limiter.lower_m + s->axis[0].tare_cmd + wire;
@@ -478,8 +482,8 @@ static void note_readings(observer *o, const event *e, const rthyb_station *s)
         note_tare(o, e->in.axis[0].x_m, e->in.axis[0].f_n);
 }
 
-/* A sensor at the end of its range may be anywhere beyond: a tick's reading of such a force counts as the
- * largest that there is. 0 where none was taken. */
+/* The value at a sensor that reads the end of its range may be any larger one: such a force counts
+ * as infinite. 0 if no reading was accepted. */
 static double force_taken(const observer *o, const event *e, const rthyb_station *s, int cause)
 {
     const int fresh = (e->rows[e->count - 1].flags & RTHYB_F_FRESH) != 0;
@@ -506,7 +510,7 @@ static void judge_held_force(observer *o, const event *e, uint64_t *beyond, doub
         must(o, RULE_FORCE_WORST, e->is == RTHYB_TRIPPED, force, FORCE_WORST * limit);
 }
 
-/* Watched wherever commands leave; at rest only for a drive that follows. */
+/* Checked whenever commands are sent; at rest only for a drive that follows. */
 static void judge_force(observer *o, const event *e, const rthyb_station *s, int cause)
 {
     const rthyb_watch *w = &s->cfg.watch[cause];
@@ -529,7 +533,7 @@ static void judge_force(observer *o, const event *e, const rthyb_station *s, int
     judge_held_force(o, e, beyond, force, w->value);
 }
 
-/* Nothing begins to move beyond a limit that would end it. */
+/* No motion begins beyond a limit that would end it. */
 static void judge_admission(observer *o, const event *e, const rthyb_station *s)
 {
     const int moves_on = e->in.command == RTHYB_CMD_ARM || e->in.command == RTHYB_CMD_START ||
@@ -579,7 +583,7 @@ static void note_skips(observer *o, const event *e)
     }
 }
 
-/* A share with a limit that ends a motion. One tick more or less is the window's end. */
+/* A share whose limit ends a motion. A difference of one tick is due to the end of the window. */
 static int beyond_share(const rthyb_station *s, int cause, uint32_t count, uint32_t otherwise)
 {
     const rthyb_watch *w = &s->cfg.watch[cause];
@@ -665,7 +669,7 @@ static void observe(observer *o, const event *e, const rthyb_station *s, size_t 
     o->station += (uint64_t)e->in.skipped + 1u;
 }
 
-/* Another station goes on with the same drive. */
+/* Another station continues with the same drive. */
 static void observe_another(observer *o)
 {
     const observer before = *o;

@@ -1,4 +1,4 @@
-/* Random stations, rigs, operators and troubles; all of an episode from one seed. */
+/* Random stations, rigs, operators and troubles; one seed determines a whole episode. */
 #ifndef STATION_WORLD_H
 #define STATION_WORLD_H
 
@@ -43,7 +43,7 @@ static double between(dice *d, double low, double high)
     return low + (high - low) * (double)(throw_bits(d) >> 11) * 0x1p-53;
 }
 
-/* As likely within each factor of ten. */
+/* Equally likely in every decade. */
 static double some(dice *d, double low, double high)
 {
     return low * exp(between(d, 0.0, log(high / low)));
@@ -56,9 +56,9 @@ static int32_t ticks(dice *d, double low, double high)
 
 /* ---- the test ----------------------------------------------------------------------------------- */
 
-/* What a test is about, so that limits and faults have a size that means something. */
+/* Typical sizes of a test, so that limits and faults are of a meaningful size. */
 typedef struct {
-    double mass_kg, omega_per_s, k_n_per_m; /* of the structure, the specimen's part included */
+    double mass_kg, omega_per_s, k_n_per_m; /* of the structure, including the specimen */
     double k_e_n_per_m;
     double peak_m, delay;
 } scale;
@@ -69,7 +69,7 @@ typedef struct {
     rthyb_rig_config rig;
     double ag_mps2[AG_MAX];
     size_t ag_count;
-    double origin_m; /* where the specimen stands before the test */
+    double origin_m; /* position of the specimen before the test */
 } world;
 
 static scale some_scale(dice *d)
@@ -83,7 +83,7 @@ static scale some_scale(dice *d)
     return s;
 }
 
-/* Phase lead with one of its estimators, as a rule near the specimen's delay. */
+/* Phase lead with one of its estimators, usually near the specimen's delay. */
 static rthyb_law_config some_lead(dice *d, const scale *s)
 {
     static const char *const NAMES[] = {"paper", "paper", "robust", "alpha-beta"};
@@ -107,7 +107,7 @@ static rthyb_law_config some_lead(dice *d, const scale *s)
     return law;
 }
 
-/* Any law, with anything that a test file may ask of it, near its defaults as a rule. */
+/* Any law, with any settings that a test file may contain, usually near its defaults. */
 static rthyb_law_config any_law(dice *d, const scale *s)
 {
     const int32_t kind = (int32_t)below(d, (uint32_t)rthyb_law_count());
@@ -127,7 +127,7 @@ static rthyb_law_config any_law(dice *d, const scale *s)
     return law;
 }
 
-/* Dice of its own decide on the rest, so that a law more makes no other day. */
+/* Separate dice decide on the rest, so that an additional law does not change anything else. */
 static rthyb_law_config some_law(dice *d, const scale *s)
 {
     dice own = *d;
@@ -139,7 +139,7 @@ static rthyb_law_config some_law(dice *d, const scale *s)
 static rthyb_controller_config some_controller(dice *d, const scale *s)
 {
     const double v = s->peak_m * s->omega_per_s, a = v * s->omega_per_s;
-    /* One after the other, as everywhere. */
+    /* Thrown one after another, as everywhere. */
     rthyb_controller_config c = {.period_s = PERIOD_S, .axis_count = 1, .interface_count = 1};
     rthyb_axis_control *axis = &c.axis[0];
     c.lead_enabled = !one_in(d, 8);
@@ -209,10 +209,10 @@ static void some_watches(dice *d, const scale *s, rthyb_watch w[RTHYB_CAUSE_COUN
 static rthyb_station_config some_station(dice *d, const scale *s)
 {
     const double v = s->peak_m * s->omega_per_s, a = v * s->omega_per_s;
-    dice own = *d; /* as with laws: what came later makes no other day */
+    dice own = *d; /* separate, as for laws: what was added later changes nothing else */
     (void)throw_bits(&own);
     (void)throw_bits(&own);
-    /* One after the other: in an initializer the dice would be thrown in any order. */
+    /* One after another: within an initializer, the order of the throws would be unspecified. */
     rthyb_station_config c = {.controller = some_controller(d, s)};
     c.path_velocity_m_per_s = v * some(d, 0.1, 2.0);
     c.path_acceleration_m_per_s2 = a * some(d, 0.1, 2.0);
@@ -238,7 +238,7 @@ static rthyb_station_config some_station(dice *d, const scale *s)
     return c;
 }
 
-/* Parameters as they may be changed while a test runs: those in force, some of them another. */
+/* Parameters as they may change during a test: those in effect, some of them different. */
 static rthyb_parameters some_parameters(dice *d, const rthyb_station_config *now, const scale *s)
 {
     rthyb_parameters p = {
@@ -281,7 +281,7 @@ static void add_element(rthyb_rig_config *rig, int32_t kind, const double *param
         rig->element_count++;
 }
 
-/* A spring or a hysteresis, and perhaps something beside it. */
+/* A spring or a hysteresis, and possibly another element. */
 static void add_specimen(dice *d, const scale *s, rthyb_rig_config *rig)
 {
     const double k = s->k_e_n_per_m, x = s->peak_m, f = k * x, v = x * s->omega_per_s;
@@ -348,7 +348,7 @@ static void set_up_motion(dice *d, world *w)
     }
 }
 
-/* A test that differs, on the same rig. */
+/* A different test on the same rig. */
 static void another_test(dice *d, world *w)
 {
     w->station = some_station(d, &w->size);
@@ -366,8 +366,8 @@ static void set_up_world(dice *d, world *w)
 /* ---- the operator ------------------------------------------------------------------------------- */
 
 typedef struct {
-    uint32_t patience; /* ticks between two thoughts of his */
-    uint32_t nonsense; /* one command in so many ticks is any at all */
+    uint32_t patience; /* ticks between two decisions */
+    uint32_t nonsense; /* one command in this many ticks is arbitrary */
 } operator_mood;
 
 static operator_mood some_mood(dice *d)
@@ -376,7 +376,8 @@ static operator_mood some_mood(dice *d)
                            .nonsense = one_in(d, 4) ? 20 + below(d, 300) : 4000};
 }
 
-/* Goes through a test as one does; now and then holds, stops, or does what makes no sense. */
+/* Runs a test as an operator does; sometimes holds, stops, or does something that makes no
+ * sense. */
 static int32_t operate(dice *d, const operator_mood *mood, int state)
 {
     static const int32_t NEXT[] = {
@@ -390,7 +391,7 @@ static int32_t operate(dice *d, const operator_mood *mood, int state)
     if (!one_in(d, mood->patience))
         return RTHYB_CMD_NONE;
     if (state == RTHYB_IDLE && one_in(d, 3))
-        return RTHYB_CMD_RESET; /* of a drive that has stopped by itself */
+        return RTHYB_CMD_RESET; /* of a drive that has stopped on its own */
     if (state == RTHYB_RUNNING && one_in(d, 20))
         return RTHYB_CMD_HOLD;
     if (moves(state) && one_in(d, 120))
@@ -409,7 +410,7 @@ enum trouble_kind {
     TROUBLE_NOT_FINITE,
     TROUBLE_SENSELESS,
     TROUBLE_OUT_OF_RANGE,
-    TROUBLE_REFUSED, /* the wire had a reading that it could not take */
+    TROUBLE_REFUSED, /* the wire rejected a reading */
     TROUBLE_FORCE_STEP,
     TROUBLE_FORCE_CREEP,
     TROUBLE_DRIFT,
@@ -429,11 +430,11 @@ typedef struct {
 } trouble;
 
 typedef struct {
-    uint32_t rarity; /* one begins in so many ticks */
+    uint32_t rarity; /* one begins in this many ticks */
     trouble now[TROUBLES];
 } troubles;
 
-/* What a tick of the loop brings beside the pair. */
+/* What a tick of the loop receives besides the pair. */
 typedef struct {
     rthyb_station_input in;
     int unsent;
@@ -459,7 +460,7 @@ static double no_number(dice *d)
     return SOME[below(d, 3)];
 }
 
-/* Skips mostly of a few ticks, seldom of so many that only their number counts. */
+/* Skips, usually of a few ticks, rarely of so many that only their number counts. */
 static uint32_t some_skips(dice *d, int32_t kind)
 {
     if (kind == TROUBLE_SKIPS)
