@@ -7,6 +7,7 @@ come; so a test that runs is judged as one of the past.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -95,16 +96,19 @@ class Judge:
         self._sums: list[Floats] = []
         self._peak_m = 0.0
 
-    def add(self, rows: NDArray[np.void], x_ref_m: ArrayLike | None = None) -> None:
+    def add(
+        self, rows: NDArray[np.void] | Mapping[str, Floats], x_ref_m: ArrayLike | None = None
+    ) -> None:
         """Take rows of the test proper, in order.
 
         Args:
-            rows: fields as in `recording.UNITS`, shape (n,).
+            rows: fields as in `recording.UNITS`, shape (n,) each.
             x_ref_m: reference displacement there, shape (m,) with m <= n; the rest has none.
         """
-        if not rows.size:
+        size = rows["x_meas_m"].size
+        if not size:
             return
-        new = np.full((len(_SIGNALS) + 1, rows.size), np.nan)
+        new = np.full((len(_SIGNALS) + 1, size), np.nan)
         for signal, name in zip(new, _SIGNALS, strict=False):
             signal[:] = rows[name]
         if x_ref_m is not None:
@@ -236,6 +240,42 @@ class Judge:
         return self._at(
             "stiffness", share, WITHOUT_STIFFNESS, int(at[0]), int(at[-1]) + 1 - int(at[0])
         )
+
+
+class AxesJudge:
+    """The same for several axes: whether each of them follows the reference simulation.
+
+    Args:
+        names: of the axes.
+        fs_hz: rows a second.
+        peak_m: of the reference simulation, over all axes: one that moves by less than ``MOVES``
+            of it is at rest, and its noise is not judged.
+    """
+
+    def __init__(self, names: Sequence[str], fs_hz: float, peak_m: float) -> None:
+        self._judges = {name: Judge(Subject(fs_hz, peak_m=peak_m)) for name in names}
+
+    def add(self, rows: NDArray[np.void], axis_m: Floats | None = None) -> None:
+        """Take rows of the test proper, in order.
+
+        Args:
+            rows: of the recording, shape (n,).
+            axis_m: reference displacements of the axes there, shape (m, axes) with m <= n.
+        """
+        if axis_m is None:
+            return
+        rest = dict.fromkeys(_SIGNALS, np.zeros(rows.size))
+        for i, judge in enumerate(self._judges.values()):
+            measured = rows[f"x_meas_m.{i}" if i else "x_meas_m"]
+            judge.add(rest | {"x_meas_m": measured}, axis_m[:, i])
+
+    def findings(self, *, over: bool = True) -> list[tuple[str, Finding]]:
+        """Return name and finding of each axis that does not follow; see `Judge.findings`."""
+        return [
+            (name, found)
+            for name, judge in self._judges.items()
+            for found in judge.findings(over=over)
+        ]
 
 
 def _windows(values: Floats, size: int) -> Floats:

@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 
 from rthyb_rt import config
 from rthyb_rt.analysis import measures, summary
-from rthyb_rt.analysis.summary import Live, Notice, Row, Summary, live, live_notices, live_rows
+from rthyb_rt.analysis.attention import AxesJudge, Finding
+from rthyb_rt.analysis.notices import (
+    Notice,
+    axis_attention_in_words,
+    flag_notices,
+    not_finite_notices,
+)
+from rthyb_rt.analysis.summary import Live, Row, Summary, live, live_notices, live_rows
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.axes_reference import AxesReference, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
@@ -101,6 +108,10 @@ class AxesSummary:
         test_name, description, rig_name, controller: of the files.
         end_reason, final_state: as recorded.
         rows, lost: of the test proper; of them without a pair on some axis.
+        flags: rows of the test proper with each flag, by name.
+        skipped_ticks: ticks without a row.
+        not_finite_rows: rows with a value that is not finite.
+        attention: axes that did not follow the reference simulation, with what was found.
         fs_hz: sample rate.
         axes, directions: each.
         live: how it went in real time; None: in virtual time.
@@ -116,6 +127,10 @@ class AxesSummary:
     final_state: str
     rows: int
     lost: int
+    flags: dict[str, int]
+    skipped_ticks: int
+    not_finite_rows: int
+    attention: tuple[tuple[str, Finding], ...]
     fs_hz: float
     axes: tuple[OfAxis, ...]
     directions: tuple[OfDirection, ...]
@@ -130,6 +145,10 @@ class AxesSummary:
             "directions": {one.name: asdict(one) for one in self.directions},
             "rows": self.rows,
             "lost": self.lost,
+            "flags": self.flags,
+            "skipped_ticks": self.skipped_ticks,
+            "not_finite_rows": self.not_finite_rows,
+            "attention": [{"axis": name, **asdict(one)} for name, one in self.attention],
             "fs_hz": self.fs_hz,
             "live": None if self.live is None else asdict(self.live),
             "not_computed": NOT_COMPUTED,
@@ -147,12 +166,10 @@ def summarize(rec: Recording) -> AxesSummary:
     Raises:
         InputError: it is of one axis, its files are another version's, or the test never ran.
     """
-    rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
-    if not isinstance(rig, AxesRig):
-        raise InputError("found a rig of one axis", "recording: rig")
-    test = config.parse_test(rec.test_toml, "recording: test")
+    rig, test = files(rec)
     structure = derive_axes(test, rig).structure
-    signals = _signals(rec, rig, test, structure)
+    whole = reference_of(test, rig, structure, rec.ag_mps2)
+    signals = _signals(rec, rig, whole)
     samples = rec.samples[rec.running()]
     by_law = test.controller.type != MATRIX
     axes = tuple(_of_axis(rec, signals, i, name, by_law) for i, name in enumerate(rig.names))
@@ -161,6 +178,8 @@ def summarize(rec: Recording) -> AxesSummary:
         for j, (name, turns) in enumerate(zip(rig.directions, rig.kinematics.turns(), strict=True))
     )
     states = rec.samples["state"]
+    judge = axes_judge(rig, whole, rec.fs_hz)
+    judge.add(samples, signals.reference.axis_m)
     return AxesSummary(
         test.test.name,
         test.test.description,
@@ -170,6 +189,10 @@ def summarize(rec: Recording) -> AxesSummary:
         STATES[int(states[-1])] if states.size else "IDLE",
         samples.size,
         int(np.count_nonzero(samples["flags"] & FLAGS["lost"])),
+        {name: int(np.count_nonzero(samples["flags"] & bit)) for name, bit in FLAGS.items()},
+        int(np.sum(rec.replay.skips[:, 1])) if rec.replay.skips.size else 0,
+        _not_finite_rows(rec, len(rig.axis)),
+        tuple(judge.findings()),
         rec.fs_hz,
         axes,
         directions,
@@ -179,9 +202,39 @@ def summarize(rec: Recording) -> AxesSummary:
     )
 
 
-def _signals(
-    rec: Recording, rig: AxesRig, test: config.TestFile, structure: SparseStructure
-) -> Signals:
+def files(rec: Recording) -> tuple[AxesRig, config.TestFile]:
+    """Return rig and test file of a recording of several axes.
+
+    Raises:
+        InputError: it is of one axis, or its files are another version's.
+    """
+    rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
+    if not isinstance(rig, AxesRig):
+        raise InputError("found a rig of one axis", "recording: rig")
+    return rig, config.parse_test(rec.test_toml, "recording: test")
+
+
+def axes_judge(rig: AxesRig, reference: AxesReference, fs_hz: float) -> AxesJudge:
+    """Return what judges the axes of a rig by a reference simulation."""
+    peak_m = float(np.max(np.abs(reference.axis_m), initial=0.0))
+    return AxesJudge(rig.names, fs_hz, peak_m)
+
+
+def reference(rec: Recording, rig: AxesRig, test: config.TestFile) -> AxesReference:
+    """Return the reference simulation over the ground motion of a recording."""
+    return reference_of(test, rig, derive_axes(test, rig).structure, rec.ag_mps2)
+
+
+def _not_finite_rows(rec: Recording, axes: int) -> int:
+    fine = np.ones(len(rec.samples), dtype=bool)
+    for i in range(axes):
+        own = rec.axis(i)
+        for name in ("x_cmd_m", "x_meas_m", "f_meas_n"):
+            fine &= np.isfinite(own[name])
+    return int(np.count_nonzero(~fine))
+
+
+def _signals(rec: Recording, rig: AxesRig, whole: AxesReference) -> Signals:
     running = rec.running()
     n = int(np.count_nonzero(running))
     if n == 0:
@@ -190,7 +243,6 @@ def _signals(
             "measure",
             "recording",
         )
-    whole = reference_of(test, rig, structure, rec.ag_mps2)
     parts = {key: getattr(whole, key)[:n] for key in AxesReference.__dataclass_fields__}
     samples = rec.samples[running]
     x_num = np.column_stack(
@@ -291,11 +343,19 @@ def table(s: AxesSummary) -> list[Row]:
 
 
 def notices(s: AxesSummary) -> list[Notice]:
-    """Return what the user should know beside the table."""
-    found = live_notices(s.live)
-    if s.live is not None and s.live.remedy:
-        found.append(Notice("note", s.live.remedy))
-    return found
+    """Return what a reader must not miss, the gravest first."""
+    found = []
+    if s.end_reason != "completed":
+        found.append(Notice("alarm", f"The test did not complete: {s.end_reason}."))
+        if s.live is not None and s.live.remedy:
+            found.append(Notice("note", s.live.remedy))
+    found += not_finite_notices(s.not_finite_rows)
+    found += [
+        Notice("alarm", axis_attention_in_words(name, one, s.controller))
+        for name, one in s.attention
+    ]
+    found += flag_notices(s.flags, s.rows, s.skipped_ticks)
+    return found + live_notices(s.live)
 
 
 def verdict(s: AxesSummary) -> str:

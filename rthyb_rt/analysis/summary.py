@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,12 @@ from numpy.typing import NDArray
 from rthyb_rt.analysis import hysteresis, margins, measures, numerical_margins
 from rthyb_rt.analysis.attention import Finding, Judge, Subject
 from rthyb_rt.analysis.hysteresis import Amplitude
+from rthyb_rt.analysis.notices import (
+    Notice,
+    attention_in_words,
+    flag_notices,
+    not_finite_notices,
+)
 from rthyb_rt.config.deriving import structure_of_test
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.numerical_structure import Structure, structure_of
@@ -665,18 +670,6 @@ def _share_at_bound(alpha: Floats, given: Setup) -> float:
 # --- words ------------------------------------------------------------------------------------
 
 
-class Notice(NamedTuple):
-    """Something about the test that a reader must not miss.
-
-    Attributes:
-        level: "alarm" when the figures may not be what the test was meant to show, "note" else.
-        text: one plain sentence.
-    """
-
-    level: Literal["alarm", "note"]
-    text: str
-
-
 def verdict(s: Summary) -> str:
     """Return the result in one plain sentence, the response never without the tracking."""
     if s.never_began:
@@ -728,33 +721,10 @@ def notices(s: Summary) -> list[Notice]:
         found.append(
             Notice("alarm", "The test was held and resumed: it is not one continuous motion.")
         )
-    if s.not_finite_rows:
-        found.append(
-            Notice(
-                "alarm",
-                f"{count(s.not_finite_rows, 'row')} with non-finite values; "
-                "they are excluded from the results.",
-            )
-        )
+    found += not_finite_notices(s.not_finite_rows)
     found += _useless(s)
     found += [Notice("alarm", attention_in_words(one, s.setup, s.attention)) for one in s.attention]
-    flagged = {
-        "limited": "had the command reduced by a limit: the actuator was sent less than requested",
-        "not_sent": "had a command that could not be sent",
-        "predicted": "had predicted instead of measured feedback",
-        "blind": "were skipped, without feedback and command",
-        "frozen": "had the delay estimate and the stiffness frozen because feedback was missing",
-    }
-    for name, text in flagged.items():
-        n = s.flags.get(name, 0)
-        if name in ("not_sent", "predicted"):
-            n -= s.flags.get("blind", 0)  # which are both, and told as what they are
-        if n:
-            share = percent(n / s.test_samples)
-            of = f"{count(n, 'sample')} of {s.test_samples}"
-            found.append(Notice("alarm", f"{of} ({share}) {text}."))
-    if s.skipped_ticks:
-        found.append(Notice("alarm", f"{count(s.skipped_ticks, 'tick')} skipped."))
+    found += flag_notices(s.flags, s.test_samples, s.skipped_ticks)
     found += live_notices(s.live)
     if s.alpha_at_bound > 0.01:
         share = percent(s.alpha_at_bound)
@@ -771,89 +741,6 @@ def notices(s: Summary) -> list[Notice]:
             )
         )
     return found
-
-
-def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding]) -> str:
-    """Return what has gone wrong in one sentence, with the key to change.
-
-    Args:
-        one: the finding.
-        given: of the test.
-        all_found: of the same test: one may be the cause of another.
-    """
-    beside: set[str] = {other.kind for other in all_found if other.meets(one)}
-    span = f"from {one.from_s:.1f} to {one.to_s:.1f} s"
-    allowed = f"at most {100.0 * one.allowed:g} % is allowed"
-    if one.kind == "response":
-        found = (
-            f"The response departed from the reference simulation: {span} the rms difference was "
-            f"{percent(one.value)} of the reference, {allowed}"
-        )
-        return f"{found}; {_remedy_of_response(given, beside)}."
-    if one.kind == "delay":
-        away = abs(one.value - (given.alpha_identified or 0.0))
-        found = (
-            f"Alpha departed from the identified delay of "
-            f"{delay(given.alpha_identified or 0.0, given.fs_hz)}: {span} it reached "
-            f"{delay(one.value, given.fs_hz)}, an error of {delay(away, given.fs_hz)}; this "
-            f"structure remains stable up to an error of {delay(one.allowed, given.fs_hz, 2)}"
-        )
-        return f"{found}; {_remedy_of_delay(given)}."
-    if one.kind == "damping":
-        found = (
-            f"Negative damping: {span} the tracking error fed {number(one.value, 2)} times the "
-            "energy that the numerical damping removed"
-        )
-        return f"{found}; {_remedy_of_damping(given, beside)}."
-    found = (
-        f"No force compensation for {percent(one.value)} of the motion, {allowed}: the tangent "
-        "stiffness was zero"
-    )
-    return f"{found}; {_remedy_of_stiffness(given)}."
-
-
-def _remedy_of_response(given: Setup, beside: set[str]) -> str:
-    if not given.plc_enabled:
-        return 'nothing compensates the delay: set controller.type = "robust"'
-    if beside & {"delay", "stiffness"}:
-        return "the cause is given below"
-    if not given.rfc_enabled:
-        return (
-            "set controller.rfc.enabled = true, which corrects the remaining error of the phase "
-            "lead"
-        )
-    if not given.estimator_enabled:
-        return "update controller.alpha0 with rthyb identify, or let it adapt"
-    return "update controller.alpha0 with rthyb identify, and examine the tracking error"
-
-
-def _remedy_of_delay(given: Setup) -> str:
-    if not given.estimator_enabled:
-        return "set controller.alpha0 to that delay, or identify the rig again"
-    law = LAWS.get(given.controller or "")
-    less = (law.calmer if law else None) or "review the settings of the control law"
-    return f"{less}; if the rig has changed, identify it again"
-
-
-def _remedy_of_damping(given: Setup, beside: set[str]) -> str:
-    if not given.plc_enabled:
-        return 'compensate the delay: controller.type = "robust"'
-    if "delay" in beside:
-        return "alpha is the cause, see above"
-    if not given.rfc_enabled:
-        return "set controller.rfc.enabled = true"
-    if "stiffness" in beside:
-        return "the missing force compensation is the cause, see below"
-    return "update controller.alpha0 with rthyb identify, and check noise and friction"
-
-
-def _remedy_of_stiffness(given: Setup) -> str:
-    if given.tangent == "mean-of-ratios":
-        return (
-            'set controller.rfc.tangent = "least-squares", which tolerates more noise, or increase '
-            "controller.rfc.window_samples"
-        )
-    return "increase controller.rfc.window_samples or the motion: noise hides the stiffness"
 
 
 def live_notices(found: Live | None) -> list[Notice]:

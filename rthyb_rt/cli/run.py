@@ -281,16 +281,8 @@ def _print_result(setup: Setup, result: Summary, recording: Path, as_json: bool)
 
     file = terminal.people(as_json)
     print(f"{setup.test.test.name} on {setup.rig.rig.name}: {_motion(setup)}\n", file=file)
-    notices = summary.notices(result)
-    # What must not be missed stands above the figures that it takes the worth of.
-    alarms = [f"Attention: {notice.text}" for notice in notices if notice.level == "alarm"]
-    if alarms:
-        print(*alarms, "", sep="\n", file=file)
-    terminal.print_table(summary.table(result), file)
-    print(f"\n{summary.verdict(result)}", file=file)
-    for notice in notices:
-        if notice.level == "note":
-            print(f"Note: {notice.text}", file=file)
+    notices, table = summary.notices(result), summary.table(result)
+    terminal.print_result(notices, table, summary.verdict(result), file)
     print(f"\nRecording  {recording}", file=file)
 
 

@@ -91,10 +91,8 @@ def _tell(setup: Setup, rec: Recording, folder: Path, *, report: bool, as_json: 
     if result is None:
         print(f"The test did not complete: {rec.meta['end_reason']}.", file=file)
     else:
-        terminal.print_table(measured.table(result), file)
-        print(f"\n{measured.verdict(result)}", file=file)
-        for notice in measured.notices(result):
-            print(f"{notice.level.capitalize()}: {notice.text}", file=file)
+        notices = measured.notices(result)
+        terminal.print_result(notices, measured.table(result), measured.verdict(result), file)
         print(f"Note: not computed: {measured.NOT_COMPUTED}", file=file)
     print(f"\nRecording  {folder / 'recording.h5'}", file=file)
     page = report_beside(rec, folder) if report and result is not None else None

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rich.console import Console, RenderableType
     from rich.table import Table
 
+    from rthyb_rt.analysis.notices import Notice
+
 OnProgress = Callable[[int, int], None]
 
 _BAR_ROOM = 64
@@ -84,6 +86,23 @@ def print_table(rows: Iterable[Sequence[str]], file: IO[str]) -> None:
         _print_stacked(table, console.width, file)
     else:
         show(table, file)
+
+
+def print_result(
+    notices: Sequence[Notice], rows: Iterable[Sequence[str]], verdict: str, file: IO[str]
+) -> None:
+    """Print what a test came to.
+
+    What must not be missed stands above the figures that it takes the worth of.
+    """
+    alarms = [f"Attention: {notice.text}" for notice in notices if notice.level == "alarm"]
+    if alarms:
+        print(*alarms, "", sep="\n", file=file)
+    print_table(rows, file)
+    print(f"\n{verdict}", file=file)
+    for notice in notices:
+        if notice.level == "note":
+            print(f"Note: {notice.text}", file=file)
 
 
 def ruled_table() -> Table:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import config, core, numbers
-from rthyb_rt.analysis import summary
-from rthyb_rt.analysis.attention import WINDOW_S, Judge, Subject
+from rthyb_rt.analysis import several, summary
+from rthyb_rt.analysis.attention import WINDOW_S, AxesJudge, Judge
+from rthyb_rt.analysis.notices import attention_in_words, axis_attention_in_words
 from rthyb_rt.core import RUNNING, STATES, Channel
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.errors import InputError, RthybError
@@ -133,24 +134,56 @@ def _identity(path: Path) -> _Identity | None:
     return found.st_dev, found.st_ino
 
 
+class _Jury(Protocol):
+    """Judges the test that runs, of one axis or of several."""
+
+    def add(self, rows: NDArray[np.void], reference: NDArray[np.float64] | None) -> None:
+        """Take rows of the test proper, in order, with the reference simulation there."""
+
+    def told(self, *, over: bool) -> list[str]:
+        """Return what is wrong so far, in sentences."""
+
+
+class _OfOne:
+    """Judges a test of one axis."""
+
+    def __init__(self, given: summary.Setup, fs_hz: float) -> None:
+        self._given, self._judge = given, Judge(summary.subject(given, fs_hz))
+        self.add = self._judge.add
+
+    def told(self, *, over: bool) -> list[str]:
+        found = self._judge.findings(over=over)
+        return [attention_in_words(one, self._given, found) for one in found]
+
+
+class _OfSeveral:
+    """Judges a test of several axes."""
+
+    def __init__(self, judge: AxesJudge, controller: str) -> None:
+        self._judge, self._controller = judge, controller
+        self.add = judge.add
+
+    def told(self, *, over: bool) -> list[str]:
+        found = self._judge.findings(over=over)
+        return [axis_attention_in_words(axis, one, self._controller) for axis, one in found]
+
+
 @dataclass(frozen=True)
 class _Session:
     """What a ring's test is judged by.
 
     Attributes:
         identity: of the ring.
-        setup: what its files say; None of several axes, which nobody judges yet.
-        subject: the same, for the judge.
-        x_ref_m: the reference simulation, empty without one, shape (n,).
+        jury: makes what judges it.
+        reference: the reference simulation, empty without one: shape (n,), or (n, axes).
         extras: what the rig measures beside displacement and force.
         axes: names of several axes.
         tie: what leads from the interface to them.
     """
 
     identity: _Identity
-    setup: summary.Setup | None
-    subject: Subject | None
-    x_ref_m: NDArray[np.float64]
+    jury: Callable[[], _Jury]
+    reference: NDArray[np.float64]
     extras: tuple[Channel, ...] = ()
     axes: tuple[str, ...] = ()
     tie: Kinematics | None = None
@@ -158,12 +191,21 @@ class _Session:
     @classmethod
     def of(cls, rec: Recording, identity: _Identity) -> _Session:
         """Return it from the session beside the ring."""
-        none = np.zeros(0)
         if rec.axis_names:
-            return cls(identity, None, None, none, axes=rec.axis_names, tie=_tie_of(rec))
-        setup = summary.setup(rec)
-        x_ref_m = none if rec.reference is None else rec.reference["x_ref_m"]
-        return cls(identity, setup, summary.subject(setup, rec.fs_hz), x_ref_m, rec.extras())
+            rig, test = several.files(rec)
+            reference = several.reference(rec, rig, test)
+            return cls(
+                identity,
+                lambda: _OfSeveral(
+                    several.axes_judge(rig, reference, rec.fs_hz), test.controller.type
+                ),
+                reference.axis_m,
+                axes=rec.axis_names,
+                tie=rig.core_kinematics(),
+            )
+        given = summary.setup(rec)
+        x_ref_m = np.zeros(0) if rec.reference is None else rec.reference["x_ref_m"]
+        return cls(identity, lambda: _OfOne(given, rec.fs_hz), x_ref_m, rec.extras())
 
 
 class LiveSource:
@@ -197,7 +239,7 @@ class LiveSource:
         self._cause: tuple[_Identity | None, str] = (None, "")
         self._session: _Session | None = None
         self._newest: NDArray[np.void] | None = None
-        self._judge: Judge | None = None
+        self._jury: _Jury | None = None
         self._whole, self._judged = False, 0
         self._attended: tuple[float, list[str]] = (-WINDOW_S, [])
         self.look()
@@ -247,9 +289,9 @@ class LiveSource:
         if not self._at_rest:
             self._tally, self._began = Tally(), False
             session = self._session
-            self._judge = None
-            if session is not None and session.identity == seen and session.subject is not None:
-                self._judge = Judge(session.subject)
+            self._jury = None
+            if session is not None and session.identity == seen:
+                self._jury = session.jury()
             # From the first row on, or nobody knows which row of the reference belongs to which.
             self._whole, self._judged = reader.next == 0, 0
             self._attended = (-WINDOW_S, [])
@@ -275,13 +317,13 @@ class LiveSource:
 
     def _weigh(self, rows: NDArray[np.void]) -> None:
         """Judge the rows of the test proper; with its reference, unless rows have been missed."""
-        judge, session, reader = self._judge, self._session, self._reader
-        if judge is None or session is None or reader is None:
+        jury, session, reader = self._jury, self._session, self._reader
+        if jury is None or session is None or reader is None:
             return
         running = rows[rows["state"] == RUNNING]
         self._whole = self._whole and reader.lost == 0
-        reference = session.x_ref_m[self._judged : self._judged + running.size]
-        judge.add(running, reference if self._whole else None)
+        reference = session.reference[self._judged : self._judged + running.size]
+        jury.add(running, reference if self._whole else None)
         self._judged += running.size
 
     def _take(self, rows: NDArray[np.void]) -> None:
@@ -420,14 +462,13 @@ class LiveSource:
 
     def _attention(self) -> list[str]:
         """Return what is wrong with the test so far, in sentences."""
-        judge, session = self._judge, self._session
-        if judge is None or session is None or session.setup is None:
+        jury = self._jury
+        if jury is None:
             return []
         # Figures that change four times a second nobody can read, or have read out.
         now, (since, told) = time.monotonic(), self._attended
         if now - since >= WINDOW_S:
-            found = judge.findings(over=self.state in ("IDLE", "TRIPPED"))
-            told = [summary.attention_in_words(one, session.setup, found) for one in found]
+            told = jury.told(over=self.state in ("IDLE", "TRIPPED"))
             self._attended = (now, told)
         return told
 
@@ -647,8 +688,12 @@ class PastSource:
             self._tally.forget_waking()
         self._rec = rec
         self._cause, self._alarms = "", list[str]()
-        # Of several axes the reason of the end has the cause, and nobody judges yet.
-        if not rec.axis_names:
+        # Of several axes the reason of the end has the cause.
+        if rec.axis_names:
+            if rec.running().any():
+                told = several.notices(several.summarize(rec))
+                self._alarms = [n.text for n in told if n.level == "alarm"]
+        else:
             found = summary.summarize(rec)
             cause = "" if found.ended_by is None else found.ended_by.cause
             self._cause = found.ending or (in_words(cause) if cause else "")
