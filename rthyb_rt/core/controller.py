@@ -18,7 +18,7 @@ from rthyb_rt.core.settings import ControllerConfig, fill_part, new_struct
 
 @dataclass(frozen=True)
 class Sample:
-    """What one call of :meth:`Controller.step` gives back."""
+    """Result of one call of :meth:`Controller.step`."""
 
     x_cmd_next_m: float
     status: int
@@ -50,10 +50,10 @@ class Controller:
     def step_axes(
         self, pairs: Sequence[tuple[float, float]], excitation: float, lost: bool = False
     ) -> Sample:
-        """Run one tick with displacement and force of every axis; ``lost``: of all of them.
+        """Run one tick with displacement and force of every axis; ``lost`` applies to all axes.
 
         Raises:
-            CoreError: there are not as many pairs as axes.
+            CoreError: the number of pairs is not that of the axes.
         """
         i, lost_bits = self._input, lib.RTHYB_LOST if lost else 0
         if len(pairs) != self.config.axis_count:

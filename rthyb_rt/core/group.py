@@ -1,4 +1,4 @@
-"""Several axes at one specimen: what each of them says for itself, and what they have in common."""
+"""Several axes at one specimen: settings of each axis, and those that they share."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ AXIS_WATCHES: Final = tuple(
     for name in WATCHABLE[WATCHABLE.index("sensor_stuck") :]
     if name not in ("indicator", "energy")
 )
-"""What an axis may have limits of its own for."""
+"""Quantities for which an axis may have limits of its own."""
 INTERFACE_WATCHES: Final = ("position", "force")
 _CONTROL: Final = (
     *("x_range_m", "f_range_n", "velocity_limit_m_per_s", "acceleration_limit_m_per_s2"),
@@ -43,7 +43,7 @@ _STATION: Final = ("rest_spread_m", "tare_most_m", "tare_most_n")
 
 @dataclass(frozen=True)
 class Watch:
-    """What is done when a watched quantity goes past ``value``; 0 switches the watch off."""
+    """The action that follows when a watched quantity exceeds ``value``; 0: not watched."""
 
     value: float
     reaction: Reaction
@@ -51,10 +51,10 @@ class Watch:
 
 @dataclass(frozen=True)
 class AxisConfig:
-    """One of several axes; None: what the controller, or the station, says for all of them.
+    """One of several axes; None: the setting of the controller, or of the station, applies.
 
-    ``watches`` by cause, `AXIS_WATCHES`, takes the place of all the station's that belong to an
-    axis. The others as in ``ControllerConfig`` and ``StationConfig``.
+    ``watches`` by cause, `AXIS_WATCHES`, replaces all watches of the station that belong to an
+    axis. The other settings are as in ``ControllerConfig`` and ``StationConfig``.
     """
 
     name: str = ""
@@ -70,16 +70,16 @@ class AxisConfig:
     watches: Mapping[str, Watch] | None = None
 
     def over(self, common: Any, names: Sequence[str]) -> dict[str, float]:
-        """Return settings by name: its own, or those of ``common``."""
+        """Return settings by name: the axis' own, or else those of ``common``."""
         own = {name: getattr(self, name) for name in names}
         return {k: getattr(common, k) if v is None else v for k, v in own.items()}
 
 
 @dataclass(frozen=True)
 class InterfaceConfig:
-    """One of several directions that numerical part and axes meet in.
+    """One of several directions in which numerical part and axes are connected.
 
-    ``rfc`` None: the controller's. ``watches``: ``position`` of what is asked for, in m or rad, and
+    ``rfc`` None: the controller's. ``watches``: ``position`` of the command, in m or rad, and
     ``force``, in N or N m.
     """
 
@@ -89,7 +89,7 @@ class InterfaceConfig:
 
 
 def names_of(given: Sequence[AxisConfig | InterfaceConfig]) -> tuple[str, ...]:
-    """Return the names of axes or interfaces; those without one have their number, from 1."""
+    """Return the names of axes or interfaces; without a name, their number from 1."""
     return tuple(one.name or str(k + 1) for k, one in enumerate(given))
 
 
@@ -97,7 +97,7 @@ def controller_mapping(config: ControllerConfig) -> dict[str, Any]:
     """Return the ``rthyb_controller_config`` of the C core as a mapping, without numerical part.
 
     Raises:
-        CoreError: axes, interfaces and what they have in common are not of one number.
+        CoreError: axes, interfaces and the parts that they share differ in number.
     """
     axes, interfaces = config.axes or (AxisConfig(),), config.interfaces or (InterfaceConfig(),)
     _require_counts(config, len(axes), len(interfaces))
@@ -153,7 +153,7 @@ def station_axes(config: ControllerConfig, common: Any) -> list[dict[str, Any]]:
     """Return the ``rthyb_axis_config`` of each axis; ``common``: the ``StationConfig``.
 
     Raises:
-        CoreError: an axis has nothing to watch under a name.
+        CoreError: no watched quantity of an axis has a given name.
     """
     found = []
     for axis in config.axes or (AxisConfig(),):
@@ -170,7 +170,7 @@ def station_interfaces(interfaces: Sequence[InterfaceConfig]) -> list[dict[str, 
     """Return the ``rthyb_interface_config`` of each interface.
 
     Raises:
-        CoreError: there is nothing to watch under a name.
+        CoreError: no watched quantity has a given name.
     """
     found = []
     for one in interfaces:
@@ -186,10 +186,10 @@ def _watch(watch: Watch) -> tuple[float, int]:
 def watch_table(
     watches: Mapping[str, Watch], known: Sequence[str] = WATCHABLE
 ) -> list[tuple[float, int]]:
-    """Return what is watched, by the number of its cause.
+    """Return the table of watches, by the number of the cause.
 
     Raises:
-        CoreError: there is nothing to watch under a name.
+        CoreError: no watched quantity has a given name.
     """
     unknown = set(watches) - set(known)
     if unknown:
@@ -202,9 +202,9 @@ def watch_table(
 
 
 def axis_channels(config: ControllerConfig) -> tuple[Channel, ...]:
-    """Return the channels of what axes and interfaces beyond the first have beside the record.
+    """Return the channels for the values of axes and interfaces that the record has no fields for.
 
-    They stand in a row together, in this order, at ``StationConfig.axis_channel``.
+    They are consecutive channels of a row, in this order, from ``StationConfig.axis_channel`` on.
     """
     found = []
     for j in range(1, config.interface_count):
@@ -224,7 +224,7 @@ GROUP: Final = ("axes", "interfaces", "kinematics", "matrix_lead", "matrix_rfc")
 
 
 def group_plain(config: ControllerConfig) -> dict[str, Any]:
-    """Return what several axes have, as plain values; nothing of a controller of one axis."""
+    """Return the settings of several axes as plain values; empty for a controller of one axis."""
     plain: dict[str, Any] = {}
     for name in ("axes", "interfaces"):
         if getattr(config, name):
@@ -238,7 +238,7 @@ def group_plain(config: ControllerConfig) -> dict[str, Any]:
 
 
 def group_of(plain: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the same as settings; raises what the dataclasses do for what they do not know."""
+    """Return the settings from `group_plain`; unknown keys raise the dataclasses' errors."""
     found: dict[str, Any] = {}
     if "axes" in plain:
         found["axes"] = tuple(_axis(one) for one in plain["axes"])
@@ -265,7 +265,7 @@ def group_of(plain: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def bare(config: ControllerConfig) -> ControllerConfig:
-    """Return a controller's settings without what its axes have of their own."""
+    """Return a controller's settings without those of its individual axes."""
     return replace(
         config, axes=(), interfaces=(), kinematics=None, matrix_lead=None, matrix_rfc=None
     )

@@ -1,8 +1,8 @@
-"""The parts of the controller and of the virtual rig, each by itself, sample by sample or in a run.
+"""The parts of the controller and of the virtual rig, each separately, by sample or over arrays.
 
 Every class owns the memory of one C struct; its methods are named after the functions of
-``csrc/rthyb.h``, where the contract stands. ``alpha`` is in samples, ``beta`` in samples squared.
-Calls over arrays run without the GIL.
+``csrc/rthyb.h``, which states the contract. ``alpha`` is in samples, ``beta`` in samples squared.
+Calls over arrays release the GIL.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Plc:
         self._out = ffi.new("double *")
 
     def step(self, alpha: float, beta: float, x_c_m: float) -> tuple[float, int]:
-        """Take one command in; return the compensated command and the status bits."""
+        """Process one command; return the compensated command and the status bits."""
         code = lib.rthyb_plc_step(self._c, alpha, beta, x_c_m, self._out)
         return self._out[0], code
 
@@ -92,21 +92,21 @@ class Estimator:
 
     @property
     def alpha(self) -> float:
-        """Present estimate, samples."""
+        """Current estimate, samples."""
         return float(self._c.alpha)
 
     @property
     def beta(self) -> float:
-        """Present estimate of the curvature term, samples squared."""
+        """Current estimate of the curvature term, samples squared."""
         return float(self._c.beta)
 
     @property
     def gate_open(self) -> bool:
-        """Whether the last sample was exciting enough to learn from."""
+        """Whether the excitation of the last sample was sufficient to learn from it."""
         return bool(self._c.open)
 
     def step(self, x_p_m: float, x_m_m: float, frozen: bool = False) -> int:
-        """Take one pair in; return the status bits."""
+        """Process one pair; return the status bits."""
         return int(lib.rthyb_estimator_step(self._c, x_p_m, x_m_m, frozen))
 
     def run(self, x_p_m: npt.ArrayLike, x_m_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -125,7 +125,7 @@ class Estimator:
 
 
 class Law:
-    """A control law at work, without the controller around it; raises ``CoreError``."""
+    """A control law on its own, without the rest of the controller; raises ``CoreError``."""
 
     def __init__(self, config: LawConfig, x0_m: float = 0.0, *, period_s: float = PERIOD_S) -> None:
         self.config = config
@@ -136,12 +136,12 @@ class Law:
         self._values = ffi.new("double[]", lib.RTHYB_LAW_VALUES_MAX)
 
     def rest(self, x_m: float) -> None:
-        """Stand still at a place; what has been learnt stays."""
+        """Come to rest at a displacement; what has been learnt is kept."""
         lib.rthyb_law_rest(self._c, x_m)
         raise_pending()
 
     def observe(self, x_p_m: float, x_m_m: float, frozen: bool = False) -> int:
-        """Take the newest pair in; return the status bits."""
+        """Process the newest pair; return the status bits."""
         code = int(lib.rthyb_law_observe(self._c, x_p_m, x_m_m, frozen))
         raise_pending()
         return code
@@ -149,7 +149,8 @@ class Law:
     def lead(self, x_c_m: float, allowed_m: float = float("inf")) -> tuple[float, int]:
         """Return x_p for the same instant, and the status bits.
 
-        ``allowed_m``: as far as what was learnt since the last call may move the command.
+        ``allowed_m``: largest change of the command that may result from learning since the last
+        call.
         """
         code = lib.rthyb_law_lead(self._c, x_c_m, allowed_m, self._out)
         raise_pending()
@@ -168,7 +169,8 @@ class Law:
     ) -> tuple[FloatArray, dict[str, FloatArray]]:
         """Return x_p and all reported values, each (n,), along recorded signals of shape (n,).
 
-        At each sample the law takes in the pair of ``x_p_m`` and ``x_m_m``, then leads ``x_c_m``.
+        At each sample the law observes the pair of ``x_p_m`` and ``x_m_m``, then compensates
+        ``x_c_m``.
         """
         c, p, m = doubles(x_c_m), doubles(x_p_m), doubles(x_m_m)
         require_one_length(c, p, m)
@@ -182,18 +184,18 @@ class Law:
         return led, {name: values[:, i] for i, name in enumerate(names)}
 
     def report(self) -> dict[str, float]:
-        """Return what the law reports, by name."""
+        """Return the values that the law reports, by name."""
         lib.rthyb_law_report(self._c, self._values)
         names = self.config.law.values
         return {value.name: float(self._values[i]) for i, value in enumerate(names)}
 
     def save(self) -> bytes:
-        """Return the law's state, all of it."""
+        """Return the complete state of the law."""
         size = self.config.law.state_bytes
         return bytes(ffi.buffer(self._c.state.bytes, size))
 
     def restore(self, state: bytes) -> None:
-        """Go on from a state that a law of the same settings has saved."""
+        """Continue from a state that was saved by a law with the same settings."""
         ffi.memmove(self._c.state.bytes, state, self.config.law.state_bytes)
 
 
@@ -207,7 +209,7 @@ class Rfc:
 
     @property
     def k_n_per_m(self) -> float:
-        """Present tangent stiffness between 0 and k_e."""
+        """Current tangent stiffness, between 0 and k_e."""
         return float(self._c.k_n_per_m)
 
     def step(
@@ -223,7 +225,7 @@ class Rfc:
         return self._out[0], code
 
     def follow(self, x_c_m: float, x_m_m: float, f_n: float) -> None:
-        """Take in a sample of a motion along a path."""
+        """Process a sample of a motion along a path."""
         lib.rthyb_rfc_follow(self._c, x_c_m, x_m_m, f_n)
 
     def run(
@@ -310,7 +312,7 @@ class Element:
         init_element(self._c, config)
 
     def force(self, x_m: float, v_m_per_s: float, a_m_per_s2: float, dt_s: float) -> float:
-        """Return the resisting force, N, at one instant, and move the history on."""
+        """Return the resisting force, N, at one instant, and update the history."""
         force = float(lib.rthyb_element_force(self._c, x_m, v_m_per_s, a_m_per_s2, dt_s))
         raise_pending()
         return force
@@ -376,11 +378,11 @@ class Rig:
         return tuple(self._c.extra[i] for i in range(len(self.config.extras)))
 
     def tell_extras(self, station: Station, channel: int) -> None:
-        """Put the extra sensors' readings of every sample into a station's row.
+        """Write the extra sensors' readings of every sample into a station's row.
 
         Args:
-            station: in whose row; stays alive with this rig.
-            channel: which of the row's channels the first of them is.
+            station: the station, which is kept alive with this rig.
+            channel: channel of the row for the first of these readings.
 
         Raises:
             CoreError: the row has no room for them.
@@ -394,7 +396,7 @@ class Rig:
         self._c.extra_to = ffi.addressof(station._c.channel, channel)
 
     def reseed(self) -> None:
-        """Begin the noise of the sensors anew, from the seed."""
+        """Restart the noise of the sensors from the seed."""
         lib.rthyb_rig_reseed(self._c)
 
     @property

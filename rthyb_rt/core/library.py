@@ -1,4 +1,4 @@
-"""What every face of the core needs: its enumerations, its refusals, arrays across the border."""
+"""What all Python interfaces of the core need: enumerations, error messages, passing of arrays."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ RecordArray = npt.NDArray[np.void]
 
 
 def members(enum: str, prefix: str) -> dict[str, int]:
-    """Return an enumeration of ``rthyb.h`` by value, its names without what all begin with."""
+    """Return an enumeration of ``rthyb.h`` by value, its names without their common prefix."""
     found: dict[str, int] = ffi.typeof(f"enum {enum}").relements
     own = {k.removeprefix(prefix): v for k, v in found.items() if k.startswith(prefix)}
     return dict(sorted(own.items(), key=lambda item: item[1]))
 
 
 def words(enum: str, prefix: str) -> dict[str, int]:
-    """Return the same in small letters, without the member that counts the others."""
+    """Return the same in lower case, without the member that counts the others."""
     own = {name.lower(): value for name, value in members(enum, prefix).items()}
     return {name: value for name, value in own.items() if name not in ("count", "kinds")}
 
@@ -64,7 +64,7 @@ _REFUSED: Final[dict[int, str]] = {
 
 
 class CoreError(RthybError, ValueError):
-    """The core refused a setting; the message says which kind."""
+    """The core rejected a setting; the message says which kind."""
 
 
 class LibraryMissing(CoreError):

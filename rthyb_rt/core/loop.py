@@ -1,8 +1,8 @@
-"""The thin face of the tick: a link, the loop that exchanges one sample a tick, the virtual drive.
+"""Python interface of the tick: a link, the loop with one sample per tick, the virtual drive.
 
-Names follow ``csrc/rthyb.h``, where the contract stands. Calls that run or wait do so without the
-GIL. What a loop is made of belongs to its thread while that runs: only what is said to be readable
-may then be asked.
+Names follow ``csrc/rthyb.h``, which states the contract. Calls that run or wait release the GIL.
+While the thread of a loop runs, everything from which the loop was made belongs to that thread:
+only what is documented as readable at any time may then be read.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ FaultKind = Literal[
 ]
 
 HEARTBEAT_TICKS: Final[int] = lib.RTHYB_HEARTBEAT_TICKS
-"""Ticks of 1/1024 s without a sign of life, after which the test ramps out."""
+"""Ticks of 1/1024 s without a call of `Loop.beat` after which the test ramps out."""
 SLIP_VOTES: Final[int] = lib.RTHYB_SLIP_VOTES
 WATCHDOG_TICKS: Final[int] = lib.RTHYB_DRIVE_WATCHDOG
 """Ticks of 1/1024 s without a fresh command, after which the virtual drive stops."""
@@ -54,26 +54,26 @@ PHASES: Final = tuple(words("rthyb_drive_phase", "RTHYB_DRIVE_"))
 LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
 
 _FAREWELLS: Final = 3
-"""One that is lost does not matter."""
+"""A single lost frame does not matter."""
 
 _KINDS: Final = options("rthyb_link_kind", "RTHYB_LINK_")
 _CLOCKS: Final = options("rthyb_clock", "RTHYB_CLOCK_")
 _FAULTS: Final = options("rthyb_drive_fault", "RTHYB_FAULT_")
 
 LOG_DTYPE: Final = core.dtype_of("rthyb_drive_entry")
-"""What a drive saw and did in one of its ticks: the fields of ``rthyb_drive_entry``."""
+"""What a drive received and did in one of its ticks: the fields of ``rthyb_drive_entry``."""
 
 
 class Link:
-    """Frames over a descriptor that the caller opened and set up, without ever waiting.
+    """Frames over a descriptor that the caller opened and configured; no call waits.
 
     Args:
         kind: "can": a SocketCAN socket, or a SOCK_SEQPACKET socket that carries its frames;
             "stream": a tty in raw mode or a stream socket, with O_NONBLOCK.
-        fd: the descriptor; the link has its own from then on.
+        fd: the descriptor, which the link duplicates.
 
     Raises:
-        RthybError: the descriptor is closed, or a stream that would make a reader wait.
+        RthybError: the descriptor is closed, or a stream on which a reader would wait.
     """
 
     def __init__(self, kind: Kind, fd: int) -> None:
@@ -86,13 +86,13 @@ class Link:
             )
 
     def close(self) -> None:
-        """Close the link's own descriptor; twice does no harm."""
+        """Close the link's own descriptor; a second call has no effect."""
         lib.rthyb_link_close(self.struct)
 
     def receive(self) -> Frame | None:
-        """Take a CAN frame, or some bytes of a stream; None: nothing more has come.
+        """Return a CAN frame, or some bytes of a stream; None: nothing more has arrived.
 
-        Not while a loop has the link.
+        Must not be called while a loop uses the link.
         """
         frame = ffi.new("rthyb_frame *")
         if not lib.rthyb_link_receive(self.struct, frame):
@@ -115,11 +115,11 @@ class Link:
 
 
 class Phase:
-    """The loop of the link clock alone: when pairs arrived in, trims of the due times out.
+    """The control loop of the link clock alone: arrival times in, corrections of the due times out.
 
     Args:
-        lead_us: a pair is to arrive so long before its tick, from 10 to half a period.
-        rate_hz: ticks a second, 256 to 4096.
+        lead_us: time by which a pair should arrive before its tick, from 10 us to half a period.
+        rate_hz: ticks per second, 256 to 4096.
 
     Raises:
         core.CoreError: the lead or the rate is out of range.
@@ -135,15 +135,15 @@ class Phase:
             )
 
     def step(self, after_due_ns: float | None) -> int:
-        """Return what `rthyb_rt.core.ticker.Ticker.trim` is to be given after a tick, ns.
+        """Return the argument for `rthyb_rt.core.ticker.Ticker.trim` after a tick, ns.
 
-        ``after_due_ns``: arrival of the tick's pair after its due time; None: there is none.
+        ``after_due_ns``: arrival of the tick's pair after its due time; None: no pair arrived.
         """
         came = after_due_ns is not None
         return int(lib.rthyb_phase_step(self._c, came, after_due_ns or 0.0))
 
     def typical(self, arrived_ns: Sequence[int]) -> int:
-        """Return the one of these arrivals, ns, whose place in the period is closest to all."""
+        """Return the arrival time, ns, whose phase in the period is closest to all others."""
         stamps = ffi.new("int64_t[]", list(arrived_ns))
         return int(arrived_ns[lib.rthyb_phase_typical(self._c, stamps, len(arrived_ns))])
 
@@ -154,24 +154,24 @@ class Phase:
 
     @property
     def error_ns(self) -> float:
-        """Arrival after the wanted instant, smoothed."""
+        """Arrival relative to the intended instant, smoothed; positive: late."""
         return float(self._c.error_ns)
 
     @property
     def trim_ppm(self) -> float:
-        """By how much the period is made longer, mean of 4 s."""
+        """Extension of the period, mean over 4 s."""
         return float(self._c.trim_ns) / float(self._c.period_ns) * 1e6
 
 
 @dataclass(frozen=True)
 class LastCommand:
-    """What a loop left a drive with.
+    """The last command that a loop sent to a drive.
 
     Attributes:
-        x_cmd_m: displacement that the drive was told last; calibrated, without tare.
-        x_m: last reading of the displacement then, likewise.
-        seq: number of that command; one that is older is no news to a drive that still follows.
-        calibration: by which both are told.
+        x_cmd_m: displacement in that command; calibrated, without tare.
+        x_m: last reading of the displacement at that time, likewise.
+        seq: sequence number of that command; a drive that still follows ignores older numbers.
+        calibration: calibration by which both were converted.
     """
 
     x_cmd_m: float
@@ -182,7 +182,7 @@ class LastCommand:
 
 @dataclass(frozen=True, eq=False)
 class LoopAxis:
-    """The way to the drive of one axis and back: frames, link, and what is between it and us."""
+    """Connection to the drive of one axis: frames, link and calibration."""
 
     wire: Wire
     link: Link
@@ -190,27 +190,27 @@ class LoopAxis:
 
 
 class Loop:
-    """Link -> wire -> station -> wire -> link -> record -> ring, once a tick.
+    """Link -> wire -> station -> wire -> link -> record -> ring, once per tick.
 
     Args:
         station: states, limits, controller.
         wire: the controller's end of the frames.
-        link: where they come from and go to.
-        ring: takes every record; without one, `records` has those of the last tick.
+        link: sends and receives the frames.
+        ring: receives every record; without a ring, `records` has those of the last tick.
         clock: "host": `start` a thread; "link": the same, and its ticks follow the drive's samples;
-            "stepped": `step` for each tick, or a thread that `ticker` grants ticks to.
-        calibration: between the wire and the station.
-        lead_us: link clock: a pair arrives so long before its tick, from 10 to half a period.
-        paced: stepped clock: False where the drive does not wait for the ticks, so that its count
-            says nothing of two clocks, and no slip is looked for.
-        further: of several axes, all but the first, of which ``wire``, ``link`` and ``calibration``
-            are. Ticks of the link clock follow the first axis' drive.
+            "stepped": call `step` for each tick, or `grant` ticks to a thread.
+        calibration: conversion between the wire and the station.
+        lead_us: link clock: time by which a pair arrives before its tick, 10 us to half a period.
+        paced: stepped clock: False if the drive does not wait for the ticks, so that its count
+            does not show the difference of two clocks, and slips are not counted.
+        further: for several axes, all but the first, to which ``wire``, ``link`` and
+            ``calibration`` belong. With the link clock, ticks follow the first axis' drive.
 
-    Its ticks are as long as the station's ``period_s`` says.
+    The length of a tick is the station's ``period_s``.
 
     Raises:
-        core.CoreError: a calibration or the lead is senseless, the station has other axes, or its
-            period is not that of a whole number of ticks a second, 256 to 4096.
+        core.CoreError: a calibration or the lead is out of range, the station has other axes, or
+            its period is not that of a whole number of ticks per second, 256 to 4096.
     """
 
     def __init__(
@@ -234,7 +234,7 @@ class Loop:
                 "axes"
             )
         self._kept = (station, wire, link, ring)
-        # Doubles, for the sake of their alignment.
+        # An array of doubles, for its alignment.
         self._memory = ffi.new("double[]", lib.rthyb_loop_size() // ffi.sizeof("double") + 1)
         self._c = ffi.cast("rthyb_loop *", self._memory)
         self._ag = ffi.from_buffer("double[]", station._ag)
@@ -274,24 +274,25 @@ class Loop:
 
     @property
     def rate_hz(self) -> int:
-        """Ticks a second."""
+        """Ticks per second."""
         return int(lib.rthyb_ticker_rate_hz(self._kept[0].config.controller.period_s))
 
     def drop_old(self) -> None:
-        """Stepped clock: drop what waits in the link, once, before the first tick.
+        """Stepped clock: discard what is waiting in the link, once, before the first tick.
 
-        The other clocks do it by themselves.
+        The other clocks do this themselves.
         """
         lib.rthyb_loop_drop_old(self._c)
 
     def continue_from(self, last: LastCommand | Sequence[LastCommand]) -> None:
-        """Begin with what an earlier loop at these links told the drives last; before the start.
+        """Start from the last commands of an earlier loop with these links; call before the start.
 
-        It holds if no drive has stopped meanwhile and their first readings are those of then,
-        within the station's ``rest_spread_m``. Else the commands begin at the first readings.
+        They are used if no drive has stopped in the meantime and the first readings equal the
+        earlier ones within the station's ``rest_spread_m``. Otherwise the commands start at the
+        first readings.
 
         Raises:
-            core.CoreError: it is not of as many axes.
+            core.CoreError: the number of commands is not that of the axes.
         """
         given = [last] if isinstance(last, LastCommand) else list(last)
         if len(given) != self._axes:
@@ -301,16 +302,16 @@ class Loop:
             )
         struct = ffi.new("rthyb_last_command[]", self._axes)
         for slot, one, way in zip(struct, given, self._ways, strict=True):
-            # Told by another calibration it is another place; the drive counts on all the same.
+            # Another calibration means another position; the drive's count goes on nevertheless.
             same = one.calibration == way.calibration
             slot.x_cmd_m, slot.seq = one.x_cmd_m, one.seq
             slot.x_m = one.x_m if same else math.nan
         lib.rthyb_loop_continue_from(self._c, struct)
 
     def last_command(self) -> LastCommand | None:
-        """Return what the first axis' drive was left with, once the loop has ended.
+        """Return the last command of the first axis' drive, once the loop has ended.
 
-        None: nothing was ever sent, or it did not end at rest.
+        None: nothing was ever sent, or the loop did not end at rest.
         """
         last = self.last_commands()
         return last[0] if last else None
@@ -326,13 +327,13 @@ class Loop:
         )
 
     def step(self, skipped: int = 0) -> None:
-        """Run one tick of the stepped clock, after ``skipped`` that nobody executes."""
+        """Run one tick of the stepped clock, after ``skipped`` ticks that are not executed."""
         if skipped:
             lib.rthyb_ticker_miss(self._ticker, skipped)
         lib.rthyb_loop_step(self._c)
 
     def await_pair(self, seconds: float) -> bool:
-        """Stepped clock: wait until every axis has a pair for `step`; False: one has none."""
+        """Stepped clock: wait until every axis has a pair for `step`; False: one has no pair."""
         end = time.monotonic() + seconds
         came = [self._await_pair(way, end) for way in self._ways]
         return all(came)
@@ -348,9 +349,9 @@ class Loop:
             select.select([link.fd], [], [], left)
 
     def start(self, priority: int = PRIORITY, cpu: int = -1, latency_fd: int = -1) -> None:
-        """Start the tick thread, as punctual as the system lets it be.
+        """Start the tick thread with the best punctuality that the system permits.
 
-        Arguments are those of `rthyb_rt.core.ticker.become_real_time`.
+        The arguments are those of `rthyb_rt.core.ticker.become_real_time`.
 
         Raises:
             RthybError: the system refused a thread.
@@ -361,16 +362,16 @@ class Loop:
         self._running = True
 
     def stop(self) -> None:
-        """End the thread, for good; what moves is then stopped by the drive's own watchdog."""
+        """End the thread permanently; the drive's own watchdog then stops any motion."""
         lib.rthyb_ticker_stop(self._ticker)
         if self._running:
             lib.rthyb_loop_join(self._c)
         self._running = False
 
     def leave(self) -> None:
-        """Tell a drive at rest, once the loop has ended, that the silence that follows is meant.
+        """Announce to a drive at rest, once the loop has ended, that the commands end on purpose.
 
-        Its watchdog stops it all the same, but then it asks nobody to reset it.
+        Its watchdog stops it all the same, but it then needs no reset by an operator.
         """
         for _ in range(_FAREWELLS):
             if not lib.rthyb_loop_leave(self._c):
@@ -379,30 +380,31 @@ class Loop:
                 time.sleep(core.PERIOD_S)
 
     def grant(self, ticks: int) -> None:
-        """Let a thread with the stepped clock run so many more ticks."""
+        """Let a thread with the stepped clock run a number of further ticks."""
         lib.rthyb_ticker_grant(self._ticker, ticks)
 
     def command(self, command: core.Command) -> int | None:
-        """Leave an operator's command for the next tick; return its generation.
+        """Submit an operator's command for the next tick; return its generation.
 
-        None: the last one is not answered yet, and only "trip" takes its place.
+        None: the last command has not been answered yet, and only "trip" may replace it.
         """
         return lib.rthyb_loop_command(self._c, core.COMMANDS.index(command)) or None
 
     def answer(self, generation: int) -> tuple[bool, int] | None:
-        """Return whether a command was obeyed and in which tick; None: not answered yet."""
+        """Return whether a command was accepted and in which tick; None: not answered yet."""
         tick = ffi.new("uint64_t *")
         answer = lib.rthyb_loop_answered(self._c, generation, tick)
         return (answer == 1, tick[0]) if answer else None
 
     def load(self, station: core.Station, ring: RingMemory | None) -> int:
-        """Have the next tick go on with another station and ring; return the load's generation.
+        """Switch to another station and ring in the next tick; return the generation of the load.
 
-        Ticks, wire and link stay, so that the drive notices nothing. Station and ring of before
-        are kept alive until `loaded` has said that they are no longer in use.
+        Ticks, wire and link continue, so the drive notices nothing. The previous station and ring
+        are kept alive until `loaded` reports that they are no longer in use.
 
         Raises:
-            core.CoreError: the load before has not been answered yet; the tick thread stands.
+            core.CoreError: the previous load has not been answered yet: the tick thread has
+                stalled.
         """
         if self._next is not None and self.loaded(self._load_generation) is None:
             raise core.CoreError(
@@ -417,7 +419,7 @@ class Loop:
         return self._load_generation
 
     def loaded(self, generation: int) -> bool | None:
-        """Return whether a load was taken; False: its station may not go, for it is not in IDLE.
+        """Return whether a load was accepted; False: the previous station is not in IDLE.
 
         None: not answered yet.
         """
@@ -432,17 +434,17 @@ class Loop:
 
     @property
     def load_tick(self) -> int:
-        """Tick of the loop in which the present station had its tick 0; after a load."""
+        """Tick of the loop in which the current station had its tick 0; after a load."""
         return int(self._look().load_tick)
 
     def set_parameters(self, parameters: core.Parameters) -> int:
         """Publish a set of parameters; return its generation, which records then show.
 
-        The next tick takes it whole. One thread at a time.
+        The next tick applies it as a whole. Only one thread may call this at a time.
 
         Raises:
-            core.CoreError: a value is out of range, there is nothing to watch under a name, or the
-                set is of another number of axes; the set before stays in force.
+            core.CoreError: a value is out of range, no watched quantity has a given name, or the
+                set has another number of axes; the previous set remains in force.
         """
         if len(parameters.axes) not in (0, self._axes):
             raise core.CoreError(
@@ -459,15 +461,16 @@ class Loop:
         return int(struct.generation)
 
     def set_taken(self, generation: int) -> bool | None:
-        """Return whether a set of parameters, or a later one, came in force; None: not seen yet.
+        """Return whether a set of parameters, or a later one, took effect; None: not seen yet.
 
-        False: outside IDLE it would switch off a limit of the command; the set before stays.
+        False: it would have switched off a limit of the command outside IDLE; the previous set
+        remains in force.
         """
         answer = lib.rthyb_loop_set_taken(self._c, generation)
         return answer == 1 if answer else None
 
     def beat(self) -> None:
-        """Give a sign of life; after a second without one the test ramps out."""
+        """Report that the program is alive; after a second without this call the test ramps out."""
         lib.rthyb_loop_beat(self._c)
 
     @property
@@ -482,7 +485,7 @@ class Loop:
 
     @property
     def cause_tick(self) -> int:
-        """Tick in which that cause came up; readable at any time."""
+        """Tick in which that cause occurred; readable at any time."""
         return int(self._look().cause_tick)
 
     @property
@@ -497,24 +500,24 @@ class Loop:
 
     @property
     def arrival_error_us(self) -> float:
-        """Link clock: how long after the wanted instant pairs arrive, smoothed; at any time."""
+        """Link clock: delay of pairs after the intended instant, smoothed; readable at any time."""
         return int(self._look().arrival_error_ns) / 1e3
 
     @property
     def trim_ppm(self) -> float:
-        """Link clock: by how much the period is made longer, mean of 4 s; readable at any time."""
+        """Link clock: extension of the period, mean over 4 s; readable at any time."""
         return int(self._look().trim_ppb) / 1e3
 
     @property
     def records(self) -> core.RecordArray:
-        """Records of the last tick, a copy; not while a thread runs."""
+        """Copy of the records of the last tick; must not be read while a thread runs."""
         count = ffi.new("uint32_t *")
         records = lib.rthyb_loop_records(self._c, count)
         return copy_records(records, count[0], self._axes)
 
     @property
     def link_delay(self) -> int | None:
-        """Samples from command to feedback that the first wire takes, by the last echo."""
+        """Samples from command to feedback on the first wire, by the last echo."""
         return self.axis_delays[0]
 
     @property
@@ -524,9 +527,9 @@ class Loop:
         return tuple(None if delay < 0 else int(delay) for delay in delays)
 
     def link_delays(self) -> npt.NDArray[np.int64]:
-        """Return how many pairs of the RUNNING state the wire delayed by n samples, (256,).
+        """Return the number of pairs in RUNNING that the wire delayed by n samples, (256,).
 
-        The last one: that and more. Readable at any time.
+        The last entry includes all longer delays. Readable at any time.
         """
         delays = lib.rthyb_loop_delays(self._c)
         return np.array(list(delays[0 : lib.RTHYB_LINK_DELAYS]), dtype=np.int64)
@@ -558,7 +561,7 @@ class Loop:
         return privilege_names(lib.rthyb_loop_ended(self._c, ffi.new("rthyb_usage *")))
 
     def usage(self) -> dict[str, int]:
-        """Return what the system did to the thread, once it has ended: ``rthyb_usage`` by name."""
+        """Return the resource usage of the thread, once it has ended: ``rthyb_usage`` by name."""
         usage = ffi.new("rthyb_usage *")
         lib.rthyb_loop_ended(self._c, usage)
         return _by_name(usage[0])
@@ -576,10 +579,10 @@ class Loop:
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong at the drive, from its tick ``first`` on for ``ticks`` ticks.
+    """A fault of the drive, from its tick ``first`` on for ``ticks`` ticks.
 
-    ``value``: of drop and drop-command the probability, of delay ticks, of jump m, of force N.
-    ``axis``: number of the drive among those of `Drives`; one alone does not look at it.
+    ``value``: a probability for drop and drop-command, ticks for delay, m for jump, N for force.
+    ``axis``: number of the drive among those of `Drives`; ignored by a single drive.
     """
 
     kind: FaultKind
@@ -590,22 +593,22 @@ class Fault:
 
 
 class Drive:
-    """Actuator controller and load cell at the other end of the wire, with a watchdog of their own.
+    """Virtual drive: servo controller and load cell at the other end of the wire, with a watchdog.
 
     Args:
-        rig: what moves and measures, of one axis, or of several of which `Drives` move it.
+        rig: virtual rig of one axis, or of several axes that are moved by `Drives`.
         codec: the frames.
-        link: their other end.
-        origin_m: where the rig's zero lies, behind the calibration.
-        stop_decel_m_per_s2: how it brakes on its own.
-        log_ticks: how many ticks `log` has room for.
-        seed: of the faults.
-        drift_ppm: how much the clock of `run` is fast, 199 at most.
+        link: the other end of the controller's link.
+        origin_m: position of the rig's zero, after calibration.
+        stop_decel_m_per_s2: deceleration of the drive's own stop.
+        log_ticks: number of ticks for which `log` has room.
+        seed: seed of the faults.
+        drift_ppm: parts per million by which the clock of `run` is fast, 199 at most.
         calibration: the controller's; the drive applies its inverse.
 
     Raises:
         core.CoreError: the deceleration is not positive, the drift too large, or the calibration
-            senseless.
+            out of range.
     """
 
     def __init__(
@@ -639,10 +642,10 @@ class Drive:
             )
 
     def schedule(self, faults: Sequence[Fault]) -> None:
-        """Put a schedule of faults in force, in place of the one before; between two ticks.
+        """Replace the schedule of faults; call between two ticks.
 
         Raises:
-            core.CoreError: a fault is out of range; the schedule of before stays.
+            core.CoreError: a fault is out of range; the previous schedule remains.
         """
         table = ffi.new(
             "rthyb_fault[]", [(_FAULTS[f.kind], f.first, f.ticks, f.value) for f in faults]
@@ -652,10 +655,10 @@ class Drive:
         self._faults = table
 
     def tick(self) -> None:
-        """Run one sample: take commands in, latch, apply, answer.
+        """Run one sample: receive commands, latch the sensors, apply the command, reply.
 
         Raises:
-            core.CoreError: it is one of several of its rig.
+            core.CoreError: its rig has several axes, so `Drives` must run it.
         """
         self._require_alone()
         lib.rthyb_drive_tick(self._c)
@@ -677,7 +680,7 @@ class Drive:
 
     @property
     def drives(self) -> tuple[Drive, ...]:
-        """Itself: what `Drives` has of every axis."""
+        """This drive alone, as `Drives.drives` has one for each axis."""
         return (self,)
 
     @property
@@ -687,7 +690,7 @@ class Drive:
 
     @property
     def rate_hz(self) -> int:
-        """Samples a second of its rig, and so of itself; 0: no whole number, for no ticker."""
+        """Sample rate of its rig, and so of the drive; 0 if it is not a whole number."""
         period_s = lib.rthyb_plant_period_s(ffi.addressof(self._c, "plant"))
         return int(lib.rthyb_ticker_rate_hz(period_s))
 
@@ -709,23 +712,23 @@ class Drive:
 
     @property
     def latched(self) -> bool:
-        """Whether it has stopped by itself, and follows nobody until it is reset; at any time."""
+        """Whether it has stopped by itself and needs a reset to follow; readable at any time."""
         return bool(self._c.latched)
 
     @property
     def log(self) -> npt.NDArray[np.void]:
-        """What it saw and did, `LOG_DTYPE`, (ticks,): row n is its tick n."""
+        """What it received and did, `LOG_DTYPE`, (ticks,): row n is its tick n."""
         return self._log[: self.ticks].copy()
 
 
 class Drives:
-    """The drives of all axes of one virtual rig, in its order, by the clock of the first.
+    """The drives of all axes of one virtual rig, in its order, on the clock of the first.
 
     Args:
-        drives: one an axis, each made with that rig.
+        drives: one for each axis, each created with that rig.
 
     Raises:
-        core.CoreError: the rig has other axes, or they have not the same one.
+        core.CoreError: the rig has other axes, or the drives belong to different rigs.
     """
 
     def __init__(self, drives: Sequence[Drive]) -> None:
@@ -740,7 +743,7 @@ class Drives:
             )
 
     def tick(self) -> None:
-        """Run one sample of all of them: take all commands in, latch, apply, answer."""
+        """Run one sample of all drives: receive all commands, latch, apply, reply."""
         lib.rthyb_drives_tick(self._c)
 
     def run(self, ticker: Ticker) -> None:
@@ -753,10 +756,10 @@ class Drives:
         lib.rthyb_drives_run(self._c, ticker._c)
 
     def schedule(self, faults: Sequence[Fault]) -> None:
-        """Put a schedule of faults in force, each at the drive of its axis, in place of the last.
+        """Replace the schedule of faults, each for the drive of its axis.
 
         Raises:
-            core.CoreError: a fault is out of range, or of an axis that there is not.
+            core.CoreError: a fault is out of range, or for an axis that does not exist.
         """
         strange = [fault.axis for fault in faults if not 0 <= fault.axis < len(self.drives)]
         if strange:
@@ -779,7 +782,7 @@ class Drives:
 
     @property
     def log(self) -> npt.NDArray[np.void]:
-        """What they saw and did, `LOG_DTYPE`, (ticks, axes)."""
+        """What they received and did, `LOG_DTYPE`, (ticks, axes)."""
         return np.stack([drive.log for drive in self.drives], axis=1)
 
 
@@ -792,7 +795,7 @@ def _require_rate(drive: Drive, ticker: Ticker) -> None:
 
 
 def _most_lead_us(rate_hz: int) -> float:
-    """Return half a period, which a pair may arrive before its tick at most, us."""
+    """Return the longest time that a pair may arrive before its tick, half a period, us."""
     return round(0.5e6 / max(rate_hz, 1), 1)
 
 

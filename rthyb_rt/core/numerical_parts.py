@@ -25,7 +25,8 @@ class Part:
 
     Args:
         config: its matrices and integrator.
-        x0_m: where the interface is at rest; a sparse part begins where its settings say.
+        x0_m: displacement at which the interface is at rest; ignored by a sparse part, whose
+            settings contain it.
     """
 
     refused = "the numerical part was rejected: every number must be finite and plausible"
@@ -58,13 +59,13 @@ class Part:
         return np.array(list(self._out)), int(code)
 
     def advance(self) -> int:
-        """Do the rest of the step that was answered; return the status bits."""
+        """Do the rest of the step after `answer`; return the status bits."""
         code = int(lib.rthyb_numerical_advance(self._c))
         raise_pending()
         return code
 
     def step(self, ag_mps2: float, force_n: float) -> tuple[float, int]:
-        """Do both."""
+        """Call `answer` and `advance`."""
         x, code = self.answer(ag_mps2, force_n)
         return x, code | self.advance()
 
@@ -75,7 +76,7 @@ class Part:
         return all_of_them[0]
 
     def freeze(self, force_n: float) -> None:
-        """Let a tick pass in which the interface follows a path, with this force."""
+        """Handle a tick in which the interface follows a path, with this force."""
         self._forces[0] = force_n
         lib.rthyb_numerical_freeze(self._c, self._forces)
         raise_pending()
@@ -92,7 +93,7 @@ class Part:
         return bytes(ffi.buffer(kept))
 
     def restore(self, state: bytes) -> None:
-        """Go on from a state that `save` gave."""
+        """Continue from a state that `save` returned."""
         if len(state) != self.state_bytes:
             raise CoreError(
                 f"found a state of {len(state)} bytes, which does not belong to this numerical "
@@ -101,7 +102,7 @@ class Part:
         lib.rthyb_numerical_restore(self._c, ffi.from_buffer(state))
 
     def reported(self, most: int) -> FloatArray:
-        """Return what the part reports, up to so many values."""
+        """Return the values that the part reports, at most ``most``."""
         values = np.zeros(most)
         out = ffi.from_buffer("double[]", values, require_writable=True)
         count = lib.rthyb_numerical_report(self._c, out, most)
@@ -167,13 +168,13 @@ class DensePart(Part):
         return step + np.eye(rows), np.array(list(state.by_force[0:rows]))
 
     def displacements(self) -> FloatArray:
-        """Return where every degree of freedom is, m, (n,)."""
+        """Return the displacement of every degree of freedom, m, (n,)."""
         return self.reported(core.DENSE_MAX)
 
     def force_for(self, ag_mps2: float, x_next_m: FloatArray) -> FloatArray:
-        """Return the force at t_n that brings the interface to where it is next, N, (1,).
+        """Return the force at t_n that moves the interface to its displacement at t_n+1, N, (1,).
 
-        Of a part whose force is not delayed.
+        Only for a part whose force is not delayed.
         """
         state = ffi.cast("rthyb_dense *", self._c.state)
         at = self.config.at
@@ -201,7 +202,7 @@ class SparsePart(Part):
         self._answers: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def displacements(self) -> FloatArray:
-        """Return where every degree of freedom is, m, (n,)."""
+        """Return the displacement of every degree of freedom, m, (n,)."""
         values = np.zeros(self.config.size)
         state = ffi.cast("rthyb_sparse *", self._c.state)
         out = ffi.from_buffer("double[]", values, require_writable=True)
@@ -209,7 +210,7 @@ class SparsePart(Part):
         return np.asarray(values[self._place])
 
     def force_for(self, ag_mps2: float, x_next_m: FloatArray) -> FloatArray:
-        """Return the forces at t_n that bring the interfaces to where they are next, N, (m,)."""
+        """Return the forces at t_n that lead to the interfaces' next displacements, N, (m,)."""
         state = ffi.cast("rthyb_sparse *", self._c.state)
         m, stepped = self._interfaces, int(state.stepped)
         if stepped not in self._answers:
@@ -221,7 +222,7 @@ class SparsePart(Part):
         return np.asarray(by_displacement @ (x_next_m - base - ag_mps2 * pull))
 
     def step_time_s(self, steps: int = 200) -> float:
-        """Return the median computing time of a step on this computer, s; the state goes on."""
+        """Return the median computing time of a step on this computer, s; the state advances."""
         taken = []
         for i in range(steps):
             begun = time.perf_counter_ns()

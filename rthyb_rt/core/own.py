@@ -1,8 +1,9 @@
 """Numerical parts, control laws and specimen elements in Python, for tests in virtual time.
 
-Each is a class with the functions that one in C has. What a file or a recording says of it is its
-name, ``module:Class``, and its settings, the arguments that it is made with: so it is found again
-in other processes. What one of them raises is kept until C has come back, and raised then.
+Each is a class with the same functions as its counterpart in C. A file or a recording identifies it
+by its name, ``module:Class``, and its settings, the arguments with which it was created; other
+processes create it again from these. An exception raised in a method is kept until the call into C
+has returned, and is raised then.
 """
 
 from __future__ import annotations
@@ -28,19 +29,19 @@ Setting = _Plain | tuple[_Plain, ...]
 Settings = tuple[tuple[str, Setting], ...]
 
 ELEMENT_STATES: Final[int] = lib.RTHYB_ELEMENT_STATES - 1
-"""Numbers that an element of the user's own may remember."""
+"""Number of state variables of a user-defined element."""
 LAW_VALUES_MAX: Final[int] = lib.RTHYB_LAW_VALUES_MAX
 
 
 class Own:
-    """What numerical parts, control laws and elements in Python have in common."""
+    """Base class of numerical parts, control laws and elements written in Python."""
 
     what: ClassVar[str] = "a class"
     _made_of_own: ClassVar[bool] = True
     _given: dict[str, Any]
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
-        """Note what it is made with, by which it is made again in another process."""
+        """Remember the arguments, with which another process can create the object again."""
         made = super().__new__(cls)
         if cls.__init__ is object.__init__ and (args or kwargs):
             raise TypeError(f"{cls.__name__}() takes no arguments")
@@ -57,10 +58,11 @@ class Own:
 class NumericalPart(Own):
     """A numerical part in Python: a class with ``answer``, and whatever else it needs.
 
-    It is at rest at 0 in the beginning. SI units.
+    It starts at rest at zero displacement. All quantities are in SI units.
 
     Attributes:
-        responses: what `report` gives, unit by name: channels of the recording.
+        responses: names and units of the values that `report` returns; each becomes a channel of
+            the recording.
 
     Examples:
         >>> class Oscillator(NumericalPart):
@@ -80,20 +82,20 @@ class NumericalPart(Own):
     responses: ClassVar[Mapping[str, str]] = {}
 
     def begin(self, period_s: float, k_e_n_per_m: float) -> None:
-        """Begin at rest at 0: period of a sample, elastic stiffness of the specimen."""
+        """Start at rest at zero, with the sampling period and the specimen's elastic stiffness."""
 
     def answer(self, ag_mps2: float, force_n: float) -> float:
-        """Return the displacement of t[n+1], m, from ground acceleration and force of t[n]."""
+        """Return the displacement at t[n+1], m, from ground acceleration and force at t[n]."""
         raise NotImplementedError(f"{type(self).__name__} has no method answer(ag_mps2, force_n)")
 
     def advance(self) -> None:
-        """Do the rest of the step, once the command has left."""
+        """Do the rest of the step after the command has been sent."""
 
     def freeze(self, force_n: float) -> None:
-        """Let a tick pass in which a ramp or a hold moves the actuator: time stands still."""
+        """Handle a tick in which a ramp or a hold controls the actuator: the part's time stops."""
 
     def report(self) -> Sequence[float]:
-        """Return the values of ``responses``, between answer and advance."""
+        """Return the values of ``responses``; called between `answer` and `advance`."""
         return ()
 
 
@@ -101,10 +103,10 @@ class ControlLaw(Own):
     """A control law in Python: a class with ``lead``, and whatever else it needs. SI units.
 
     Attributes:
-        values: what it reports at every sample, unit by name, each an attribute of that name;
-            ``alpha`` and ``beta``, in samples and samples squared, have their places in every
-            recording, the others are channels.
-        uses_rest_noise: it must know the noise at rest.
+        values: names and units of the values that it reports at every sample, each an attribute of
+            that name. ``alpha`` and ``beta``, in samples and samples squared, have fields of their
+            own in every recording; the others become channels.
+        uses_rest_noise: whether it needs the noise at rest.
 
     Examples:
         >>> class Slope(ControlLaw):
@@ -124,16 +126,18 @@ class ControlLaw(Own):
     uses_rest_noise: ClassVar[bool] = False
 
     def begin(self, period_s: float, x0_m: float, rest_noise_m: float) -> None:
-        """Begin where command and specimen stand: period of a sample, place, noise at rest."""
+        """Start at rest at ``x0_m``, with the sampling period and the noise at rest."""
 
     def rest(self, x_m: float) -> None:
-        """Stand at a place: what has been learnt stays, leading that place gives it back."""
+        """Come to rest at a displacement: `lead` then returns it; what was learnt is kept."""
 
     def observe(self, x_p_m: float, x_m_m: float, frozen: bool) -> None:
-        """Take in the command that the drive had and the reading; frozen: learn nothing."""
+        """Process the drive's command and the reading; if frozen, learn nothing from them."""
 
     def lead(self, x_c_m: float, allowed_m: float) -> float:
-        """Return x_p for x_c, m; what was learnt since the last call moves it by no more."""
+        """Return x_p for x_c, m; what was learnt since the last call may change it by at most
+        ``allowed_m``.
+        """
         raise NotImplementedError(f"{type(self).__name__} has no method lead(x_c_m, allowed_m)")
 
 
@@ -158,9 +162,9 @@ class Element(Own):
 
         Args:
             x_m, v_m_per_s, a_m_per_s2: motion of the specimen.
-            dt_s: time since the last call; 0: the same moment again.
-            state: 15 numbers, 0 in the beginning, that are yours to change: what the element
-                remembers must be there, since one object serves every specimen that it is part of.
+            dt_s: time since the last call; 0: the same instant again.
+            state: 15 numbers, initially 0, which the method may change. All memory of the element
+                must be kept here, because one object serves every specimen that contains it.
         """
         raise NotImplementedError(f"{type(self).__name__} has no method force(...)")
 
@@ -172,7 +176,7 @@ _Kind = TypeVar("_Kind", bound=Own)
 
 @dataclass(frozen=True)
 class OwnClass:
-    """A class of the user's own with the arguments that it is made with.
+    """A user-defined class and the arguments with which it is created.
 
     ``name`` is ``module:Class``.
     """
@@ -184,7 +188,7 @@ class OwnClass:
         """Return the class.
 
         Raises:
-            CoreError: it cannot be imported, or is no such thing.
+            CoreError: it cannot be imported, or is not a class of the requested kind.
         """
         module_name, _, inner = self.name.partition(":")
         try:
@@ -219,7 +223,7 @@ class OwnClass:
         """Return a new object of it.
 
         Raises:
-            CoreError: it cannot be imported, or is no such thing.
+            CoreError: it cannot be imported, or is not a class of the requested kind.
             OwnCodeError: it raised an error.
         """
         own, given = self.found(kind), {name: _listed(value) for name, value in self.settings}
@@ -229,13 +233,13 @@ class OwnClass:
             raise OwnCodeError(error, f"creating {self.name}") from error
 
     def plain(self) -> dict[str, Any]:
-        """Return name and settings as a file has them."""
+        """Return name and settings in the form in which a file stores them."""
         settings = {name: _listed(value) for name, value in self.settings}
         return {"class": self.name, "settings": settings}
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> OwnClass:
-        """Return what `plain` has written down."""
+        """Return the object that `plain` described."""
         settings = dict(plain.get("settings") or {})
         return cls(plain["class"], tuple((name, _frozen(v)) for name, v in settings.items()))
 
@@ -249,10 +253,11 @@ def _frozen(value: Any) -> Any:
 
 
 def spelled(made: Own) -> OwnClass:
-    """Return name and settings of an object, by which it is made again.
+    """Return name and settings of an object, from which it can be created again.
 
     Raises:
-        CoreError: its class is inside a function, or was made with what no file can hold.
+        CoreError: its class is defined inside a function, or an argument cannot be stored in a
+            file.
     """
     kind = type(made)
     if "<" in kind.__qualname__:
@@ -289,7 +294,7 @@ class PythonPartConfig:
 
     @property
     def responses(self) -> tuple[Recorded, ...]:
-        """What is recorded of it.
+        """The responses that are recorded.
 
         Raises:
             CoreError: it cannot be imported.
@@ -298,7 +303,7 @@ class PythonPartConfig:
         return tuple(Recorded(name, unit) for name, unit in kind.responses.items())
 
     def struct(self) -> list[Any]:
-        """Return the ``rthyb_library_config`` of the C core, and what must live as long.
+        """Return the ``rthyb_library_config`` of the C core, and the objects that must outlive it.
 
         Raises:
             CoreError: it cannot be imported, or names too many responses.
@@ -317,14 +322,14 @@ class PythonPartConfig:
         return [cfg, kept, calls]
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it as plain values, for a recording: `of_plain` takes them back."""
+        """Return everything as plain values for a recording; `of_plain` restores it."""
         own = self.own.plain()
         return {"kind": self.kind, **own, "k_e_n_per_m": self.k_e_n_per_m,
                 "period_s": self.period_s}  # fmt: skip
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> PythonPartConfig:
-        """Return the settings that `plain` has written down; raises ``KeyError`` and its like."""
+        """Return the settings that `plain` described; raises ``KeyError`` or similar."""
         return cls(OwnClass.of_plain(plain), plain["k_e_n_per_m"], plain["period_s"])
 
 
@@ -332,7 +337,7 @@ _PART_CALLS: Final = dict(ffi.typeof("rthyb_part_calls").fields)
 
 
 def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any]:
-    """Return the functions that C calls; each ``init`` begins with a new object."""
+    """Return the functions that C calls; each ``init`` creates a new object."""
     at: dict[str, NumericalPart] = {}
 
     def init(_state: Any, _setup: Any) -> int:
@@ -381,10 +386,10 @@ def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any
 
 
 def law_of(own: OwnClass) -> Law:
-    """Return what a control law of the user's own says of itself, as those of the core do.
+    """Return the description of a user-defined control law, like those of the core.
 
     Raises:
-        CoreError: it cannot be imported, or reports too much.
+        CoreError: it cannot be imported, or reports too many values.
     """
     kind = own.found(ControlLaw)
     if len(kind.values) > LAW_VALUES_MAX:
@@ -412,8 +417,8 @@ def control_law(own: OwnClass) -> Any:
     """Return the ``rthyb_control_law`` of the C core, which lives as long as the program.
 
     Raises:
-        CoreError: it cannot be imported, or reports too much.
-        OwnCodeError: it raises an error when it is made.
+        CoreError: it cannot be imported, or reports too many values.
+        OwnCodeError: it raises an error when it is created.
     """
     own.made(ControlLaw)
     kind: Any = own.found(ControlLaw)
@@ -422,7 +427,7 @@ def control_law(own: OwnClass) -> Any:
 
 @functools.cache
 def _control_law(own: OwnClass, kind: Any) -> tuple[Any, ...]:
-    """Of a class; one that was defined anew under its name is another."""
+    """Return it for a class; a class redefined under the same name is a different one."""
     law, struct = law_of(own), ffi.new("rthyb_control_law *")
     texts = [ffi.new("char[]", text.encode()) for v in law.values for text in (v.name, v.unit)]
     names = [value.name for value in law.values]
@@ -441,9 +446,9 @@ def _control_law(own: OwnClass, kind: Any) -> tuple[Any, ...]:
 
 
 def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
-    """Return the functions that C calls; each ``init`` begins with a new object.
+    """Return the functions that C calls; each ``init`` creates a new object.
 
-    The state in C is the object's number, then what it reports.
+    The state in C consists of the object's number and the values that it reports.
     """
     at: dict[float, ControlLaw] = {}
     numbers = itertools.count(1)
@@ -458,7 +463,7 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
         law.begin(start.period_s, start.x0_m, start.rest_noise_m)
         place = ffi.cast("double *", state)
         place[0], at[number] = number, law
-        # Those that nobody asks any more are the oldest.
+        # Objects that are no longer in use are the oldest.
         at.pop(number - 64.0, None)
         return told(place, law)
 
@@ -501,7 +506,7 @@ def own_force(own: OwnClass) -> Any:
 
     Raises:
         CoreError: it cannot be imported.
-        OwnCodeError: it raises an error when it is made.
+        OwnCodeError: it raises an error when it is created.
     """
     kind: Any = own.found(Element)
     return _own_force(own, kind)

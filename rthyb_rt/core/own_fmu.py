@@ -1,6 +1,6 @@
 """A numerical part in an FMU for co-simulation, FMI 2.0 or 3.0 (``csrc/numerical_fmu.c`` steps it).
 
-The description is read here, by the standard's own names; no other package is needed.
+The model description is read here by its XML element names, without any other package.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ _FUNCTIONS: Final[dict[int, dict[str, str]]] = {
     },
 }
 MOST_BYTES: Final = 500 * 10**6
-"""Of the files in an FMU, unpacked."""
+"""Maximum size of the files in an FMU when unpacked."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of an FMU: its reference, causality, whether it is one real number, and unit."""
+    """A variable of an FMU: reference, causality, whether it is a single real number, unit."""
 
     reference: int
     causality: str
@@ -94,7 +94,7 @@ class Fmu:
         """Return the reference of a variable.
 
         Raises:
-            CoreError: there is none of that name, or it is no such thing.
+            CoreError: no variable has that name, or it is not of an allowed causality.
         """
         found = self.variables.get(name)
         fitting = [n for n, v in self.variables.items() if v.causality in causalities and v.real]
@@ -124,10 +124,10 @@ def unpacked(path: str, sha256: str) -> Fmu:
 
     Args:
         path: of the FMU.
-        sha256: of the file, so that another one in its place is read anew.
+        sha256: of the file, so that another file of the same path is read again.
 
     Raises:
-        CoreError: it is none, or none that can be run here; says why.
+        CoreError: it is not an FMU, or not one that can run here; the message says why.
     """
     folder = Path(tempfile.mkdtemp(prefix="rthyb-fmu-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
@@ -201,8 +201,8 @@ def _variables(tree: ElementTree.Element) -> dict[str, Variable]:
 class FmuConfig:
     """Settings of a numerical part in an FMU, by the names of its variables.
 
-    ``parameters`` are start values by name; ``record`` names what is recorded besides;
-    ``sha256`` of the file that is meant, "" for whatever is there.
+    ``parameters`` are start values by name; ``record`` lists further variables to record;
+    ``sha256`` is that of the required file, "" to accept any file.
     """
 
     path: str
@@ -223,7 +223,7 @@ class FmuConfig:
         """The FMU.
 
         Raises:
-            CoreError: it cannot be had, or is another than the one that is meant.
+            CoreError: it cannot be read, or is not the required file.
         """
         if not Path(self.path).is_file():
             raise CoreError(f"{self.path} does not exist; export it first, or correct the path")
@@ -233,10 +233,10 @@ class FmuConfig:
 
     @property
     def responses(self) -> tuple[Recorded, ...]:
-        """What is recorded of it.
+        """The variables that are recorded.
 
         Raises:
-            CoreError: it has no such variable, or two would have one name.
+            CoreError: it has no such variable, or two would have the same name.
         """
         found, fmu = [], self.fmu
         for name in self.record:
@@ -249,10 +249,10 @@ class FmuConfig:
         return tuple(found)
 
     def struct(self) -> list[Any]:
-        """Return the ``rthyb_library_config`` of the C core, and what must live as long.
+        """Return the ``rthyb_library_config`` of the C core, and the objects that must outlive it.
 
         Raises:
-            CoreError: it cannot be had, or lacks a variable or a function.
+            CoreError: it cannot be read, or lacks a variable or a function.
         """
         fmu, cfg, own = self.fmu, ffi.new("rthyb_library_config *"), ffi.new("rthyb_fmu *")
         names = [name for name, _ in self.parameters]
@@ -298,7 +298,7 @@ class FmuConfig:
         cfg.calls.report = lib.rthyb_fmu_report
 
     def complaint(self) -> str:
-        """Return what it says when it is set up here; "" where it says nothing."""
+        """Return the message with which it rejects its settings, "" if it accepts them."""
         cfg, *kept = self.struct()
         own = ffi.cast("rthyb_fmu *", cfg.instance)
         lib.rthyb_fmu_init(own, ffi.addressof(cfg, "setup"))
@@ -307,7 +307,7 @@ class FmuConfig:
         return said
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it as plain values, for a recording: `of_plain` takes them back."""
+        """Return everything as plain values for a recording; `of_plain` restores it."""
         return {
             "kind": self.kind, "path": self.path, "k_e_n_per_m": self.k_e_n_per_m,
             "force": self.force, "displacement": self.displacement,
@@ -318,7 +318,7 @@ class FmuConfig:
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> FmuConfig:
-        """Return the settings that `plain` has written down; raises ``KeyError`` and its like."""
+        """Return the settings that `plain` described; raises ``KeyError`` or similar."""
         given = {key: value for key, value in plain.items() if key != "kind"}
         given["parameters"] = tuple(dict(given["parameters"]).items())
         return cls(**given | {"record": tuple(given["record"])})

@@ -1,7 +1,8 @@
-"""A numerical part of the user's own in a shared library (``csrc/rthyb_library.h``), and its trial.
+"""A user-defined numerical part in a shared library (``csrc/rthyb_library.h``), and its trial.
 
-What a library says of itself is asked for when it is loaded; what it may not do in real time is
-found out by a trial in a process of its own, so that a fault in it does not end this one.
+A library is asked for its description when it is loaded. Whether it does anything that is not
+allowed in real time is found by a trial in a separate process, so that a crash does not end this
+one.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ Values = tuple[tuple[str, float], ...]
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a part reports: a channel of the recording."""
+    """A value that a part reports: a channel of the recording."""
 
     name: str
     unit: str
@@ -49,10 +50,10 @@ class Library:
     Attributes:
         path: where it is.
         sha256: of the file.
-        functions: addresses by the functions' last names.
-        interfaces: forces that it takes and displacements that it gives.
-        parameters: names of what it can be told, in its own order.
-        responses: what it reports.
+        functions: address of each function, by its name without the prefix.
+        interfaces: number of forces that it receives and of displacements that it returns.
+        parameters: names of its parameters, in its own order.
+        responses: the values that it reports.
     """
 
     path: str
@@ -63,7 +64,7 @@ class Library:
     responses: tuple[Recorded, ...]
 
     def call(self, name: str, ctype: str) -> Any:
-        """Return a function as C's pointer to it; NULL where the library leaves it out."""
+        """Return a C pointer to a function, NULL if the library does not have it."""
         return ffi.cast(ctype, self.functions.get(name, 0))
 
 
@@ -80,10 +81,10 @@ def hash_of(path: Path) -> str:
 
 
 def check_meant(path: str, found: str, meant: str, what: str) -> None:
-    """Compare the SHA-256 of a file with that of the one that is meant; "" for whatever is there.
+    """Compare the SHA-256 of a file with that of the required file; "" accepts any file.
 
     Raises:
-        CoreError: it is another file.
+        CoreError: it is a different file.
     """
     if meant and found != meant:
         raise CoreError(
@@ -96,7 +97,7 @@ def opened(path: Path) -> ctypes.CDLL:
     """Load a shared library.
 
     Raises:
-        CoreError: it is none for this machine, or needs what is not here.
+        CoreError: it is not a library for this machine, or a library that it needs is missing.
     """
     if not path.is_file():
         raise CoreError(f"{path} does not exist; build it first, or correct the path")
@@ -111,7 +112,7 @@ def opened(path: Path) -> ctypes.CDLL:
 
 
 def address(library: ctypes.CDLL, name: str) -> int:
-    """Return the address of a function, 0 where there is none of that name."""
+    """Return the address of a function, 0 if there is none of that name."""
     try:
         return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
     except AttributeError:
@@ -122,10 +123,10 @@ _LOADED: dict[str, Library] = {}
 
 
 def load(path: str) -> Library:
-    """Load a library that has a numerical part in it; again, and it is the one of before.
+    """Load a library that contains a numerical part; a second call returns the same object.
 
     Raises:
-        CoreError: with what it lacks, and what it must have.
+        CoreError: stating what it lacks and what it must have.
     """
     place = Path(path).resolve()
     known = _LOADED.get(str(place))
@@ -177,7 +178,7 @@ def _check_functions(library: ctypes.CDLL, path: Path, functions: Mapping[str, i
 
 
 def _names(path: Path, found: Mapping[str, int]) -> tuple[tuple[str, ...], tuple[Recorded, ...]]:
-    """Return what a library calls its parameters and its responses."""
+    """Return the names of a library's parameters, and its responses."""
     if "names" not in found:
         return (), ()
     ask = ffi.cast("void(*)(int32_t, char *)", found["names"])
@@ -216,8 +217,8 @@ def _names(path: Path, found: Mapping[str, int]) -> tuple[tuple[str, ...], tuple
 class LibraryConfig:
     """Settings of a numerical part in a shared library.
 
-    ``parameters`` by name, all that the library asks for; ``sha256`` of the file that is meant, ""
-    for whatever is there.
+    ``parameters`` are given by name, all that the library requires; ``sha256`` is that of the
+    required file, "" to accept any file.
     """
 
     path: str
@@ -234,7 +235,7 @@ class LibraryConfig:
         """The library.
 
         Raises:
-            CoreError: it cannot be had, or is another than the one that is meant.
+            CoreError: it cannot be loaded, or is not the required file.
         """
         found = load(self.path)
         check_meant(self.path, found.sha256, self.sha256, self.what)
@@ -242,23 +243,23 @@ class LibraryConfig:
 
     @property
     def responses(self) -> tuple[Recorded, ...]:
-        """What is recorded of it."""
+        """The responses that are recorded."""
         return self.library.responses
 
     def values(self) -> list[float]:
         """Return its parameters in its own order.
 
         Raises:
-            CoreError: one is missing, or there is none of that name.
+            CoreError: one is missing, or unknown to the library.
         """
         given, names = dict(self.parameters), self.library.parameters
         return ordered(given, names, Path(self.path).name)
 
     def struct(self) -> list[Any]:
-        """Return the ``rthyb_library_config`` of the C core, and what must live as long.
+        """Return the ``rthyb_library_config`` of the C core, and the objects that must outlive it.
 
         Raises:
-            CoreError: the library cannot be had, or a parameter is missing.
+            CoreError: the library cannot be loaded, or a parameter is missing.
         """
         library, cfg = self.library, ffi.new("rthyb_library_config *")
         kept = fill_setup(cfg.setup, self.values(), self.k_e_n_per_m, self.period_s)
@@ -276,7 +277,7 @@ class LibraryConfig:
         return [cfg, kept]
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it as plain values, for a recording: `of_plain` takes them back."""
+        """Return everything as plain values for a recording; `of_plain` restores it."""
         return {
             "kind": self.kind, "path": self.path, "k_e_n_per_m": self.k_e_n_per_m,
             "parameters": dict(self.parameters), "period_s": self.period_s,
@@ -285,16 +286,16 @@ class LibraryConfig:
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> LibraryConfig:
-        """Return the settings that `plain` has written down; raises ``KeyError`` and its like."""
+        """Return the settings that `plain` described; raises ``KeyError`` or similar."""
         given = {key: value for key, value in plain.items() if key != "kind"}
         return cls(**given | {"parameters": tuple(dict(given["parameters"]).items())})
 
 
 def ordered(given: Mapping[str, float], names: tuple[str, ...], of: str) -> list[float]:
-    """Return parameters in their own order.
+    """Return the values of parameters in the library's order.
 
     Raises:
-        CoreError: one is missing, or there is none of that name.
+        CoreError: one is missing, or unknown to the library.
     """
     unknown = [name for name in given if name not in names]
     takes = f"it takes {', '.join(names)}" if names else "it takes none"
@@ -307,7 +308,7 @@ def ordered(given: Mapping[str, float], names: tuple[str, ...], of: str) -> list
 
 
 def fill_setup(setup: Any, values: list[float], k_e_n_per_m: float, period_s: float) -> list[Any]:
-    """Fill a ``rthyb_part_setup``; return what must live as long."""
+    """Fill a ``rthyb_part_setup``; return the objects that must outlive it."""
     kept = [ffi.new("double[]", values or [0.0])]
     kept.append(ffi.new("double[]", [k_e_n_per_m] * lib.RTHYB_INTERFACES_MAX))
     setup.period_s, setup.parameter, setup.k_e_n_per_m = period_s, *kept
@@ -317,11 +318,11 @@ def fill_setup(setup: Any, values: list[float], k_e_n_per_m: float, period_s: fl
 # ---- the trial ----------------------------------------------------------------------------------
 
 TRIAL_S: Final = 20.0
-"""What a trial may take."""
+"""Time after which a trial is ended."""
 TRIAL_STEPS: Final = 512
-"""By the clock, and as many under watch, of a trial for real time."""
+"""Timed steps of a trial for real time; the same number is run under supervision."""
 FEW_STEPS: Final = 16
-"""The same where only a crash and a step without an end matter."""
+"""The same in virtual time, where only a crash or an endless step matters."""
 _STAGES: Final = {
     lib.RTHYB_TRIAL_IN_INIT: "while it was set up",
     lib.RTHYB_TRIAL_IN_STEPS: "in a step",
@@ -331,16 +332,16 @@ _STAGES: Final = {
 
 @dataclass(frozen=True)
 class Trial:
-    """What a trial of a part has found; times on this computer, s.
+    """Result of the trial of a part; times on this computer, s.
 
     Attributes:
         step_s, worst_s: median and largest time of a step.
         answer_s: median time between force and displacement.
-        allocations: calls of the allocator in the watched steps.
-        system_call: number of one that a step made; None: none.
-        watched: this system can forbid calls.
-        steps: so many by the clock, and as many under watch.
-        ill: some displacement was not finite, implausible, or not given.
+        allocations: calls of the allocator in the supervised steps.
+        system_call: number of a system call that a step made; None if it made none.
+        watched: whether this system can forbid system calls.
+        steps: number of timed steps; the same number is run under supervision.
+        ill: whether a displacement was not finite, implausible or missing.
     """
 
     step_s: float
@@ -354,7 +355,7 @@ class Trial:
 
 
 def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_STEPS) -> Trial:
-    """Try a ``rthyb_numerical`` out; arguments and errors as for `tried`."""
+    """Run the trial of a ``rthyb_numerical``; arguments and errors as for `tried`."""
     found = ffi.new("rthyb_trial *")
     lib.rthyb_part_try(part, period_s, k_e_n_per_m, steps, TRIAL_S, found)
     where = _STAGES.get(found.stage, "")
@@ -386,14 +387,14 @@ def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_
 
 
 def tried(part: Any, steps: int = TRIAL_STEPS) -> Trial:
-    """Try a part out at an elastic specimen, in a process of its own.
+    """Run a part with an elastic specimen in a separate process, as a trial.
 
     Args:
-        part: its settings, of a library or an FMU.
-        steps: by the clock, and as many under watch.
+        part: settings of a library or an FMU.
+        steps: number of timed steps; the same number is run under supervision.
 
     Raises:
-        CoreError: it refuses its settings, crashes, or does not come back; or it cannot be had.
+        CoreError: it rejects its settings, crashes or does not return; or it cannot be loaded.
     """
     slot = ffi.new("rthyb_numerical *")
     kept = fill_part(slot, part)

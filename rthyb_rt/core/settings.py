@@ -51,10 +51,10 @@ EXTRAS_MAX: Final[int] = lib.RTHYB_EXTRAS_MAX
 
 @dataclass(frozen=True)
 class EstimatorConfig:
-    """Settings of the delay estimator (Eqn 2.6-2.11 and its sturdier relatives).
+    """Settings of the delay estimator (Eqn 2.6-2.11 and more robust variants).
 
     ``gain`` is per reference_m squared per sample for the law ``gradient``, per sample for
-    ``robust``; ``memory_samples`` belongs to ``rls``.
+    ``robust``; ``memory_samples`` is used by ``rls`` only.
     """
 
     law: EstimatorLaw = "fixed"
@@ -74,11 +74,11 @@ class EstimatorConfig:
 
 @dataclass(frozen=True)
 class LawConfig:
-    """A control law by its name, with the settings that are not its table's defaults.
+    """A control law by name, with the settings that differ from its defaults.
 
-    ``settings`` is by the keys of `rthyb_rt.core.laws`; ``adapts`` False: what it would learn stays
-    as it begins. ``rest_noise_m``: standard deviation of x_m at rest. ``own``: a class in Python
-    instead, of which the name is "python".
+    ``settings`` has the keys of `rthyb_rt.core.laws`. With ``adapts`` False, the law does not learn
+    and keeps its initial values. ``rest_noise_m``: standard deviation of x_m at rest. ``own``: a
+    class in Python instead; ``name`` is then "python".
     """
 
     name: str = "none"
@@ -89,7 +89,7 @@ class LawConfig:
 
     @property
     def law(self) -> Law:
-        """What the law says of itself.
+        """Description of the law.
 
         Raises:
             CoreError: there is no such law.
@@ -131,8 +131,8 @@ class LawConfig:
 class RfcConfig:
     """Settings of the restoring-force compensator (Eqn 3.1-3.3); ``window`` is T0 in samples.
 
-    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``lateness_s`` the delay of the
-    force behind x_m that the equation of motion uses.
+    ``cutoff_hz`` is the cut-off of the low-pass filter on x_c - x_m, 0 for none; ``lateness_s``
+    the delay of the force behind x_m.
     """
 
     k_e_n_per_m: float
@@ -169,9 +169,9 @@ class DenseConfig:
     """Settings of a numerical part of n degrees of freedom, ``M a + C v + K x + e f = -load ag``.
 
     ``mass_kg``, ``damping_n_s_per_m`` and ``stiffness_n_per_m`` (n, n) are the part's own,
-    symmetric; ``load_kg`` (n,). e is 1 at the interface, number ``at`` from 0. What is known of the
-    specimen goes into the coefficients of CR alone. ``force_delay``: samples by which the force is
-    used late, 0 or 1.
+    symmetric; ``load_kg`` (n,). e is 1 at the interface, degree of freedom ``at``, counted from 0.
+    The known properties of the specimen affect only the coefficients of CR. ``force_delay``:
+    samples by which the force is used late, 0 or 1.
     """
 
     integrator: DenseIntegrator
@@ -190,7 +190,7 @@ class DenseConfig:
         """Return the ``rthyb_dense_config`` of the C core.
 
         Raises:
-            CoreError: the matrices are not square, not of one size, or too large.
+            CoreError: the matrices are not square, differ in size, or are too large.
         """
         n = len(self.load_kg)
         names = ("mass_kg", "damping_n_s_per_m", "stiffness_n_per_m")
@@ -208,7 +208,7 @@ class DenseConfig:
 
 @dataclass(frozen=True)
 class ServoConfig:
-    """Settings of a virtual actuator; which of them count depends on ``kind``."""
+    """Settings of a virtual actuator; ``kind`` determines which of them are used."""
 
     kind: ServoKind
     hold: Hold = "zoh"
@@ -243,7 +243,7 @@ class ServoConfig:
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Errors of one sensor, in its own unit; 0 switches ``lsb`` and ``range`` off."""
+    """Errors of one sensor, in its own unit; for ``lsb`` and ``range``, 0 means off."""
 
     noise_std: float = 0.0
     lsb: float = 0.0
@@ -255,7 +255,7 @@ class SensorConfig:
 class ElementConfig:
     """One element of the catalogue: its kind and its parameters in the core's order.
 
-    ``own``: a class in Python instead, of the kind "python".
+    ``own``: a class in Python instead; ``kind`` is then "python".
     """
 
     kind: str
@@ -265,9 +265,10 @@ class ElementConfig:
 
 @dataclass(frozen=True)
 class ExtraSensorConfig:
-    """A sensor of the virtual rig beside those of displacement and force.
+    """A further sensor of the virtual rig, in addition to those of displacement and force.
 
-    It reads ``gain`` times what it measures, with the errors of ``sensor``, in the channel's unit.
+    It reads ``gain`` times the measured quantity, with the errors of ``sensor``, in the channel's
+    unit.
     """
 
     kind: ExtraKind = "none"
@@ -290,13 +291,13 @@ class RigConfig:
 
 @dataclass(frozen=True)
 class ControllerConfig:
-    """All that one sample of the controller needs to know.
+    """Settings of the controller, as needed for one sample.
 
-    ``numerical`` takes the place of ``motion``, unless that is prescribed. Without ``axes`` there
-    is one, of which law, ranges and limits are; with them these are what an axis has that says
-    nothing else, and ``rfc`` likewise of ``interfaces``, as many as axes. ``kinematics`` stands
-    between them, None: axis i is interface i. ``matrix_lead`` takes the place of the laws,
-    ``matrix_rfc`` that of ``rfc``.
+    ``numerical`` replaces ``motion``, unless the motion is prescribed. Without ``axes`` there is
+    one axis, to which law, ranges and limits belong; with ``axes`` these are the defaults of every
+    axis, and ``rfc`` is that of every one of the ``interfaces``, whose number equals that of the
+    axes. ``kinematics`` relates the two; None: axis i is interface i. ``matrix_lead`` replaces the
+    laws, ``matrix_rfc`` replaces ``rfc``.
     """
 
     law: LawConfig
@@ -318,12 +319,12 @@ class ControllerConfig:
 
     @property
     def axis_count(self) -> int:
-        """How many axes."""
+        """Number of axes."""
         return len(self.axes) or 1
 
     @property
     def interface_count(self) -> int:
-        """How many directions numerical part and axes meet in."""
+        """Number of directions in which numerical part and axes are connected."""
         return len(self.interfaces) or 1
 
 
@@ -398,7 +399,7 @@ _ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in 
 def element(kind: str, /, **params: float) -> ElementConfig:
     """Return an element of the catalogue from its parameters by name.
 
-    Raises ``CoreError`` for an unknown kind, a missing or a surplus parameter.
+    Raises ``CoreError`` for an unknown kind, or a missing or unknown parameter.
     """
     names = ELEMENT_PARAMS.get(kind)
     if names is None:
@@ -426,7 +427,7 @@ def mapping(config: Any) -> dict[str, Any]:
 
 
 def fill_part(slot: Any, config: DenseConfig | SparseConfig | OwnPartConfig | None) -> list[Any]:
-    """Have a controller compute with a numerical part of its own; return what must stay alive."""
+    """Give a controller its numerical part; return the objects that must be kept alive."""
     if config is None:
         return []
     if isinstance(config, DenseConfig):
@@ -448,7 +449,7 @@ def struct_of(ctype: str, config: Any) -> Any:
 
 
 def new_struct(ctype: str, plain: Mapping[str, Any], config: Any) -> Any:
-    """Return a struct of plain values; ``config``: what they were said by."""
+    """Return a struct with plain values; ``config`` is their source, for error messages."""
     try:
         return ffi.new(f"{ctype} *", plain)
     except OverflowError as error:

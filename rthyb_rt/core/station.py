@@ -69,12 +69,13 @@ class StationConfig:
     force (N), tracking (m), indicator (m^2/s), energy (J), sensor_stuck and force_stuck (ticks),
     sensor_jump (m), force_jump (N), rig_position (m) and rig_force (N) before tare, lost_pairs,
     lost_warning, skips and skip_warning (share of the last second's ticks).
-    ``tare_most_m``, ``tare_most_n``: ZERO refuses a larger tare; 0 takes any.
-    ``brake_acceleration_m_per_s2``: of HOLD, and where RAMP_OUT begins; 0: as of paths. ``stay``:
-    RAMP_OUT ends where it comes to rest, and not at 0. ``law_channel``,
-    ``law_channel_count``: which of a row's channels are what the first axis' control law reports
-    beside alpha and beta; ``part_channel``, ``part_channel_count`` those of the numerical part's
-    responses, ``axis_channel``, ``axis_channel_count`` the `axis_channels`.
+    ``tare_most_m``, ``tare_most_n``: ZERO refuses a larger tare; 0 accepts any.
+    ``brake_acceleration_m_per_s2``: deceleration of HOLD and at the beginning of RAMP_OUT; 0: that
+    of paths. ``stay``: RAMP_OUT ends where it comes to rest instead of at 0. ``law_channel``,
+    ``law_channel_count``: first channel and number of channels of a row for the values that the
+    first axis' control law reports in addition to alpha and beta; ``part_channel``,
+    ``part_channel_count`` for the numerical part's responses; ``axis_channel``,
+    ``axis_channel_count`` for the `axis_channels`.
     """
 
     controller: ControllerConfig
@@ -102,7 +103,7 @@ class StationConfig:
         return 1.0 / self.controller.period_s
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it as plain values, for a recording: `of` takes them back."""
+        """Return everything as plain values for a recording; `of` restores it."""
         part, law = self.controller.numerical, self.controller.law.own
         own = bare(self.controller)
         plain = dataclasses.asdict(replace(self, controller=replace(own, numerical=None)))
@@ -122,7 +123,7 @@ class StationConfig:
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> StationConfig:
-        """Return the settings that `plain` has written down.
+        """Return the settings that `plain` described.
 
         Raises:
             CoreError: they are not those of this version.
@@ -148,9 +149,9 @@ class StationConfig:
 
 
 def _law_of_estimator(controller: dict[str, Any]) -> dict[str, Any]:
-    """Return what took the place of estimator and phase lead in a controller's plain settings.
+    """Return the control law that replaces estimator and phase lead in a controller's settings.
 
-    Recordings have them so that were made when there was no other law. They are taken out here.
+    Old recordings, made when there was no other law, have these two keys. They are removed here.
     """
     old, enabled = controller.pop("estimator"), controller.pop("plc_enabled")
     name, own = {
@@ -179,7 +180,7 @@ def _law_of_estimator(controller: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Between the numbers on the wire and the structure's own; as it stands it changes nothing.
+    """Conversion between numbers on the wire and those of the structure; the default is identity.
 
     x = ``x_gain`` wire + ``x_offset_m``, f = ``f_gain`` wire + ``f_offset_n``, and the command goes
     out as ``cmd_gain`` x + ``cmd_offset_m``.
@@ -196,7 +197,7 @@ class Calibration:
         """Return the ``rthyb_calibration`` of the C core.
 
         Raises:
-            CoreError: a gain is 0, not finite or senseless, or an offset is.
+            CoreError: a gain is 0, or a gain or an offset is not finite or implausible.
         """
         struct = struct_of("rthyb_calibration", self)
         if lib.rthyb_calibration_check(struct):
@@ -213,7 +214,7 @@ IDENTITY: Final = Calibration()
 
 @dataclass(frozen=True)
 class AxisReading:
-    """What a tick is told of one axis: its newest pair, before tare, or that there is none."""
+    """Input of one axis for a tick: its newest pair, before tare, or that there is none."""
 
     x_m: float = 0.0
     f_n: float = 0.0
@@ -236,7 +237,7 @@ class AxisReading:
 
 @dataclass(frozen=True)
 class StationTick:
-    """What one tick of the station came to; ``x_cmd_m`` is the first of ``commands_m``."""
+    """Result of one tick of the station; ``x_cmd_m`` is the first of ``commands_m``."""
 
     x_cmd_m: float
     sent: bool
@@ -269,7 +270,7 @@ def _numerical(plain: Mapping[str, Any]) -> DenseConfig | SparseConfig | OwnPart
 
 @dataclass(frozen=True)
 class AxisParameters:
-    """What may be changed of one of several axes, and of the interface of that number.
+    """Parameters of one of several axes, and of the interface with the same number.
 
     ``watches`` of the axis, `AXIS_WATCHES`; ``interface_watches`` as in ``InterfaceConfig``.
     """
@@ -292,13 +293,14 @@ class AxisParameters:
 
 @dataclass(frozen=True)
 class Parameters:
-    """What may be changed while a test runs; always a whole set.
+    """Parameters that may be changed while a test runs, always as a complete set.
 
-    ``watches`` as in :class:`StationConfig`, and what it does not name is not watched; limits of
-    the command with 0 for off; path limits are for paths that begin from then on, and narrower ones
-    have the path that runs brake and begin anew; a brake of 0 is as hard as paths are. ``adapt``
-    False: what the control law has learnt stays as it is. ``axes``: of each of several axes; none:
-    the set is for all of them alike, and interfaces are not watched.
+    ``watches`` is as in :class:`StationConfig`; quantities that it does not name are not watched.
+    A limit of the command of 0 is off. Path limits apply to paths that begin later; if they are
+    tighter than before, the current path brakes and begins again. A brake of 0 uses the
+    acceleration of paths. With ``adapt`` False, the control law stops learning. ``axes`` has the
+    parameters of each of several axes; if it is empty, the set applies to all axes alike and
+    interfaces are not watched.
     """
 
     watches: Mapping[str, Watch] = field(default_factory=dict)
@@ -312,7 +314,7 @@ class Parameters:
 
     @classmethod
     def of(cls, config: StationConfig) -> Parameters:
-        """Return the set that a station begins with, generation 0."""
+        """Return the initial set of a station, generation 0."""
         controller = config.controller
         return cls(
             watches=config.watches,
@@ -329,7 +331,7 @@ class Parameters:
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> Parameters:
-        """Return the set that `dataclasses.asdict` has written down, as recordings hold it."""
+        """Return the set that `dataclasses.asdict` described, as recordings store it."""
         given = dict(plain) | {"watches": _watches(plain["watches"])}
         given["axes"] = tuple(
             AxisParameters(
@@ -344,7 +346,7 @@ class Parameters:
         """Return the ``rthyb_parameters`` of the C core.
 
         Raises:
-            CoreError: there is nothing to watch under a name.
+            CoreError: no watched quantity has a given name.
         """
         own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         own |= {"watch": watch_table(own.pop("watches")), "generation": generation}
@@ -399,12 +401,13 @@ class Station:
     ) -> StationTick:
         """Run one executed tick with the newest pair (before tare), or without one.
 
-        ``taken_over_m``: with the first sound reading, the command that the drive has already.
-        ``axes`` takes the place of all that is of one axis; ``apart``: the axis whose drive
-        counts its samples more than one apart from another's.
+        ``taken_over_m``: together with the first valid reading, the command that the drive already
+        has. ``axes`` replaces the arguments for a single axis; ``apart``: the axis whose drive's
+        sample count differs by more than one from another's.
 
         Raises:
-            CoreError: there are not as many readings as axes, or ``taken_over_m`` of some only.
+            CoreError: the number of readings is not that of the axes, or ``taken_over_m`` is given
+                for some axes only.
         """
         one = AxisReading(x_m, f_n, lost, link_down, drive_stopped, taken_over_m)
         given = tuple(axes) or (one,)
@@ -446,24 +449,24 @@ class Station:
         calibration: Calibration | Sequence[Calibration] = IDENTITY,
         parameters: Sequence[tuple[int, Parameters]] = (),
     ) -> RecordArray:
-        """Return the rows that this station, a fresh one, computes from recorded inputs.
+        """Return the rows that this station, which must be new, computes from recorded inputs.
 
-        With the station's settings and ground motion those of the recording, every byte is the same
-        again; the first row that differs, or is missing, is where the recording and the core part.
-        What clock and link added (times, echo, count, slips) is copied.
+        If the station has the settings and the ground motion of the recording, every byte is
+        reproduced; the first row that differs, or is missing, is where recording and core diverge.
+        Fields from clock and link (times, echo, count, slips) are copied.
 
         Args:
             rows: every row from the station's first tick on, (n,).
-            codec: of the link that sent the commands; None: no wire, they left as computed. One of
-                each axis, or of all.
+            codec: of the link that sent the commands; None: there was no wire, and commands were
+                used as computed. One for each axis, or one for all.
             calibration: of the loop, likewise.
             parameters: every set that was published, with its generation.
 
         Returns:
-            The rows, (n,); fewer where those given do not make whole ticks.
+            The rows, (n,); fewer if the given rows do not form complete ticks.
 
         Raises:
-            CoreError: the station has ticked already, or the rows are of other axes.
+            CoreError: the station has already run, or the rows are those of other axes.
         """
         if self.ticks:
             raise CoreError(
@@ -494,61 +497,61 @@ class Station:
 
     @property
     def state(self) -> str:
-        """Name of the present state."""
+        """Name of the current state."""
         return STATES[int(self._c.state)]
 
     @property
     def cause(self) -> str:
-        """First cause that took the test off its course, latched."""
+        """First cause that interrupted or ended the test, latched."""
         return CAUSES[int(self._c.cause)]
 
     @property
     def cause_tick(self) -> int:
-        """Tick in which that cause came up; without one it means nothing."""
+        """Tick in which that cause occurred; meaningless without a cause."""
         return int(self._c.cause_tick)
 
     @property
     def cause_axis(self) -> int | None:
-        """Which axis it belongs to; None: to none."""
+        """Axis to which it belongs, or None."""
         return None if self._c.cause_axis < 0 else int(self._c.cause_axis)
 
     @property
     def cause_interface(self) -> int | None:
-        """Which interface it belongs to; None: to none."""
+        """Interface to which it belongs, or None."""
         return None if self._c.cause_interface < 0 else int(self._c.cause_interface)
 
     @property
     def cause_value(self) -> float:
-        """What was met when that cause came up, in its watch's unit; 0 where it has no number."""
+        """Value that triggered that cause, in the unit of its watch; 0 if it has no value."""
         return float(self._c.cause_value)
 
     @property
     def cause_limit(self) -> float:
-        """What was allowed then, in the same unit; 0 where the cause has no number."""
+        """Limit at that time, in the same unit; 0 if the cause has no limit."""
         return float(self._c.cause_limit)
 
     @property
     def refusal(self) -> tuple[str, float, float]:
-        """Which watch refused the last command or tare, with what was met and what is allowed.
+        """Watch that refused the last command or tare, with the value and the limit.
 
-        "none" where none did.
+        "none" if none did.
         """
         c = self._c
         return CAUSES[int(c.refused_cause)], float(c.refused_value), float(c.refused_limit)
 
     @property
     def refusal_axis(self) -> int | None:
-        """Which axis that belongs to; None: to none."""
+        """Axis to which that refusal belongs, or None."""
         return None if self._c.refused_axis < 0 else int(self._c.refused_axis)
 
     @property
     def refusal_interface(self) -> int | None:
-        """Which interface that belongs to; None: to none."""
+        """Interface to which that refusal belongs, or None."""
         return None if self._c.refused_interface < 0 else int(self._c.refused_interface)
 
     @property
     def indicated(self) -> list[str]:
-        """Causes that were seen and only indicated."""
+        """Causes that occurred and were only indicated."""
         return [name for bit, name in enumerate(CAUSES) if self._c.indicated >> bit & 1]
 
     @property
@@ -558,12 +561,12 @@ class Station:
 
     @property
     def zeroing_failed(self) -> bool:
-        """Whether the last tare was refused: a reading moved, `tare_too_large`, or no pose."""
+        """Whether the last tare was refused: movement, `tare_too_large`, or no matching pose."""
         return int(self._c.zeroing) in (2, 3, 4)
 
     @property
     def tare_too_large(self) -> bool:
-        """Whether it was refused for its size; `refusal` has the figures."""
+        """Whether the tare was refused because of its size; `refusal` has the figures."""
         return bool(self._c.zeroing == 3)
 
     @property
@@ -583,7 +586,7 @@ class Station:
 
     @property
     def tare(self) -> tuple[float, float]:
-        """Offsets taken off displacement (m) and force (N) of the first axis."""
+        """Offsets subtracted from displacement (m) and force (N) of the first axis."""
         return self.tares[0]
 
     @property
@@ -594,9 +597,9 @@ class Station:
 
     @property
     def command_tare_m(self) -> float:
-        """What is added to a command on its way to the drive: where that stood at the tare, m.
+        """Offset added to a command for the drive: the drive's command at the tare, m.
 
-        Of the first axis.
+        For the first axis.
         """
         return float(self._c.axis[0].tare_cmd)
 
