@@ -113,7 +113,7 @@ typedef struct {
 
 /* Values in a command in place of the controller's state, in addition to enum rthyb_state. */
 enum rthyb_notice {
-    RTHYB_NOTICE_RESET = 8, /* by the operator: a drive that stopped itself must follow again */
+    RTHYB_NOTICE_RESET = 8,  /* by the operator: a drive that stopped itself must follow again */
     RTHYB_NOTICE_LEAVING = 9 /* commands now end intentionally: no reset will be required */
 };
 
