@@ -1,8 +1,8 @@
 """The control socket: Varlink's framing, NUL-ended JSON, on a Unix socket.
 
-Who may do what is decided by the kernel's word on who has connected. Requests are bounded in size,
-rate and time, and so are connections; whatever else comes is answered with an error or the end of
-the connection, and never more.
+The permissions of a client follow from the user that the kernel reports for the connection.
+Requests and connections are limited in size, rate and time; anything else is answered with an error
+or by closing the connection.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ REQUEST_BYTES: Final = 64 << 10
 LOAD_BYTES: Final = 8 << 20
 REPLY_BYTES: Final = 1 << 20
 _USERS: Final = 256
-"""Whose credit is kept."""
+"""Number of users whose credit is remembered."""
 
 _SERVICE_TEXT: Final = """# Every Varlink service says what it is.
 interface org.varlink.service
@@ -81,11 +81,11 @@ class Method:
     """A method of the interface.
 
     Attributes:
-        role: who may call it.
-        handle: does it; what it raises becomes an error reply.
-        parameters: type of each parameter; of one that may be missing, with None.
-        large: may be as long as `LOAD_BYTES`.
-        may_begin: called before a long request is read to its end.
+        role: role that is required to call it.
+        handle: carries it out; an exception becomes an error reply.
+        parameters: type of each parameter, with None for an optional one.
+        large: a request may be as long as `LOAD_BYTES`.
+        may_begin: called before a long request is read completely.
     """
 
     role: Role
@@ -97,17 +97,17 @@ class Method:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a client may take up.
+    """Limits for clients.
 
     Attributes:
-        connections: at a time, of all users together; each user alone half of them, and the
-            service's own administrators have a few more.
-        strangers: of those, how many for users who may do nothing.
-        per_s, burst: requests of one user, over all his connections, one after another too.
-        idle_s: without a request.
-        message_s: from the first byte of a request to its last.
-        large_s: the same of a large one.
-        answer_s: for an answer to be taken.
+        connections: maximum of simultaneous connections of all users; each user may have half of
+            them, and administrators are always admitted.
+        strangers: how many of these may belong to users without rights.
+        per_s, burst: rate and burst of requests of one user, over all connections.
+        idle_s: maximum time without a request.
+        message_s: maximum time from the first byte of a request to its last.
+        large_s: the same for a large request.
+        answer_s: maximum time for an answer to be received.
     """
 
     connections: int = 128
@@ -129,7 +129,7 @@ class ReplyError(Exception):
 
 
 def limited(reason: str) -> ReplyError:
-    """Return the reply to too much, too fast or too slow."""
+    """Return the error reply to a client that exceeds a limit."""
     return ReplyError(f"{INTERFACE}.Limited", reason=reason)
 
 
@@ -138,7 +138,7 @@ def limited(reason: str) -> ReplyError:
 
 @dataclass(frozen=True)
 class Call:
-    """A request that is well formed."""
+    """A well-formed request."""
 
     method: str
     parameters: dict[str, Any]
@@ -149,7 +149,7 @@ def parse(message: bytes) -> Call:
     """Return the call of a message without its NUL.
 
     Raises:
-        ReplyError: it is none; the connection is of no more use.
+        ReplyError: it is not a call; the connection cannot be used any further.
     """
     try:
         document = json.loads(message, parse_constant=_no_constant)
@@ -181,18 +181,18 @@ def _no_constant(name: str) -> Any:
 
 
 class Dispatcher:
-    """Calls methods for those who may.
+    """Calls methods for clients with the required rights.
 
     Args:
-        methods: of the interface, by name.
-        rights: who may do what.
+        methods: methods of the interface, by name.
+        rights: rights of the users.
     """
 
     def __init__(self, methods: Mapping[str, Method], rights: Rights) -> None:
         self.methods, self.rights = dict(methods), rights
 
     async def answer(self, message: bytes, peer: Peer) -> dict[str, Any] | None:
-        """Return the reply to a message without its NUL; None: none is wanted."""
+        """Return the reply to a message without its NUL; None: no reply is requested."""
         oneway = False
         try:
             call = parse(message)
@@ -218,7 +218,7 @@ class Dispatcher:
         return await _guarded(name, method.handle(peer, call.parameters))
 
     def _introspect(self, name: str, call: Call) -> dict[str, Any]:
-        # What the service is, everybody may know: a refusal says no less.
+        # Everybody may know what the service is: a refusal reveals no less.
         if name == "GetInfo":
             _check_parameters(call.parameters, {})
             return {
@@ -238,10 +238,10 @@ class Dispatcher:
         raise ReplyError(f"{SERVICE}.MethodNotFound", method=call.method[:200])
 
     def require(self, peer: Peer, role: Role, name: str) -> None:
-        """Refuse a peer who may not call a method.
+        """Refuse a peer without the right to call a method.
 
         Raises:
-            ReplyError: he may not.
+            ReplyError: the peer does not have the right.
         """
         found = self.rights.role(peer)
         if found >= role:
@@ -266,7 +266,7 @@ def _refused(error: StateError) -> ReplyError:
 
 
 async def _guarded(name: str, work: Awaitable[dict[str, Any]]) -> dict[str, Any]:
-    """Turn what a handler raises into a reply."""
+    """Convert an exception of a handler into a reply."""
     try:
         return await work
     except StateError as error:
@@ -301,23 +301,23 @@ def _check_parameters(given: dict[str, Any], wanted: Mapping[str, tuple[type | N
 
 
 class _Credits:
-    """How many requests each user has left; who has asked too fast waits until he has earned one.
+    """Remaining requests of each user; a user who asks too fast waits until one is available.
 
     Args:
-        limits: what a client may take up.
+        limits: limits for clients.
     """
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        # The one who asked last comes last.
+        # The user with the most recent request comes last.
         self._left: dict[int, tuple[float, float]] = {}
 
     def take(self, uid: int) -> float:
-        """Take a request off a user's credit; return for how long it has to wait, s."""
+        """Deduct a request from a user's credit; return how long it must wait, s."""
         limits, now = self._limits, time.monotonic()
         left, then = self._left.pop(uid, (limits.burst, now))
         left = min(left + (now - then) * limits.per_s, limits.burst) - 1.0
-        # No more than all his connections can have waiting: else a flood would keep his stop away.
+        # At most what all connections of the user can have waiting, or a flood would delay a stop.
         left = max(left, -float(limits.connections // 2))
         self._left[uid] = left, now
         if len(self._left) > _USERS:
@@ -325,7 +325,7 @@ class _Credits:
         return max(-left, 0.0) / limits.per_s
 
     def give_back(self, uid: int) -> None:
-        """Undo a `take` for a request that never came."""
+        """Undo a `take` for a request that did not arrive."""
         if uid in self._left:
             left, then = self._left[uid]
             self._left[uid] = left + 1.0, then
@@ -336,11 +336,11 @@ class ControlServer:
 
     Args:
         path: of the socket.
-        dispatcher: answers.
-        limits: what a client may take up.
+        dispatcher: answers the requests.
+        limits: limits for clients.
 
     Attributes:
-        refused_connections, requests: how many so far.
+        refused_connections, requests: numbers so far.
     """
 
     def __init__(self, path: Path, dispatcher: Dispatcher, limits: Limits = Limits()) -> None:
@@ -356,11 +356,11 @@ class ControlServer:
 
     @property
     def connections(self) -> int:
-        """How many there are now."""
+        """Current number of connections."""
         return self._by_user.total()
 
     async def start(self) -> None:
-        """Begin to listen; a socket that nobody listens on any more is replaced.
+        """Start listening; a socket on which no process listens any more is replaced.
 
         Raises:
             RthybError: another service listens there, or the path cannot be used.
@@ -368,7 +368,7 @@ class ControlServer:
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             _remove_abandoned(self.path)
-            # Everybody may knock: the kernel says who it is, and a refusal says why.
+            # Everybody may connect: the kernel says who it is, and a refusal says why.
             before = os.umask(0o111)
             try:
                 listener.bind(str(self.path))
@@ -389,7 +389,7 @@ class ControlServer:
         self._accepting = asyncio.create_task(self._accept(listener))
 
     async def stop(self) -> None:
-        """End all connections and take the socket away."""
+        """Close all connections and remove the socket."""
         tasks = [*self._tasks, *([self._accepting] if self._accepting else [])]
         for task in tasks:
             task.cancel()
@@ -439,12 +439,12 @@ class ControlServer:
                 self._strangers -= role == Role.NONE
 
     def _room(self, peer: Peer, role: Role) -> str | None:
-        """Return why there is no room for one more, or None."""
+        """Return why another connection cannot be accepted, or None."""
         limits = self._limits
         if role == Role.NONE and self._strangers >= limits.strangers:
             return "too many connections from users without rights here"
         if peer.uid == 0:
-            # An administrator always comes in.
+            # An administrator is always admitted.
             return None
         if self._by_user[peer.uid] >= limits.connections // 2:
             return f"{peer.user} already has {self._by_user[peer.uid]} connections"
@@ -479,7 +479,7 @@ class _Conversation:
                 await self._server._send(self._connection, _error(error))
                 return
             if message is None:
-                # To come and go without a word costs as much as to ask.
+                # Connecting without a request costs as much as a request.
                 if asked:
                     self._server._credits.give_back(self._peer.uid)
                 return
@@ -492,13 +492,13 @@ class _Conversation:
                 return
 
     async def _wait_for_turn(self) -> None:
-        """Let who asks too fast wait; what he asks for stays in the kernel meanwhile."""
+        """Let a client that asks too fast wait; its requests stay in the kernel meanwhile."""
         wait_s = self._server._credits.take(self._peer.uid)
         if wait_s > 0.0:
             await asyncio.sleep(wait_s)
 
     async def _message(self) -> bytes | None:
-        """Return the next message without its NUL; None: there will be none."""
+        """Return the next message without its NUL; None: there will be no more."""
         if not self._buffer and not await self._receive(self._limits.idle_s):
             return None
         end = time.monotonic() + self._limits.message_s
@@ -516,7 +516,7 @@ class _Conversation:
             raise limited("another test is being loaded; try again")
         async with self._server._large:
             end = time.monotonic() + self._limits.large_s
-            # What is there already was looked through.
+            # The bytes already received have been searched.
             seen = len(self._buffer)
             while self._buffer.find(b"\0", seen) < 0:
                 seen = len(self._buffer)
@@ -530,7 +530,7 @@ class _Conversation:
             return self._cut()
 
     def _check_large(self) -> None:
-        """Refuse a request this long from whom, or when, none may be loaded.
+        """Refuse a long request if the client, or the state, does not permit loading a test.
 
         Raises:
             ReplyError: it is refused.
@@ -568,7 +568,7 @@ def _error(error: ReplyError) -> dict[str, Any]:
 
 
 def _ends(reply: dict[str, Any]) -> bool:
-    """Whether what came was no message at all: nobody knows what the next bytes are."""
+    """Whether the input was not a message at all, so that the following bytes are undefined."""
     return (
         reply.get("error") == f"{SERVICE}.InvalidParameter"
         and reply["parameters"].get("parameter") == "message"
@@ -576,7 +576,7 @@ def _ends(reply: dict[str, Any]) -> bool:
 
 
 def encode(document: dict[str, Any]) -> bytes:
-    """Return a message with its NUL; numbers that JSON does not have become null."""
+    """Return a message with its NUL; numbers that JSON cannot represent become null."""
     text = json.dumps(finite(document), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.encode() + b"\0"
 
@@ -602,7 +602,7 @@ def _remove_abandoned(path: Path) -> None:
 
 
 class UnreachableError(RthybError):
-    """No service at the other end."""
+    """The service cannot be reached."""
 
     exit_code = 4
 
@@ -614,8 +614,8 @@ class Refusal(RefusedError):
     """The service's error reply.
 
     Attributes:
-        name: of the error, with its interface.
-        parameters: what came with it.
+        name: name of the error, with its interface.
+        parameters: parameters of the error.
     """
 
     def __init__(self, name: str, parameters: dict[str, Any]) -> None:
@@ -671,24 +671,24 @@ class Client:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Hang up."""
+        """Close the connection."""
         self.close()
 
     def close(self) -> None:
-        """Hang up; twice does no harm."""
+        """Close the connection; a second call has no effect."""
         self._socket.close()
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Call a method of `INTERFACE`, or one with its interface's name; return what it gives.
+        """Call a method of `INTERFACE`, or one given with its interface; return its result.
 
         Raises:
             Refusal: the service's error reply.
-            UnreachableError: the service is gone, or does not answer.
+            UnreachableError: the service has ended, or does not answer.
         """
         name = method if "." in method else f"{INTERFACE}.{method}"
         request = {"method": name, "parameters": parameters}
         try:
-            # What was too long is answered before it is read to its end.
+            # A request that is too long is answered before it has been read completely.
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 self._socket.sendall(encode(request))
             reply = self._reply()

@@ -1,8 +1,8 @@
 """The daemon: a rig, its tests, the control socket and the signals, in one process.
 
-It begins in IDLE, whatever was before, and never takes up a motion again. One thread has the
-operator: its turn, fifty times a second, is the sign of life without which the tick thread ramps
-out; and systemd hears of it only as long as ticks go on.
+It starts in IDLE, whatever happened before, and never resumes a motion. One thread serves the
+operator; without its call of `turn`, fifty times per second, the tick thread ramps out. systemd's
+watchdog is served only while ticks advance.
 """
 
 from __future__ import annotations
@@ -95,18 +95,18 @@ log = logging.getLogger("rthyb.daemon")
 
 @dataclass(frozen=True)
 class Options:
-    """How a daemon works.
+    """Options of a daemon.
 
     Attributes:
-        socket: of the control.
+        socket: path of the control socket.
         rings: folder of the rings and of the recorder's status.
         runs: where recordings go, if the daemon has a recorder of its own.
-        recorder: "own": a process that the daemon starts, and starts again; "service": another
-            unit's; "none": nothing but the ring.
-        require_realtime: refuse to work without real-time privileges.
-        metrics: file in Prometheus' format that is renewed every 5 s, or None.
-        rights: who may do what.
-        limits: what a client may take up.
+        recorder: "own": a process that the daemon starts, and restarts if necessary; "service": one
+            that another unit starts; "none": only the ring.
+        require_realtime: refuse to run without real-time privileges.
+        metrics: file in Prometheus' format that is rewritten every 5 s, or None.
+        rights: rights of the users.
+        limits: limits for clients.
     """
 
     socket: Path
@@ -126,8 +126,8 @@ class Daemon:
         rig: the rig.
         opened: the link to its drive; stays the caller's.
         clock, before_tick: as in `rthyb_rt.lab.realtime.Session`.
-        options: how it works.
-        demand: gives the facts of a rig's commissioning, or refuses the rig.
+        options: options of the daemon.
+        demand: returns the facts of a rig's commissioning, or refuses the rig.
         read_rig: reads the rig file again, for a reload.
     """
 
@@ -169,7 +169,7 @@ class Daemon:
         self._begun_s = time.monotonic()
 
     def run(self) -> int:
-        """Work until a signal comes; return the exit status.
+        """Serve until a signal arrives; return the exit status.
 
         Raises:
             TimingError: real-time privileges are missing that are required.
@@ -189,14 +189,14 @@ class Daemon:
         return await self.work()
 
     async def work(self) -> int:
-        """Serve until `stop`; return the exit status. `run` does it with signals.
+        """Serve until `stop`; return the exit status. `run` does this with signals.
 
         Raises:
             TimingError: real-time privileges are missing that are required.
             RthybError: socket or recorder is unavailable, or the tick thread has failed.
         """
         self._start_recorder()
-        # Load, zero and reload come one at a time; each further thread would be a locked stack.
+        # Load, zero and reload run one at a time; each further thread would lock another stack.
         asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(1, "prepare"))
         self.engine.start()
         self.engine.check_privileges(
@@ -215,7 +215,7 @@ class Daemon:
             systemd.notify("STOPPING=1")
             await server.stop()
             if self.options.metrics is not None:
-                # No file: a service that does not answer. An old one would say that it does.
+                # Without the file the service counts as down; an old file would report it as up.
                 self.options.metrics.unlink(missing_ok=True)
         tripped = self._stops > 1 or (self.engine.state == "TRIPPED" and self._was_moving)
         return TRIPPED if tripped else 0
@@ -244,7 +244,7 @@ class Daemon:
         return True
 
     def _feed_watchdog(self) -> None:
-        """Only while ticks advance: a thread that hangs is systemd's business then."""
+        """Notify systemd only while ticks advance; it restarts a service whose thread hangs."""
         ticks = self.engine.loop.counts.elapsed
         if ticks > self._ticks_seen:
             systemd.notify("WATCHDOG=1")
@@ -277,7 +277,7 @@ class Daemon:
     _was_moving = False
 
     def stop(self) -> None:
-        """Ramp out and end; at the second time trip. From the thread that works."""
+        """Ramp out and end; on the second call trip. Call from the serving thread."""
         self._stops += 1
         if not self.engine.moving:
             log.info("asked to stop the service, in state %s", self.engine.state)
@@ -299,7 +299,7 @@ class Daemon:
             self._was_moving = True
             with contextlib.suppress(StateError):
                 self.engine.command("stop")
-        # A test that has ended is still given to its recorder.
+        # A test that has ended is still handed to its recorder.
         return not self.engine.moving and (
             self.engine.recorded is None or self.engine.state in ("ZEROED", "ARMED")
         )
@@ -329,7 +329,7 @@ class Daemon:
         self._child_s = time.monotonic()
 
     def _end_recorder(self) -> None:
-        """Let it finish what it has; it ends when this end of its pipe does."""
+        """Let the recorder finish its work; it ends when this end of its pipe is closed."""
         child, self._child = self._child, None
         if child is None:
             return
@@ -359,7 +359,7 @@ class Daemon:
         self._reported_fault = fault
 
     async def _await_recorder(self) -> None:
-        """Give the recorder the moment that it needs to begin with a test."""
+        """Wait for the moment that the recorder needs to start with a test."""
         end = time.monotonic() + _BEGIN_S
         while self._recorder_alive() and time.monotonic() < end:
             if self._recorder is not None and self._recorder.run_id == self.engine.run_id:
@@ -367,10 +367,10 @@ class Daemon:
             await asyncio.sleep(TURN_S)
 
     def _check_recorder(self, setup: Setup) -> None:
-        """Refuse to arm what would not be recorded.
+        """Refuse to arm a test that would not be recorded.
 
         Raises:
-            StateError: no recorder, not this test, or no room for it.
+            StateError: there is no recorder, it does not record this test, or has no room for it.
         """
         if self.options.recorder == "none":
             return
@@ -434,7 +434,7 @@ class Daemon:
 
     @contextlib.contextmanager
     def _alone(self, command: str) -> Iterator[None]:
-        """Refuse what would come between the two halves of something longer, or before the end."""
+        """Refuse a command in the middle of a longer one, or while the service shuts down."""
         self._refuse_at_the_end(command)
         if self._busy.locked():
             raise StateError(
@@ -443,10 +443,10 @@ class Daemon:
         yield
 
     def _refuse_at_the_end(self, command: str) -> None:
-        """Refuse what leads to a motion once the service is told to end.
+        """Refuse commands that lead to a motion once the service is shutting down.
 
         Raises:
-            StateError: it is.
+            StateError: the service is shutting down.
         """
         if self._stops:
             raise StateError(command, "the service is shutting down", self.engine.state)
@@ -472,7 +472,7 @@ class Daemon:
                 try:
                     run = await asyncio.shield(making)
                 except asyncio.CancelledError:
-                    # The service ends: the ring that comes all the same is nobody's.
+                    # The service is shutting down: nobody needs the ring that is still created.
                     (await making).remove()
                     raise
                 self.engine.zero(run)
@@ -525,7 +525,7 @@ class Daemon:
                 "the service was started without a rig file that it could read again",
                 self.engine.state,
             )
-        # Reading the file is work, of which a test that moves shall have none beside it.
+        # Reading the file is work that must not compete with a test in motion.
         self.engine.check_reload()
         async with self._busy:
             rig = await asyncio.to_thread(self._read_rig)
@@ -542,7 +542,7 @@ class Daemon:
             return generation
 
     def _renewed(self, rig: RigFile | AxesRig) -> Loaded | None:
-        """Work out the loaded test with other limits; None where more than limits has changed."""
+        """Prepare the loaded test with other limits; None if more than limits has changed."""
         if reloading.changed(self.engine.rig, rig):
             return None
         return self.engine.with_rig(rig)
@@ -550,10 +550,10 @@ class Daemon:
     def _covered(self, rig: RigFile | AxesRig) -> tuple[RigFile | AxesRig, dict[str, Any]]:
         """Return the commissioned file that covers one with other limits, and its facts.
 
-        As for the limits of a test: what allows no more needs no new commissioning.
+        As for the limits of a test, limits that allow no more need no new commissioning.
 
         Raises:
-            RefusedError: there is none.
+            RefusedError: there is no such file.
         """
         try:
             return rig, self._demand(rig)
@@ -585,7 +585,7 @@ class Daemon:
     # ---- the status -----------------------------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
-        """Return all that there is to know, as JSON has it."""
+        """Return the complete status as values for JSON."""
         engine = self.engine
         done, ticks = engine.progress
         loaded = engine.loaded
@@ -648,7 +648,7 @@ class Daemon:
 
 
 def _clear_rests(folder: Path) -> None:
-    """Delete the rings at rest of daemons that were killed: memory that nobody asks for again."""
+    """Delete the rings of daemons that were killed while at rest, to free their memory."""
     for path in ring.find(folder):
         with contextlib.suppress(RthybError, OSError, KeyError, TypeError):
             with ring.Reader(path) as reader:
@@ -658,7 +658,7 @@ def _clear_rests(folder: Path) -> None:
 
 
 def _is_of_no_use(session: Path) -> bool:
-    """Whether a dead ring is one at rest, by its session, or has lost that to a kill."""
+    """Whether an abandoned ring is one at rest by its session, or has no session."""
     if not session.exists():
         return True
     return bool(recording.read(session, rows=False).meta["service"]["purpose"] == "rest")
@@ -672,8 +672,8 @@ def _record(given: dict[str, Any]) -> GroundMotion:
     """Return the ground motion of a request.
 
     Raises:
-        InputError: with all that is wrong in it.
-        ReplyError: it has another shape than the interface says.
+        InputError: with all errors in it.
+        ReplyError: its structure is not that of the interface.
     """
     wanted = {"name": str, "source": str, "acceleration_mps2": list, "details": dict}
     for key, kind in wanted.items():
@@ -709,7 +709,7 @@ def _record(given: dict[str, Any]) -> GroundMotion:
 
 
 def _check_texts(record: dict[str, Any]) -> None:
-    """Refuse what a terminal or an HDF5 file cannot take.
+    """Refuse text that a terminal or an HDF5 file cannot represent.
 
     Raises:
         InputError: with the place.
@@ -728,7 +728,7 @@ def _check_texts(record: dict[str, Any]) -> None:
     named += [("record.details", text, "\n\t") for text in (*details, *details.values())]
     for where, text, also in named:
         for sign in text:
-            # Control signs, halves of signs, and what turns the direction of reading.
+            # Control characters, surrogates, and marks that change the reading direction.
             if unicodedata.category(sign).startswith("C") and sign not in also:
                 raise InputError(
                     f"contains the character U+{ord(sign):04X}, which is not allowed in text", where
@@ -736,7 +736,7 @@ def _check_texts(record: dict[str, Any]) -> None:
 
 
 def record_of(motion: GroundMotion) -> dict[str, Any]:
-    """Return a ground motion as a request has it."""
+    """Return a ground motion in the form of a request."""
     return {
         "name": motion.name,
         "source": motion.source,

@@ -1,9 +1,9 @@
-"""Many tests, one after another, on one rig that is never let go in between.
+"""Many tests, one after another, on one rig, with the connection to the drive kept in between.
 
-The tick thread runs from the daemon's start to its end. Between two tests a station at rest keeps
-the drive where it stands; `zero` puts the station of the loaded test in its place, at the edge of
-a tick, with a ring of its own. So the drive's watchdog has nothing to notice, and a test's ring
-and recording begin with its own first tick and can be replayed.
+The tick thread runs from the daemon's start to its end. Between two tests a station at rest holds
+the drive at its position; `zero` replaces it by the station of the loaded test, between two ticks,
+with a ring of its own. The drive's watchdog therefore does not respond, and a test's ring and
+recording begin with its own first tick and can be replayed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from rthyb_rt.rig.links.opened import Opened
 
 TURN_S: Final = 0.02
-"""Between two looks at what the tick thread has done."""
+"""Interval at which the results of the tick thread are read."""
 
 RELOAD_IN: Final = ("IDLE", "ZEROED", "HOLD")
 """States in which limits may change: at rest and not armed, or held."""
@@ -58,7 +58,7 @@ COMMANDS: Final[tuple[str, ...]] = (
     "reset",
     "reload",
 )
-"""All that an operator may ask for."""
+"""The commands of an operator."""
 
 
 def allowed_states(command: str) -> tuple[str, ...]:
@@ -74,8 +74,8 @@ class StateError(RefusedError):
     """A command that was refused.
 
     Attributes:
-        state: the state it was given in.
-        allowed: the states that it is for; the present one may be among them.
+        state: state in which it was given.
+        allowed: states in which it is allowed; the current state may be among them.
     """
 
     def __init__(self, command: str, why: str, state: str) -> None:
@@ -90,11 +90,11 @@ class StateError(RefusedError):
 
 @dataclass(frozen=True)
 class Event:
-    """Something that an operator, and the journal, should know of.
+    """An event of which the operator and the journal are informed.
 
     Attributes:
-        level: of `logging`.
-        text: one line.
+        level: level of `logging`.
+        text: one line of text.
     """
 
     level: str
@@ -107,8 +107,8 @@ class Loaded:
 
     Attributes:
         setup: the test.
-        digest: of its resolved files and its ground motion, hexadecimal, 64 digits.
-        test, record: of which it was made: its files as they were given.
+        digest: digest of its resolved files and its ground motion, 64 hexadecimal digits.
+        test, record: the files from which it was made, as given.
     """
 
     setup: Setup
@@ -118,7 +118,7 @@ class Loaded:
 
     @classmethod
     def of(cls, test: TestFile, rig: RigFile | AxesRig, record: GroundMotion) -> Loaded:
-        """Work a test out for a rig; takes its time, and may run in any thread.
+        """Prepare a test for a rig; this takes time, and may run in any thread.
 
         Raises:
             InputError: with what is wrong in the test, or between test and rig.
@@ -132,11 +132,11 @@ class Loaded:
 
 @dataclass(kw_only=True)
 class ServiceRun(LiveRun):
-    """A run of the service's.
+    """A run of the service.
 
     Attributes:
-        digest: of the test as it is loaded; "" between two tests.
-        given_up_s: when its tare is given up, by the conductor's time.
+        digest: digest of the loaded test; "" between two tests.
+        given_up_s: time at which its tare is abandoned, by the conductor's clock.
     """
 
     digest: str = ""
@@ -151,8 +151,8 @@ class ServiceRun(LiveRun):
 class Engine(Conductor):
     """A rig, its link, the tick thread, and the test that is loaded.
 
-    All calls but `prepare`, `with_rig` and `make_run` belong to one thread, which calls `turn`
-    every `TURN_S`: that is the sign of life without which what moves ramps out after a second.
+    All calls except `prepare`, `with_rig` and `make_run` must come from one thread, which calls
+    `turn` every `TURN_S`; without these calls a test that is running ramps out after a second.
 
     Args:
         rig: the rig.
@@ -160,17 +160,17 @@ class Engine(Conductor):
         clock: as in `rthyb_rt.lab.realtime.Session`.
         folder: of the rings; None takes `rthyb_rt.record.ring.default_folder`.
         before_tick: stepped clock: called before every tick.
-        facts: what the recordings are to know, by name.
-        tell: takes every event.
+        facts: facts to be stored in the recordings, by name.
+        tell: called with every event.
 
     Attributes:
-        rig, opened, clock, folder: as given; ``rig`` as it was reloaded.
-        loaded: the test that `zero` takes, or None.
-        last: what became of the last test: ``test_name``, ``run_id``, ``end_reason``, and
-            ``ending``, a limit's figures, "" where none ended it; or None.
+        rig, opened, clock, folder: as given; ``rig`` as last reloaded.
+        loaded: the test that `zero` uses, or None.
+        last: result of the last test: ``test_name``, ``run_id``, ``end_reason``, and ``ending``,
+            the figures of the limit that ended it, "" if none did; or None.
 
     Raises:
-        RthybError: the ring has no room, or the descriptor is of no use.
+        RthybError: there is no room for the ring, or the descriptor cannot be used.
     """
 
     run: ServiceRun
@@ -198,7 +198,7 @@ class Engine(Conductor):
         super().__init__(opened, clock, before_tick, self._rest)
 
     def _put_away(self) -> None:
-        """Give the ring of a test that has not ended to the recorder, and delete that at rest."""
+        """Leave the ring of an unfinished test to the recorder, and delete the ring at rest."""
         self._drain()
         if self.run is not self._rest:
             self._end_run(self.run)
@@ -208,18 +208,18 @@ class Engine(Conductor):
 
     @property
     def recorded(self) -> ServiceRun | None:
-        """The test whose station ticks, or None between two tests."""
+        """The test whose station is running, or None between two tests."""
         return None if self.run is self._rest else self.run
 
     @property
     def run_id(self) -> str:
-        """Name of the present test's recording, or ""."""
+        """Name of the current test's recording, or ""."""
         run = self.recorded
         return run.run_id if run is not None else ""
 
     @property
     def ring_path(self) -> Path:
-        """The ring that the tick thread fills."""
+        """The ring into which the tick thread writes."""
         return self.run.ring.path
 
     @property
@@ -236,18 +236,18 @@ class Engine(Conductor):
 
     @property
     def armed_by(self) -> str:
-        """Who has armed, or ""."""
+        """The user who armed the test, or ""."""
         return self._token[1] if self._token is not None else ""
 
     @property
     def indicated(self) -> list[str]:
-        """Causes that were seen and only indicated."""
+        """Causes that occurred and were only indicated."""
         return self.run.station.indicated
 
     # ---- time -----------------------------------------------------------------------------------
 
     def wait(self, seconds: float) -> None:
-        """Let time pass, turn by turn; stepped clock: execute that time's ticks."""
+        """Wait, calling `turn`; with the stepped clock, execute the ticks of that time."""
         end = time.monotonic() + seconds
         ticks = self.rate.ticks(seconds)
         per_turn = self.rate.ticks(TURN_S)
@@ -257,7 +257,7 @@ class Engine(Conductor):
             self.turn()
 
     def turn(self) -> None:
-        """Give the sign of life, see what became of the ticks, and end a test that is over."""
+        """Report that the program is alive, read the new ticks, and close a test that has ended."""
         self.loop.beat()
         self._drain()
         run = self.run
@@ -284,7 +284,7 @@ class Engine(Conductor):
         run = self.run
         for samples in run.news():
             self._tell_transitions(samples)
-        # A frozen ring shows its newest record alone.
+        # A frozen ring provides only its newest record.
         newest = run.reader.newest()
         if newest is not None:
             self._newest = newest.copy()
@@ -316,12 +316,12 @@ class Engine(Conductor):
 
     @property
     def cause_in_figures(self) -> str:
-        """The cause with the value met and the limit's; "" where it has none."""
+        """The value that triggered the cause, and the limit; "" if there are none."""
         return self.run.cause_in_figures
 
     @property
     def cause_of(self) -> str:
-        """Which of several axes or directions the cause belongs to, in words; "" of none."""
+        """The axis or direction to which the cause belongs, in words; "" if none."""
         return self.run.whose
 
     @property
@@ -335,7 +335,7 @@ class Engine(Conductor):
     # ---- the operator's commands ----------------------------------------------------------------
 
     def prepare(self, test: TestFile, record: GroundMotion) -> Loaded:
-        """Work out a test for this rig; takes its time, and may run in any thread.
+        """Prepare a test for this rig; this takes time, and may run in any thread.
 
         Raises:
             InputError: with what is wrong in the test, or between test and rig.
@@ -343,16 +343,16 @@ class Engine(Conductor):
         return Loaded.of(test, self.rig, record)
 
     def with_rig(self, rig: RigFile | AxesRig) -> Loaded | None:
-        """Work out the loaded test anew for a rig; takes its time, and may run in any thread.
+        """Prepare the loaded test again for a rig; this takes time, and may run in any thread.
 
         Raises:
-            InputError: they do not go together.
+            InputError: test and rig are incompatible.
         """
         loaded = self.loaded
         return None if loaded is None else Loaded.of(loaded.test, rig, loaded.record)
 
     def check_load(self) -> None:
-        """Refuse a load that the state does not allow, before anything is made of it.
+        """Refuse a load that the state does not allow, before the test is prepared.
 
         Raises:
             StateError: the state is not IDLE.
@@ -369,13 +369,13 @@ class Engine(Conductor):
 
     @property
     def allowed(self) -> list[str]:
-        """Which of `COMMANDS` the present state allows."""
+        """The `COMMANDS` that the current state allows."""
         idle = () if self.state != "IDLE" or self.stays_stopped() else ("reset",)
         vain = ("load", *idle) if self.recorded is not None else idle
         return [c for c in COMMANDS if self.state in allowed_states(c) and c not in vain]
 
     def load(self, loaded: Loaded) -> None:
-        """Make a test the one that `zero` takes.
+        """Set the test that `zero` will use.
 
         Raises:
             StateError: the state is not IDLE.
@@ -389,7 +389,7 @@ class Engine(Conductor):
         """Return the test to be zeroed.
 
         Raises:
-            StateError: there is none, the state is none for it, or the drive does not follow.
+            StateError: there is none, the state does not allow it, or the drive does not follow.
         """
         self.check("zero")
         if self.loaded is None:
@@ -399,10 +399,10 @@ class Engine(Conductor):
         return self.loaded
 
     def make_run(self, loaded: Loaded) -> ServiceRun:
-        """Return station and ring of a test; takes its time, and may run in any thread.
+        """Return station and ring of a test; this takes time, and may run in any thread.
 
         Raises:
-            RthybError: the ring has no room.
+            RthybError: there is no room for the ring.
         """
         facts = self._facts_of("test", loaded.digest)
         return ServiceRun.make(
@@ -418,7 +418,7 @@ class Engine(Conductor):
         """Begin the loaded test with the tare of its sensors; its ring begins here.
 
         Args:
-            run: what `make_run` made; None makes it here.
+            run: result of `make_run`; None: it is called here.
 
         Raises:
             StateError: as `check_zero`.
@@ -440,20 +440,20 @@ class Engine(Conductor):
         try:
             self._obey("zero")
         except BaseException:
-            # Else the station of a test would stay that nobody zeroes any more.
+            # Otherwise the station of a test whose zeroing was abandoned would remain.
             self._finish()
             raise
         run.given_up_s = self.now_s + run.config.tare_ticks / self.rate.hz + TARE_MARGIN_S
 
     def arm(self, digest: str, owner: str) -> str:
-        """Arm the test that was zeroed; return the token that `start` asks for.
+        """Arm the test that was zeroed; return the token that `start` requires.
 
         Args:
-            digest: of the test that the operator means.
-            owner: who arms, for messages.
+            digest: digest of the test that the operator intends to run.
+            owner: the user who arms, for messages.
 
         Raises:
-            StateError: wrong state, or another test than the operator means.
+            StateError: wrong state, or another test than the operator intends.
         """
         self.check("arm")
         self._check_digest("arm", digest)
@@ -466,7 +466,7 @@ class Engine(Conductor):
         """Start the armed test.
 
         Raises:
-            StateError: wrong state, or not the token of this arming.
+            StateError: wrong state, or the token does not belong to this arming.
         """
         self.check("start")
         if self._token is None or not secrets.compare_digest(
@@ -483,10 +483,10 @@ class Engine(Conductor):
         self._token = None
 
     def command(self, name: core.Command) -> int:
-        """Give "hold", "resume", "stop", "reset" or "trip"; return the run's tick of that.
+        """Give "hold", "resume", "stop", "reset" or "trip"; return the tick in which it acted.
 
         Raises:
-            StateError: it is not for the present state.
+            StateError: the current state does not allow it.
         """
         self.check(name)
         self._drain()
@@ -501,22 +501,22 @@ class Engine(Conductor):
         return tick
 
     def _obey(self, name: core.Command) -> int:
-        """Give any command, and see what became of it."""
+        """Give any command, and wait for its result."""
         tick = super().command(name)
         self._drain()
         return tick
 
     def reload(self, rig: RigFile | AxesRig, loaded: Loaded | None = None) -> int:
-        """Take the limits of a rig file into force; return the generation of the set, or 0.
+        """Apply the limits of a rig file; return the generation of the set, or 0.
 
         Args:
-            rig: the file, changed in its limits alone.
-            loaded: what `with_rig` made of it; None makes it here.
+            rig: the file, of which only the limits may have changed.
+            loaded: result of `with_rig`; None: it is called here.
 
         Raises:
-            StateError: the state is none for it, more than the limits has changed, or the tick
-                thread refused the set; then all is as before.
-            InputError: the loaded test does not go with the new limits.
+            StateError: the state does not allow it, more than the limits has changed, or the tick
+                thread refused the set; nothing has then changed.
+            InputError: the loaded test is incompatible with the new limits.
         """
         self.check_reload()
         changed = reloading.changed(self.rig, rig)
@@ -541,24 +541,24 @@ class Engine(Conductor):
         return generation
 
     def check_reload(self) -> None:
-        """Refuse a reload that is not for the present state.
+        """Refuse a reload that the current state does not allow.
 
         Raises:
-            StateError: it is not.
+            StateError: it is refused.
         """
         if self.state not in RELOAD_IN:
             why = "limits can be changed only at rest or in HOLD"
             raise StateError("reload", why, self.state)
 
     def know(self, facts: Mapping[str, Any]) -> None:
-        """Have the recordings of the next tests know more, by name."""
+        """Add facts to the recordings of the next tests, by name."""
         self._facts_given |= facts
 
     def check(self, name: str) -> None:
-        """Refuse one of `COMMANDS`, or "trip", that is not for the present state.
+        """Refuse one of `COMMANDS`, or "trip", that the current state does not allow.
 
         Raises:
-            StateError: it is not.
+            StateError: it is refused.
         """
         if self.state not in allowed_states(name):
             raise StateError(name, "not possible in this state", self.state)
@@ -590,12 +590,12 @@ class Engine(Conductor):
         )
 
     def _facts_of(self, purpose: str, digest: str) -> dict[str, Any]:
-        """Return what a recording is to know: whether of a "test", or of the "rest" between two."""
+        """Return the facts for a recording: of a "test", or of the "rest" between two tests."""
         service = {"run_id": uuid.uuid4().hex, "purpose": purpose, "digest": digest}
         return {**self._facts_given, "service": service}
 
     def _put(self, run: ServiceRun) -> None:
-        """Have the tick thread go on with a run; the state is IDLE, or the station stays."""
+        """Switch the tick thread to another run; outside IDLE the station stays."""
         generation = self.loop.load(run.station, run.ring)
         taken = self._wait_for(lambda: self.loop.loaded(generation))
         if not taken:
@@ -605,7 +605,7 @@ class Engine(Conductor):
         run.counted = self._count()
 
     def _put_rest(self) -> None:
-        """Keep the drive where it stands, with a fresh station."""
+        """Hold the drive at its position with a new station."""
         rest = self._rest
         if rest.setup.rig_file != self.rig:
             rest.setup = any_rig.at_rest(self.rig)
@@ -614,7 +614,7 @@ class Engine(Conductor):
         self._put(rest)
 
     def _finish(self) -> None:
-        """Let the station at rest take over, and give the test's ring to the recorder."""
+        """Switch to the station at rest, and leave the test's ring to the recorder."""
         run = self.run
         if self.state == "TRIPPED":
             # It stays tripped until it is reset; only the ring changes.
@@ -650,7 +650,7 @@ def _rest_station(setup: Setup) -> core.StationConfig:
 
 
 def _ending_of(run: ServiceRun) -> str:
-    """Return the limit that ended a test with its figures; "": none did, or they are not known."""
+    """Return the limit that ended a test, with its figures; "" if none did or they are unknown."""
     if run.setup.group is None:
         return summary.ending(run.bare, run.running)
     return run.ended_by

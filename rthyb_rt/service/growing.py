@@ -1,9 +1,9 @@
-"""A recording that grows while its test runs, and survives whatever happens to its process.
+"""A recording that grows while its test runs, and remains readable if its process is killed.
 
-Only whole blocks are added, each at the end and each written once; after every one the file is
-flushed, in an order that leaves it whole after each write. What a killed process leaves is an HDF5
-file that opens as any other, with every row up to the last flush. The name of the finished
-recording appears when it is finished.
+Only complete blocks are added, each at the end and each written once; after every block the file is
+flushed, in an order that leaves it valid after each write. After its process was killed, the HDF5
+file opens as usual, with every row up to the last flush. The file gets the name of a finished
+recording only when it is complete.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ DAMAGED_NAME: Final = "recording.damaged.h5"
 _GAPS: Final = "missing_rows"
 _TRIES: Final = ".taken-up"
 _TRIES_MOST: Final = 3
-"""So often may a process end in the middle of taking a file up: HDF5 can come to grief over one."""
+"""Maximum of processes that may end while they continue a file: HDF5 may crash on a damaged one."""
 REFUSED: Final = (
     *(errno.EACCES, errno.EPERM, errno.EAGAIN),
     *(errno.EMFILE, errno.ENFILE, errno.ENOMEM),
 )
-"""What the system refuses just now says nothing about the file."""
+"""Errors of the system that do not show that the file is damaged."""
 
 Rows = NDArray[np.void]
 
@@ -44,22 +44,21 @@ class NoRoomError(RthybError):
 
 
 class DiskFaultError(RthybError):
-    """What was written did not get to the disk. The system says so once, and good then."""
+    """Written data did not reach the disk. The system reports this only once."""
 
 
 class GrowingFile:
-    """The file of one test, in the folder of its run; begun, or taken up again.
+    """The file of one test, in the folder of its run; newly created, or continued.
 
     Args:
-        folder: of the run; made if it is missing.
-        session: the recording without samples; its ``meta["service"]["run_id"]`` tells it from
-            others.
+        folder: folder of the run; created if it is missing.
+        session: the recording without samples; its ``meta["service"]["run_id"]`` identifies it.
 
     Attributes:
         folder: as given.
-        rows: how many it holds.
-        missing: ranges [first, last] of ring rows that it lacks; they come before its next row.
-        resumed: it was there already.
+        rows: number of rows in the file.
+        missing: ranges [first, last] of ring rows that are lost; they precede its next row.
+        resumed: the file already existed.
 
     Raises:
         NoRoomError: the disk is full.
@@ -82,7 +81,7 @@ class GrowingFile:
                 self._begin(session)
                 self._save()
         except (NoRoomError, DiskFaultError):
-            # A disk that is full for a while is no try that somebody died of.
+            # A disk that is temporarily full does not count as a try in which a process died.
             self.close()
             raise
         except OSError as error:
@@ -114,7 +113,7 @@ class GrowingFile:
         self._samples = self._file["samples"]
 
     def _take_up(self) -> bool:
-        """Go on where another process ended; False: the file is damaged, and was put aside."""
+        """Continue where another process ended; False: the file is damaged, and was renamed."""
         try:
             if self._tries > _TRIES_MOST:
                 raise ValueError("every process that tried to continue it has ended early")
@@ -131,25 +130,25 @@ class GrowingFile:
             return False
 
     def _count_try(self) -> None:
-        """Count the processes that begin with this file and do not come to its next row."""
+        """Count the processes that start with this file and do not reach its next row."""
         path = self.folder / _TRIES
         try:
             self._tries = int(path.read_text(encoding="ascii")) + 1
         except (FileNotFoundError, ValueError):
             self._tries = 1
-        # A full disk must not keep anybody from going on.
+        # A full disk must not prevent a process from continuing.
         with contextlib.suppress(OSError):
             path.write_text(str(self._tries), encoding="ascii")
 
     def _well_begun(self) -> None:
-        """Begin to count anew: the file is good."""
+        """Restart the count, because the file is valid."""
         if self._tries:
             self._tries = 0
             with contextlib.suppress(OSError):
                 (self.folder / _TRIES).unlink(missing_ok=True)
 
     def _save(self) -> None:
-        """Take over what can be read of a file that was put aside: the ring may have it no more."""
+        """Copy what is readable from a renamed file: the ring may no longer have it."""
         import h5py
 
         damaged = self.folder / DAMAGED_NAME
@@ -171,7 +170,7 @@ class GrowingFile:
             self._keep_gaps(gaps)
 
     def _keep_gaps(self, gaps: list[list[int]]) -> None:
-        """State the gaps that lie before the end of what there is; the others come with rows."""
+        """Store the gaps before the last row of the file; later gaps are added with rows."""
         kept: list[list[int]] = []
         end = self.rows
         for first, last in gaps:
@@ -188,7 +187,7 @@ class GrowingFile:
         return _gaps_of(self._file)
 
     def _drop_damaged_blocks(self) -> None:
-        """Let the file end with its last block that is whole."""
+        """Truncate the file after its last complete block."""
         before = len(self._samples)
         while len(self._samples):
             begin = (len(self._samples) - 1) // BLOCK_ROWS * BLOCK_ROWS
@@ -200,10 +199,10 @@ class GrowingFile:
             self._keep_gaps(self.missing)
 
     def _flush(self) -> None:
-        """Have all that HDF5 knows in the system's hands.
+        """Pass all data of HDF5 to the operating system.
 
         Raises:
-            NoRoomError: the disk is full all the same; it is tried again with the next rows.
+            NoRoomError: the disk is full nevertheless; it is tried again with the next rows.
         """
         assert self._disk is not None
         self._file.flush()
@@ -215,10 +214,10 @@ class GrowingFile:
             raise NoRoomError(f"{self.folder}: the disk is full") from error
 
     def _commit_all(self) -> None:
-        """Have in the system's hands what a commit before could not bring there.
+        """Pass to the operating system what an earlier commit could not.
 
         Raises:
-            NoRoomError: it cannot now either.
+            NoRoomError: the disk is still full.
         """
         try:
             self._flush()
@@ -229,7 +228,7 @@ class GrowingFile:
 
     @property
     def rows(self) -> int:
-        """How many rows it holds."""
+        """Number of rows in the file."""
         return len(self._samples)
 
     @property
@@ -243,7 +242,7 @@ class GrowingFile:
         return int(self._samples[-1]["tick"]) if self.rows else -1
 
     def note_gap(self, first: int, last: int) -> None:
-        """State that rows of the ring are lost, before any later one is added.
+        """Note that rows of the ring are lost, before any later one is added.
 
         Raises:
             NoRoomError: the disk is full.
@@ -254,10 +253,10 @@ class GrowingFile:
         self._flush()
 
     def add(self, rows: Rows) -> None:
-        """Add rows and have them in the system's hands.
+        """Add rows and pass them to the operating system.
 
         Args:
-            rows: (n,); but for the last time whole blocks of `BLOCK_ROWS`.
+            rows: (n,); complete blocks of `BLOCK_ROWS`, except in the last call.
 
         Raises:
             NoRoomError: the disk is full; nothing was added.
@@ -278,7 +277,7 @@ class GrowingFile:
             raise NoRoomError(f"{self.folder}: the disk is full")
 
     def sync(self) -> None:
-        """Have what was added on the disk itself.
+        """Write the added rows to the disk itself.
 
         Raises:
             NoRoomError: the disk is full after all.
@@ -295,15 +294,14 @@ class GrowingFile:
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def finish(self, session: Recording) -> Path:
-        """Complete the recording, under its final name; return that.
+        """Complete the recording under its final name; return the path.
 
         Args:
-            session: replay data and ``meta`` as they are in the end; ``reference`` None takes the
-                file's away.
+            session: final replay data and ``meta``; ``reference`` None removes that of the file.
 
         Raises:
-            NoRoomError: the disk is full; all rows stay under the name of before.
-            DiskFaultError: the disk has a fault; so they do.
+            NoRoomError: the disk is full; all rows remain under the previous name.
+            DiskFaultError: the disk has a fault; likewise.
         """
         self._need_room()
         self._commit_all()
@@ -312,7 +310,7 @@ class GrowingFile:
         copy = self.folder / f".{FILE_NAME}.part"
         try:
             if disk.free_bytes(self.folder) < 2 * self._path.stat().st_size + disk.KEPT_FREE_BYTES:
-                # No room for two: what follows is a matter of milliseconds.
+                # There is no room for two files; what follows takes milliseconds.
                 copy = self._path
             else:
                 shutil.copyfile(self._path, copy)
@@ -333,7 +331,7 @@ class GrowingFile:
         return final
 
     def discard(self) -> None:
-        """Delete it and its folder; one that was put aside stays, and the folder with it."""
+        """Delete the file and its folder; a renamed damaged file is kept, and its folder too."""
         self.close()
         if (self.folder / DAMAGED_NAME).exists():
             self._path.unlink(missing_ok=True)
@@ -341,7 +339,7 @@ class GrowingFile:
             shutil.rmtree(self.folder, ignore_errors=True)
 
     def close(self) -> None:
-        """Let go of the file; twice does no harm."""
+        """Close the file; a second call has no effect."""
         file, self._file = self._file, None
         with contextlib.suppress(OSError, RuntimeError):
             if file is not None:
@@ -352,7 +350,7 @@ class GrowingFile:
                 under.commit()
             with contextlib.suppress(OSError):
                 under.close()
-        # Whoever comes here has lived.
+        # A process that reaches this point has not died of the file.
         self._well_begun()
 
 
@@ -374,7 +372,7 @@ def _gaps_of(file: Any) -> list[list[int]]:
 
 
 def _in_order(ticks: NDArray[Any], at: int) -> bool:
-    """Whether a block from a row on is one that was written, and not what fills a gap."""
+    """Whether the block from a row on was written, and is not the fill of a gap."""
     found = ticks.astype(np.int64)
     return bool((np.diff(found) > 0).all() and (at == 0 or found[0] > 0))
 

@@ -1,9 +1,9 @@
-"""The recorder: a process of its own that turns the rings of the service's tests into recordings.
+"""The recorder: a separate process that writes the rings of the service's tests into recordings.
 
-It reads what the tick thread leaves in the ring, at its own pace, and nobody waits for it. Killed
-and started again it goes on at the first tick that is not in the file; what the ring no longer has
-then is stated as a range of rows. On a full disk it waits, the ring keeps the last 64 s, and what
-it says of itself is in `STATUS_NAME` beside the rings, four times a second.
+It reads the ring of the tick thread at its own pace, and nothing waits for it. If it is killed and
+restarted, it continues at the first tick that is not in the file; rows that the ring no longer has
+by then are stated as missing. If the disk is full, it waits while the ring keeps the last 64 s. It
+writes its status to `STATUS_NAME` beside the rings four times a second.
 """
 
 from __future__ import annotations
@@ -44,16 +44,16 @@ INDEX_NAME: Final = "index.jsonl"
 SCHEMA: Final = "rthyb-recorder/1"
 TURN_S: Final = 0.06
 FRESH_S: Final = 2.0
-"""A status that is older is that of a recorder that is no more."""
+"""Age of the status above which the recorder is considered dead."""
 
 _LOCK: Final = "recorder.lock"
 _SYNC_S: Final = 1.0
 _STATUS_S: Final = 0.25
 _SLOW_S: Final = (1, 3, 10, 30)
-"""What takes as long on the disk is told of while it lasts, and for `_SLOW_FOR_S` more."""
+"""A disk operation that takes as long is reported while it lasts, and `_SLOW_FOR_S` longer."""
 _SLOW_FOR_S: Final = 10.0
 _STUCK_S: Final = 10.0
-"""The ring waits for 64 s: a disk that is merely slow stands against no test."""
+"""The ring keeps 64 s, so a disk that is merely slow does not prevent a test."""
 _RETRY_S: Final = 0.5
 _PATIENCE_S: Final = 10.0
 _CHUNK: Final = 4096
@@ -67,18 +67,18 @@ log = logging.getLogger("rthyb.recorder")
 
 @dataclass(frozen=True)
 class Status:
-    """What the recorder says of itself.
+    """Status of the recorder.
 
     Attributes:
-        pid: of its process.
-        at_s: when, on CLOCK_MONOTONIC.
+        pid: its process.
+        at_s: time of the status, on CLOCK_MONOTONIC.
         runs: folder of the recordings.
-        free_bytes: room on its disk.
+        free_bytes: free space on its disk.
         run_id, folder, rows, missing_rows: of the newest test that it records, "" and 0 if none.
-        behind_rows: what it has not written yet of that one.
-        fault: what is wrong, in words, or "".
-        hinders: the fault stands against another test; not if all of it is over and done with,
-            such as a file of an earlier test that is beyond repair.
+        behind_rows: rows of that test that have not been written yet.
+        fault: the fault in words, or "".
+        hinders: whether the fault prevents another test; it does not if it concerns only the past,
+            such as a file of an earlier test that cannot be repaired.
     """
 
     pid: int
@@ -95,12 +95,12 @@ class Status:
 
     @property
     def alive(self) -> bool:
-        """Whether this was said just now."""
+        """Whether the status is recent."""
         return time.monotonic() - self.at_s < FRESH_S
 
 
 def read_status(folder: Path) -> Status | None:
-    """Return what the recorder of a ring folder said last; None: nothing that can be read."""
+    """Return the last status of the recorder of a ring folder; None if there is none."""
     try:
         with (folder / STATUS_NAME).open("rb") as file:
             document = json.loads(file.read(_MOST_BYTES))
@@ -113,16 +113,16 @@ def read_status(folder: Path) -> Status | None:
 
 def _write_status(folder: Path, status: Status) -> None:
     document = {"schema": SCHEMA, **asdict(status)}
-    # A full tmpfs takes the status away, not the recording.
+    # A full tmpfs prevents only the status, not the recording.
     with contextlib.suppress(RthybError), recording.replacing(folder / STATUS_NAME) as temporary:
         temporary.write_text(json.dumps(document), encoding="utf-8")
 
 
 class _Patience:
-    """Says that the disk takes its time: while it does, from a thread of its own, and a while more.
+    """Reports that the disk is slow, from a thread of its own, while it is and a little longer.
 
     Args:
-        folder: where `STATUS_NAME` goes.
+        folder: folder for `STATUS_NAME`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -135,7 +135,7 @@ class _Patience:
         self._thread.start()
 
     def say(self, status: Status) -> None:
-        """Tell how the recorder stands."""
+        """Publish the status of the recorder."""
         with self._lock:
             self._status = status
             slow = self._slow if time.monotonic() < self._slow_until_s else ""
@@ -143,7 +143,7 @@ class _Patience:
 
     @contextlib.contextmanager
     def of(self, doing: str) -> Iterator[None]:
-        """Look at the time while something is done."""
+        """Measure the time of an operation."""
         with self._lock:
             self._doing, self._since_s = doing, time.monotonic()
         try:
@@ -154,7 +154,7 @@ class _Patience:
                 self._doing = ""
 
     def _look(self) -> float:
-        """Return how long what is being done takes, if it takes long; else 0."""
+        """Return the duration of the current operation if it takes long; otherwise 0."""
         now = time.monotonic()
         passed = [step_s for step_s in _SLOW_S if now - self._since_s >= step_s]
         if not self._doing or not passed:
@@ -180,7 +180,7 @@ class _Patience:
                 _write_status(self._folder, late)
 
     def close(self) -> None:
-        """Say nothing more, and take back what was said."""
+        """End the reports and remove the status."""
         self._over.set()
         self._thread.join()
         (self._folder / STATUS_NAME).unlink(missing_ok=True)
@@ -194,7 +194,7 @@ def _both(*faults: str) -> str:
 
 
 class Tape:
-    """One ring on its way into one file.
+    """Transfers one ring into one file.
 
     Args:
         path: the ring of a test.
@@ -220,7 +220,7 @@ class Tape:
         self._moved = self._has_moved(self.file.all_rows("state"))
 
     def _seek(self) -> None:
-        """Go to the ring's row that comes next; rows that it no longer has become a gap."""
+        """Advance to the next row of the ring; rows that it no longer has become a gap."""
         while self.reader.next < self.file.next_row:
             rows = self.reader.read(min(self.file.next_row - self.reader.next, _CHUNK))
             if not rows.samples.size:
@@ -232,16 +232,16 @@ class Tape:
 
     @property
     def behind(self) -> int:
-        """Rows that are in the ring and not in the file."""
+        """Number of rows in the ring that are not yet in the file."""
         return max(self.reader.pushed - self.file.next_row, 0)
 
     def turn(self, last: bool = False) -> None:
-        """Move what has come into the file; ``last``: also what makes no whole block.
+        """Write new rows to the file; with ``last``, also an incomplete block.
 
         Raises:
-            NoRoomError: the disk is full; nothing is lost that the ring still has.
+            NoRoomError: the disk is full; nothing that the ring still has is lost.
         """
-        # A slow disk is never done with what comes while it writes.
+        # With a slow disk, new rows would arrive for ever while it writes.
         end = self.reader.pushed
         while True:
             self._write(last=False)
@@ -267,7 +267,7 @@ class Tape:
             rows = self._joined()
             followed = len(self._pending) > 1
             count = rows.samples.size if last or followed else self._whole(rows.samples.size)
-            # Before: rows that a full disk did not take are in the file, and not added again.
+            # First: rows that a full disk did not accept are in the file; do not add them again.
             self._moved = self._moved or self._has_moved(rows.samples["state"][:count])
             self.file.add(rows.samples[:count])
             left = rows.samples[count:]
@@ -276,7 +276,7 @@ class Tape:
                 return
 
     def _joined(self) -> ring.Rows:
-        """Make one of the first rows that wait and all that follow without a gap."""
+        """Join the first waiting rows and all that follow without a gap."""
         first = self._pending[0]
         parts, end = [first.samples], first.first + first.samples.size
         while len(parts) < len(self._pending) and self._pending[len(parts)].first == end:
@@ -298,13 +298,13 @@ class Tape:
 
     @property
     def over(self) -> bool:
-        """Whether nothing more will come."""
+        """Whether the ring receives no more rows, because its test or its process has ended."""
         return self.reader.closed or not self.reader.alive
 
     def finish(self) -> dict[str, Any] | None:
         """Complete the recording and delete the ring; return its line of the index.
 
-        None: nothing moved, and nothing is kept.
+        None: nothing moved, so no recording is kept.
 
         Raises:
             NoRoomError: the disk is full.
@@ -345,7 +345,7 @@ class Tape:
         )
 
     def close(self) -> None:
-        """Let go of ring and file."""
+        """Close ring and file."""
         self.reader.close()
         self.file.close()
 
@@ -359,7 +359,7 @@ def _skips(file: GrowingFile) -> NDArray[np.int64]:
 
 
 class _NotOursError(InputError):
-    """A ring that is not of a test of the service: nobody wants it recorded."""
+    """A ring that does not belong to a test of the service, and is not to be recorded."""
 
 
 def _session(path: Path) -> Recording:
@@ -396,7 +396,7 @@ def _folder(runs: Path, session: Recording) -> Path:
 
 
 def _run_id(folder: Path) -> str | None:
-    """Return whose folder it is; None: an empty one."""
+    """Return the run to which a folder belongs; None if it is empty."""
     import h5py
 
     for name in (PART_NAME, FILE_NAME):
@@ -413,7 +413,7 @@ def _run_id(folder: Path) -> str | None:
 
 def _write_settings(folder: Path, session: Recording) -> None:
     """Write test and rig as they were used; the test names the rig beside it."""
-    # The recording has both; on a full disk that has to do.
+    # The recording contains both; on a full disk that must suffice.
     with contextlib.suppress(OSError, InputError):
         test = config.parse_test(session.test_toml, "session")
         text = config.dump(test.model_copy(update={"rig": "rig.toml"}))
@@ -440,7 +440,7 @@ def _entry(
 
 
 def read_index(runs: Path) -> list[dict[str, Any]]:
-    """Return every recorded test, the oldest first; half a line of a crash is passed over."""
+    """Return every recorded test, oldest first; an incomplete line after a crash is skipped."""
     found: dict[str, dict[str, Any]] = {}
     try:
         lines = (runs / INDEX_NAME).read_text(encoding="utf-8").splitlines()
@@ -457,7 +457,7 @@ def _append_to_index(runs: Path, entry: dict[str, Any]) -> None:
     line = json.dumps(entry, ensure_ascii=False).encode() + b"\n"
     fd = os.open(runs / INDEX_NAME, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o640)
     try:
-        # Behind half a line of a crash, a line of its own.
+        # After an incomplete line from a crash, start a new line.
         os.write(fd, b"\n" + line if _ends_torn(runs / INDEX_NAME) else line)
         os.fsync(fd)
     finally:
@@ -479,12 +479,12 @@ class Recorder:
     """Looks for rings of tests and records them; one for each folder of rings.
 
     Args:
-        rings: folder of the rings; made if it is missing.
-        runs: where the recordings go.
-        patience_s: how long the end of another recorder is waited for.
+        rings: folder of the rings; created if it is missing.
+        runs: folder for the recordings.
+        patience_s: time to wait for another recorder to end.
 
     Raises:
-        RthybError: another recorder is at work there, or a folder cannot be written.
+        RthybError: another recorder is running there, or a folder cannot be written.
     """
 
     def __init__(self, rings: Path, runs: Path, patience_s: float = 0.0) -> None:
@@ -494,7 +494,7 @@ class Recorder:
             runs.mkdir(parents=True, exist_ok=True)
             flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
             self._lock = os.open(rings / _LOCK, flags, 0o600)
-            # Whoever could open it could hold it, and nothing would be recorded.
+            # A user who could open the lock could hold it, and nothing would be recorded.
             os.fchmod(self._lock, 0o600)
         except OSError as error:
             raise RthybError(
@@ -524,7 +524,7 @@ class Recorder:
                 found.add(str(_session(path).meta["service"]["run_id"]))
         return found
 
-    # A test whose ring a reboot has taken away: what was written is its recording.
+    # A test whose ring was lost in a reboot: what was written is its recording.
     def _finish_orphans(self) -> None:
         for part in sorted(self._orphans):
             if time.monotonic() >= self._again_s.get(part, 0.0):
@@ -533,10 +533,10 @@ class Recorder:
                     self._orphans.remove(part)
 
     def _finish_orphan(self, part: Path) -> None:
-        """Finish a file that has no ring, as far as it can be read.
+        """Complete a file that has no ring, as far as it is readable.
 
         Raises:
-            OSError, RthybError: not now; it is tried again.
+            OSError, RthybError: it is not possible now, and is tried again later.
         """
         place = part.with_name(FILE_NAME)
         if place.exists():
@@ -545,7 +545,7 @@ class Recorder:
             except (InputError, KeyError, TypeError) as error:
                 self._give_up(place, f"{error}; {part.name} beside it may be intact")
             return
-        # What may not be opened is not damaged.
+        # A file that this user cannot open is not damaged.
         part.open("rb").close()
         try:
             session = recording.read(part, rows=False)
@@ -585,12 +585,12 @@ class Recorder:
         log.warning("%s: completed without its ring, %d rows", place, ticks.size)
 
     def _give_up(self, path: Path, why: str) -> None:
-        """Say what nothing can be done about here; a fault for as long as the path is there."""
+        """Report a fault that cannot be corrected here; it remains as long as the path exists."""
         log.error("%s", why)
         self._given_up[path] = why
 
     def turn(self) -> None:
-        """Look for new rings, write what has come, finish what is over, say how it stands."""
+        """Look for new rings, write new rows, complete ended tests, publish the status."""
         with self._patience.of("writing"):
             self._finish_orphans()
         with self._patience.of("beginning"):
@@ -613,13 +613,13 @@ class Recorder:
             self._patience.say(self.status())
 
     def _sync(self, tape: Tape) -> None:
-        # A full disk is told of with the next rows.
+        # A full disk is reported with the next rows.
         with contextlib.suppress(NoRoomError, DiskFaultError), self._broken_disk():
             tape.file.sync()
 
     @contextlib.contextmanager
     def _broken_disk(self) -> Iterator[None]:
-        """Keep in mind what the system says of a fault: once it is said, all passes for good."""
+        """Remember a disk fault, because the system reports it only once."""
         try:
             yield
         except DiskFaultError as error:
@@ -636,7 +636,7 @@ class Recorder:
             if known or identity is None or time.monotonic() < self._again_s.get(path, 0.0):
                 continue
             with self._faulty(path):
-                # One that is being made has no session yet: that comes last.
+                # A ring that is being created has no session yet: that is written last.
                 whole = ring.session_path(path).is_file()
                 try:
                     self._begin(path)
@@ -666,7 +666,7 @@ class Recorder:
         if (folder / DAMAGED_NAME).exists():
             log.error("%s: damaged; the rest is taken from the ring", folder / DAMAGED_NAME)
 
-    # The process before had the recording finished, and no time for what comes after that.
+    # The previous process completed the recording, but not the steps after that.
     def _tidy(self, folder: Path) -> None:
         import h5py
 
@@ -703,7 +703,7 @@ class Recorder:
         log.info("%s: %s, %d rows", entry["folder"], entry["end_reason"], entry["rows"])
 
     def status(self) -> Status:
-        """Return how it stands."""
+        """Return the current status."""
         try:
             free = disk.free_bytes(self.runs)
         except OSError:
@@ -730,11 +730,11 @@ class Recorder:
 
     @property
     def busy(self) -> bool:
-        """Whether a recording is not finished."""
+        """Whether a recording is incomplete."""
         return bool(self._tapes)
 
     def close(self) -> None:
-        """Let go of everything; what is not finished is taken up again by the next recorder."""
+        """Close everything; the next recorder continues unfinished recordings."""
         for tape in self._tapes.values():
             ending = self._patience.of("writing")
             with contextlib.suppress(RthybError, OSError, RuntimeError), ending:
@@ -776,7 +776,7 @@ def run(rings: Path, runs: Path, done: Callable[[Recorder], bool]) -> None:
 
     Args:
         rings, runs: as in `Recorder`.
-        done: asked before every turn.
+        done: called before every turn; True ends the loop.
 
     Raises:
         RthybError: as `Recorder`.

@@ -15,12 +15,12 @@ _REGISTER: dict[str, Effect] = {}
 
 
 def register(effect: Effect) -> None:
-    """Add an effect to the catalogue, or replace the one of its name."""
+    """Add an effect to the catalogue, or replace the one with the same name."""
     _REGISTER[effect.name] = effect
 
 
 def remove(name: str) -> None:
-    """Take an effect out of the catalogue."""
+    """Remove an effect from the catalogue."""
     _REGISTER.pop(name, None)
 
 
@@ -30,12 +30,12 @@ def catalogue() -> dict[str, Effect]:
 
 
 def having(declared: Callable[[Effect], object]) -> frozenset[str]:
-    """Return the names of the effects of which something is so, as ``having(lambda e: e.dry)``."""
+    """Return the names of the effects with a property, as in ``having(lambda e: e.dry)``."""
     return frozenset(name for name, effect in _REGISTER.items() if declared(effect))
 
 
 def of_number(number: str) -> str:
-    """Return the name of the effect that moves a number of the model; empty where none does."""
+    """Return the name of the effect that changes a number of the model; empty if none does."""
     return next((name for name, effect in _REGISTER.items() if effect.number == number), "")
 
 
@@ -68,10 +68,10 @@ def load(path: Path) -> list[str]:
 
 @contextmanager
 def beside(own: Sequence[Effect]) -> Iterator[None]:
-    """Have effects of a user's own in the catalogue for the time of the block.
+    """Add user-defined effects to the catalogue for the duration of the block.
 
     Raises:
-        InputError: one lacks what the search needs of it; with what.
+        InputError: an effect lacks something that the search needs; the message says what.
     """
     before = dict(_REGISTER)
     try:
@@ -96,7 +96,7 @@ def _line_of(error: BaseException, path: Path) -> str:
 
 
 def _check(effect: Effect, where: str) -> None:
-    """Refuse an effect that lacks what the search needs of it."""
+    """Reject an effect that lacks something that the search needs."""
     kind = type(effect)
     lacking = [
         word
@@ -123,7 +123,7 @@ for _module in (springs, friction, inertial, hysteretic, sensor):
 
 
 def params_of(name: str, effect: Effect) -> set[str]:
-    """Return the names of an effect's parameters; of one part of a joint law where it is one."""
+    """Return the names of an effect's parameters; for a joint law, those of one of its parts."""
     own = _REGISTER.get(name)
     return {p.name for p in (own or effect).params}
 

@@ -1,8 +1,8 @@
 """What an effect is: a force law that may have been left out of a model.
 
-An effect is a class of its own with a name, parameters, an equation, and `columns`: its force per
-unit of each linear coefficient, for shape parameters ``theta`` that enter nonlinearly. The search
-finds the coefficients by least squares, scans `trials` for theta, and refines what it keeps.
+An effect is a class with a name, parameters, an equation and a method `columns`, which returns its
+force per unit of each linear coefficient for given nonlinear shape parameters ``theta``. The search
+finds the coefficients by least squares, scans `trials` for theta, and refines the best.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Param:
 
 @dataclass(frozen=True)
 class Context:
-    """What a force law may depend on: the motion, the model, other channels.
+    """The quantities on which a force law may depend: the motion, the model, other channels.
 
     Attributes:
         model: the baseline.
@@ -87,7 +87,7 @@ class Context:
 
     @cached_property
     def v_range(self) -> float:
-        """Largest velocity but for one row in a hundred, m/s."""
+        """Largest velocity, m/s, disregarding the highest hundredth of the rows."""
         return self.ranges[1] if self.ranges else float(np.quantile(np.abs(self.v), 0.99)) or 1e-6
 
     @cached_property
@@ -97,7 +97,7 @@ class Context:
 
     @cached_property
     def all_ranges(self) -> tuple[float, float, float]:
-        """The ranges, to be kept while this law is evaluated along another motion."""
+        """The ranges of this motion, used when the law is evaluated along another motion."""
         return (self.x_range, self.v_range, self.f_range)
 
     @cached_property
@@ -107,12 +107,12 @@ class Context:
 
     @cached_property
     def k_free(self) -> bool:
-        """Whether the stiffness is free to be refitted."""
+        """Whether the stiffness may be adjusted freely."""
         return self.model.k_tol is None
 
     @cached_property
     def k_scale(self) -> float:
-        """A stiffness of the specimen's order, N/m."""
+        """A stiffness of the same order as the specimen's, N/m."""
         return max(abs(self.model.k), 1e-3 * self.f_range / self.x_range)
 
     def unit(self, kind: str, **params: float) -> Floats:
@@ -122,13 +122,13 @@ class Context:
 
 
 SWITCH_S = 0.005
-"""Time in which an effect is switched on in mid-record: a search by slopes needs one."""
+"""Time over which an effect is switched on in mid-recording, for a search by gradients."""
 Theta = tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One shape of an effect to be tried: a variant of its law and its shape parameters."""
+    """One shape of an effect: a variant of its law, with values of its shape parameters."""
 
     theta: Theta = ()
     variant: str = ""
@@ -138,44 +138,44 @@ class Effect:
     """Base of every effect on the force.
 
     Class attributes:
-        name: as in the answer.
-        plain: as a laboratory calls it; empty: by its name.
+        name: name in the answer.
+        plain: name in the words of a laboratory; empty: ``name`` is used.
         phrase: the same with its size, ``"a gap of {gap_m}"``: `words.Size` says what may stand in
             the braces. Empty: plain, with all parameters.
-        params: what is reported.
+        params: the parameters that are reported.
         equation: the law in one line.
         fingerprint: what it looks like in a residual.
         shown_by: the kind of experiment that shows it best, and why.
-        sensor: it sits in the load cell's chain: not felt by the specimen.
-        momentary: its force follows from x and v of the moment alone, so that a closed loop can be
-            simulated with it though the core has no element for it.
-        carries: of a sensor, which passes on what others do to the specimen in its own way.
-        elastic: its force follows from the displacement of the moment alone.
-        dissipates: it takes energy out of a motion at every moment, and stores none.
-        yields: its spring gives way by plastic flow.
-        complete: a joint law that no other effect of the specimen stands beside.
-        begins: it may begin in mid-record; not where all of the past is in it anyhow.
-        late: it begins in mid-record.
-        number: the number of the model (`case.Model`) that it moves; empty: none.
-        static: it shows where a recording's time is nominal.
-        dry: it is dry friction in one of its forms.
-        plainer: the law that it goes over into, by name; so that it is named instead where this one
-            does no better.
-        slow_as: the law that a slow motion does not tell it from, by name.
-        relaxes: its first shape parameter is the time in which its force fades, s.
-        slides: it is sliders in a row, of which any number is a form of one.
-        also: the law that is this one by another name, beside a spring of free stiffness.
-        of_spring: its parameter that counts as a part of the spring there is.
-        replaces_spring: its element holds the model's spring as well.
-        many_springs: it is simulated as many elements, or goes through its force anew.
+        sensor: it acts in the load cell's signal chain, so the specimen does not feel it.
+        momentary: its force depends only on the current x and v, so a closed loop can be simulated
+            with it although the core has no element for it.
+        carries: for a sensor effect that changes how forces on the specimen are displayed.
+        elastic: its force depends only on the current displacement.
+        dissipates: it removes energy from a motion at every instant and stores none.
+        yields: its spring yields plastically.
+        complete: a joint law that is not combined with any other effect of the specimen.
+        begins: it may begin in mid-recording; False if it depends on the whole past anyway.
+        late: it begins in mid-recording.
+        number: the number of the model (`case.Model`) that it changes; empty: none.
+        static: it can be seen in a recording whose time is nominal.
+        dry: it is a form of dry friction.
+        plainer: name of the simpler law that it contains as a special case; that one is named
+            instead if this one fits no better.
+        slow_as: name of the law from which slow motion cannot distinguish it.
+        relaxes: its first shape parameter is the time in which its force decays, s.
+        slides: it consists of sliders, any number of which is a form of the same effect.
+        also: name of the law to which it is equivalent in parallel with a spring of free stiffness.
+        of_spring: its parameter that is a fraction of the existing spring.
+        replaces_spring: its element includes the model's spring.
+        many_springs: it is simulated as many elements, or evaluates its force repeatedly.
         zero: it is the zero of the load cell, which a rig file has.
-        wanders: it is a zero that does not stay.
-        on_body: families in which, without a load cell, it stands for a force on the body.
-        needs: a channel without which it does nothing.
-        foretold: what it does to another recording can be said.
-        over: what it is a line over where that is neither displacement nor velocity: "a", "t",
-            "rate" of the force, or "fy".
-        signs: one a linear coefficient: '+', '-' or '*' for any.
+        wanders: it is a zero that changes with time.
+        on_body: families in which, without a load cell, it represents a force on the body.
+        needs: a channel without which it has no effect.
+        foretold: its effect on another recording can be predicted.
+        over: the quantity to which it is proportional, if that is neither displacement nor
+            velocity: "a", "t", "rate" of the force, or "fy".
+        signs: for each linear coefficient '+', '-' or '*' for any sign.
         pinned: standard deviation of each coefficient around 1, or None for a free one.
         bounds: range of each shape parameter as multiples of the trial's own.
     """
@@ -230,20 +230,20 @@ class Effect:
         raise NotImplementedError
 
     def by_stroke(self, ctx: Context, trial: Trial, change: float, like: Trial) -> Floats | None:
-        """Return the first column were the law's own spring to change with its stroke, (n,), N.
+        """Return the first column if the law's own spring changed with its stroke, (n,), N.
 
-        None where it has no spring that moves by itself, or that motion would run away.
+        None if it has no spring that moves independently, or if that motion would diverge.
 
         Args:
-            ctx: what it depends on.
+            ctx: the quantities on which it depends.
             trial: its shape.
-            change: part of its stiffness that the spring gains by one rms of the stroke.
-            like: the shape whose stroke that is.
+            change: relative increase of the spring's stiffness at one rms of the stroke.
+            like: the shape whose stroke is used.
         """
         return None
 
     def forms_begun(self, ctx: Context, trial: Trial) -> Sequence[Trial]:
-        """Return the forms in which an effect of this shape may begin in mid-record."""
+        """Return the forms in which an effect of this shape may begin in mid-recording."""
         return [trial]
 
     def begun(self, ctx: Context, columns: list[Floats], t0: float) -> list[Floats]:
@@ -252,23 +252,23 @@ class Effect:
         return [c * switch for c in columns]
 
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
-        """Return what a sensor that `carries` shows of a force on the specimen, (n,), N."""
+        """Return how a sensor effect that `carries` displays a force on the specimen, (n,), N."""
         return force
 
     def rounded(self, trial: Trial, least: float) -> Trial:
-        """Return the shape with a step over velocity no sharper than ``least``, m/s."""
+        """Return the shape with a transition over velocity at least ``least`` wide, m/s."""
         return trial
 
     def sharp(self, trial: Trial) -> Trial:
-        """Return the shape with a step over velocity of no width: what sticks does not creep."""
+        """Return the shape with a transition of zero width over velocity, which does not creep."""
         return trial
 
     def like(self, trial: Trial) -> Trial:
-        """Return the shape that is the same force as `also` in one of its own."""
+        """Return the shape of this law that gives the same force as a shape of `also`."""
         return trial
 
     def holds_n_per_m(self, ctx: Context, trial: Trial, beta: Floats) -> float:
-        """Return the stiffness that it has before it gives way, beside the model's; 0: none."""
+        """Return its stiffness before it yields or slides, in addition to the model's; 0: none."""
         return 0.0
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
@@ -276,15 +276,15 @@ class Effect:
         return {self.params[0].name: float(beta[0])}
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the law itself in a few words: which of those that share the effect's name."""
+        """Return the form of the law in a few words, among those that share the effect's name."""
         return self.equation
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return whether the coefficients make a physical law; signs are checked already."""
+        """Return whether the coefficients are physically possible; signs are already checked."""
         return True
 
     def borders(self, trial: Trial) -> str:
-        """Return the law, by name, that a fitted shape has come up against; empty: none."""
+        """Return the name of the law to which a fitted shape has degenerated; empty: none."""
         return ""
 
     def settings(
@@ -300,19 +300,19 @@ class Effect:
         return [(abs(value) / 30.0, abs(value) * 30.0) for value in trial.theta]
 
     def of_loop(self, ctx: Context, trial: Trial, beta: Floats) -> float:
-        """Return by what part of its stiffness it changes the loop of a model that yields."""
+        """Return the relative change that it causes in the stiffness of a yielding model's loop."""
         return 0.0
 
     def mass_kg(self, beta: Floats) -> float | None:
-        """Return the mass that the effect is to a body that moves freely, None where it is none."""
+        """Return the mass that the effect adds to a freely moving body, None if it adds none."""
         return None
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the effect as elements of the core, or None where it has none (sensor side)."""
+        """Return the effect as elements of the core, or None if there are none (sensor effects)."""
         return None
 
     def on_a_body(
         self, ctx: Context, trial: Trial, beta: Floats
     ) -> list[core.ElementConfig] | None:
-        """Return the same for a body that moves freely, whose dry friction may have no width."""
+        """Return the same for a freely moving body, whose dry friction may have zero width."""
         return self.elements(ctx, trial, beta)
