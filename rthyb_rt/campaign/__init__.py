@@ -1,5 +1,5 @@
-"""One test over lists, grids, seeds, records and drawn plants, on every processor there is.
+"""One test over lists, grids, seeds, records and randomly drawn plants, on all processors.
 
-`plan` makes a campaign's runs of its file, `running` carries one out, `pools` has many of them
-carried out, `book` keeps what came of each as it comes, `page` and `tables` tell it.
+`plan` derives a campaign's runs from its file, `running` carries out one run, `pools` many runs in
+parallel, `book` stores each result as it arrives, `page` and `tables` present them.
 """

@@ -1,4 +1,4 @@
-"""What came of each run, kept as it comes: a campaign that was interrupted goes on where it was."""
+"""Results of the runs, stored as they arrive, so that an interrupted campaign can resume."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from rthyb_rt.record.recording import replacing
 ROWS: Final = "rows.jsonl"
 PLAN: Final = "plan.json"
 GIVEN: Final = "given"
-"""Folder of what the runs of a sweep read: there before the campaign is."""
+"""Folder of the input files of a sweep; it exists before the campaign does."""
 SCHEMA: Final = "rthyb-campaign-plan/1"
 
 
 class Book:
     """The rows of a campaign, one line of JSON each, in a folder of its own.
 
-    Only the process that conducts the campaign writes, so that no row is there twice, whatever
-    becomes of those that compute. A line that was cut off by a power failure is dropped.
+    Only the process that conducts the campaign writes, so that no row is written twice, whatever
+    happens to the computing processes. A line that was cut off by a power failure is dropped.
 
     Args:
-        folder: made if it is missing.
-        plan: of the campaign.
+        folder: folder of the campaign; created if it is missing.
+        plan: the campaign.
 
     Raises:
-        InputError: the folder holds another campaign, or anything else.
-        RthybError: it cannot be written, or another process has the campaign in hand.
+        InputError: the folder contains another campaign, or other files.
+        RthybError: it cannot be written, or another process is running the campaign.
     """
 
     def __init__(self, folder: Path, plan: Plan) -> None:
@@ -105,11 +105,11 @@ class Book:
 
     @property
     def left(self) -> list[Case]:
-        """Runs that have no row yet."""
+        """The runs without a row."""
         return [case for case in self.plan.cases if case.number not in self.rows]
 
     def add(self, row: Row) -> None:
-        """Keep the row of a run; one that is there already stays as it is."""
+        """Store the row of a run; an existing row is not changed."""
         number = int(row["case"])
         if number in self.rows:
             return
@@ -122,7 +122,7 @@ class Book:
         return [self.rows[number] for number in sorted(self.rows)]
 
     def close(self) -> None:
-        """Have all rows on the disk."""
+        """Write all rows to the disk."""
         if not self._file.closed:
             self._file.flush()
             os.fsync(self._file.fileno())

@@ -1,4 +1,4 @@
-"""One test through all control laws."""
+"""One test with all control laws."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
 
 LAW: Final = "law"
-"""Key of a row that says which law it is."""
+"""Key of a row that contains the control law."""
 TYPE: Final = "controller.type"
 
 
@@ -26,22 +26,22 @@ def compare(
     names: Sequence[str],
     tell: Callable[[int, int, str], None] | None = None,
 ) -> list[Row]:
-    """Run one test with each control law in virtual time, all else being as the files say.
+    """Run one test with each control law in virtual time; everything else is as in the files.
 
     Args:
         test: test file; None: the built-in one.
         rig: rig file or name; None: that of the test.
         settings: ``key=value``, as after ``--set``.
-        names: of the laws, ``controller.type``; none: all.
-        tell: called with (laws done, laws in all, the next) before each.
+        names: names of the laws, ``controller.type``; none: all laws.
+        tell: called with (laws done, number of laws, next law) before each run.
 
     Returns:
-        A row each, as `carry_out` gives it, with the law's name at `LAW`: those that came to their
-        end by their response error, then those that a limit ended, then those that refuse the test.
+        A row for each law, as `carry_out` returns it, with the law's name at `LAW`: first the
+        completed tests in order of their response error, then those that a limit ended, then those
+        that a law cannot run.
 
     Raises:
-        InputError: with the faults of the files, a law that there is not, or a setting that chooses
-            one.
+        InputError: with the errors of the files, an unknown law, or a setting that chooses a law.
     """
     for name in names:
         if name not in LAWS:

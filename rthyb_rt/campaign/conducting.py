@@ -14,18 +14,18 @@ from rthyb_rt.campaign.plan import Plan, Row
 from rthyb_rt.errors import InputError
 
 Progress = Callable[[int, int], None]
-"""Takes how many runs are done, and of how many."""
+"""Called with the number of runs that are done, and the number of all runs."""
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """What a campaign came to.
+    """Result of a campaign.
 
     Attributes:
         plan: its runs.
-        rows: of those that are done, by number.
-        paths: of its files, by what they are.
-        notes: what was left out, and how to have it.
+        rows: rows of the runs that are done, by number.
+        paths: paths of its files, by kind.
+        notes: what was omitted, and how to obtain it.
     """
 
     plan: Plan
@@ -42,17 +42,17 @@ def conduct(
     cluster: Any = None,
     progress: Progress = lambda done, whole: None,
 ) -> Campaign:
-    """Carry out the runs that a folder does not have yet, and write table and page.
+    """Carry out the runs that are missing in a folder, and write table and page.
 
     Args:
         plan: the campaign.
-        folder: its own; what an interrupted campaign has done there stays.
-        jobs: processes of this machine.
-        cluster: address of a Dask scheduler, or a client of it, whose workers take their place.
-        progress: told at each run.
+        folder: its folder; runs of an interrupted campaign that are done there are kept.
+        jobs: number of processes on this machine.
+        cluster: address of a Dask scheduler, or a client of it, whose workers are used instead.
+        progress: called after each run.
 
     Raises:
-        InputError: the folder holds something else, or the cluster does not answer.
+        InputError: the folder contains something else, or the cluster does not answer.
         RthybError: a file cannot be written.
     """
     with Book(folder, plan) as book:

@@ -1,4 +1,4 @@
-"""A sweep: a campaign that is given in words, whose files are written into its own folder."""
+"""A sweep: a campaign given by arguments, whose files are written to its own folder."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def texts(
     """Return the campaign, and the files of a sweep by name: test, rig, campaign.
 
     Args:
-        test, rig: that are varied.
+        test, rig: the files that are varied.
         values: tables of the campaign file; ``campaign.test`` and ``campaign.rig`` are filled in.
-        called: what stands before the keys in messages.
+        called: prefix of the keys in messages.
 
     Raises:
-        InputError: with what is wrong in the values.
+        InputError: with the errors in the values.
     """
     tables = {key: value for key, value in values.items() if value not in ({}, [])}
     about = {**tables["campaign"], "test": TEST}
@@ -44,10 +44,10 @@ def texts(
 
 
 def plan_of(folder: Path, parts: Mapping[str, str]) -> plan.Plan:
-    """Write what the runs read into the folder of the sweep, and return the runs.
+    """Write the input files of the runs to the folder of the sweep, and return the runs.
 
     Raises:
-        InputError: another sweep is there, or the first run has a fault.
+        InputError: the folder contains another sweep, or the first run has an error.
         RthybError: it cannot be written.
     """
     given = folder / GIVEN
@@ -59,7 +59,7 @@ def plan_of(folder: Path, parts: Mapping[str, str]) -> plan.Plan:
         path = given / name
         if path.exists() and path.read_text(encoding="utf-8") == text:
             continue
-        # Before there is a plan no run has been done, and what was given may be mended.
+        # Before there is a plan, no run has been done, and the arguments may be corrected.
         if (folder / PLAN).exists():
             raise InputError(
                 "holds a sweep of another test or rig or with other values, whose runs cannot be "

@@ -1,4 +1,4 @@
-"""What the runs of a campaign say together: medians and worst cases by what was chosen."""
+"""Statistics of the runs of a campaign: medians and worst cases for each chosen combination."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Spread:
     """The magnitudes of a measure over the completed runs of a group.
 
     Attributes:
-        median, worst, mean: of them.
-        std: standard deviation of a sample; None of a single run.
-        worst_case: number of the run with the largest.
+        median, worst, mean: of these magnitudes.
+        std: sample standard deviation; None for a single run.
+        worst_case: number of the run with the largest magnitude.
     """
 
     median: float
@@ -31,12 +31,12 @@ class Spread:
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that differ in their plant and noise alone.
+    """Runs that differ only in their plant and noise.
 
     Attributes:
-        chosen: what they have of the campaign's lists.
-        runs, completed, stopped, failed: how many; completed are those that the figures are of.
-        spreads: of each measure by name; of those that no completed run has, none.
+        chosen: their values from the campaign's lists.
+        runs, completed, stopped, failed: numbers of runs; only completed runs enter the figures.
+        spreads: spread of each measure, by name; omitted if no completed run has it.
     """
 
     chosen: dict[str, Scalar]
@@ -53,9 +53,9 @@ def group(
     """Return the groups in the order of their first runs.
 
     Args:
-        rows: of the runs, by number.
-        keys: that the campaign varies by lists.
-        measures: that are told of each.
+        rows: rows of the runs, by number.
+        keys: keys that the campaign varies by lists.
+        measures: measures that are reported for each group.
     """
     found: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
@@ -96,7 +96,7 @@ def _spreads(rows: Sequence[Row], measures: Sequence[Measure]) -> dict[str, Spre
 
 
 def figure(spread: Spread | None, measure: Measure) -> str:
-    """Return median and worst case as people read them, ``1.2 (3.4)``."""
+    """Return median and worst case as text, ``1.2 (3.4)``."""
     if spread is None:
         return "–"
     median, worst = spread.median * measure.factor, spread.worst * measure.factor

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 PAGE: Final = "index.html"
 MOST_ROWS: Final = 2000
-"""Runs that the page lists; a browser is slow with more, and the table has all of them."""
+"""Maximum of runs that the page lists: a browser is slow with more; the table has all of them."""
 _HERE = Path(__file__).parent
 
 
 def write(plan: Plan, rows: Sequence[Row], folder: Path) -> None:
-    """Write ``index.html``, one file that needs nothing else but the kept runs it links to.
+    """Write ``index.html``, a self-contained file except for its links to the kept runs.
 
     Raises:
         InputError: matplotlib or jinja2 is not installed.
@@ -68,7 +68,7 @@ def render(plan: Plan, rows: Sequence[Row]) -> str:
 
 
 def _shown(rows: Sequence[Row], groups: Sequence[Group]) -> list[Row]:
-    """Return the runs that the page lists: worst ones, to which it leads, and early ones first."""
+    """Return the runs that the page lists: the worst cases, to which it links, then the first."""
     worst = {spread.worst_case for one in groups for spread in one.spreads.values()}
     order = sorted(rows, key=lambda r: (r["case"] not in worst, r["ending"] == COMPLETED))
     return sorted(order[: max(MOST_ROWS, len(worst))], key=lambda r: int(r["case"]))
@@ -86,14 +86,14 @@ def _facts(plan: Plan) -> list[str]:
 
 
 def value(given: Any) -> str:
-    """Return a chosen value as people read it."""
+    """Return a chosen value as text."""
     if isinstance(given, bool):
         return "yes" if given else "no"
     return f"{given:g}" if isinstance(given, float) else str(given)
 
 
 def name_of(row: Row, case: Case) -> str:
-    """Return what tells a run from the others of its campaign."""
+    """Return the values that distinguish a run from the others of its campaign."""
     parts = [value(v) for v in case.chosen.values()]
     if case.drawn > 0:
         parts.append(f"plant {case.drawn}")
@@ -105,7 +105,7 @@ def name_of(row: Row, case: Case) -> str:
 
 
 def _plates(rows: Sequence[Row], plan: Plan, groups: Sequence[Group]) -> list[Plate]:
-    """Return the figure of the second measure over the first, a point a run; none without them."""
+    """Return the figure of the second measure over the first, one point per run, or none."""
     from matplotlib import rc_context
 
     from rthyb_rt.report import drawing as draw
@@ -146,7 +146,7 @@ def _plates(rows: Sequence[Row], plan: Plan, groups: Sequence[Group]) -> list[Pl
 
 
 def _scale(axes: Any, points: Sequence[tuple[float, float]]) -> None:
-    """Scale both axes; over less than a decade a logarithmic one has no round numbers to show."""
+    """Scale both axes; below one decade, a logarithmic axis has no round numbers to show."""
     for which, values in zip("xy", zip(*points, strict=True), strict=True):
         kind = "log" if max(values) > 10.0 * min(values) else "linear"
         axes.set(**{f"{which}scale": kind})

@@ -29,14 +29,14 @@ from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
 
 Row = dict[str, Any]
-"""What came of one run: ``case``, what it was chosen and drawn to be, ``ending``, measures."""
+"""Result of one run: ``case``, its chosen and drawn values, ``ending``, measures."""
 
 COMPLETED, STOPPED, FAILED = "completed", "stopped", "failed"
 """A run reached its end; a limit or a trip ended it; it could not be carried out."""
 
 NOISE_SEED: Final = "rig.seed"
 FILES: Final = ("test", "rig")
-"""Keys that name a file, and not one of its values."""
+"""Keys that name a file instead of one of its values."""
 _LEFT_OUT: Final = (
     "test_name",
     "end_reason",
@@ -49,7 +49,7 @@ _LEFT_OUT: Final = (
 
 
 class Measure(NamedTuple):
-    """A figure that is told of each group: its name in the rows, and how people read it."""
+    """A figure that is reported for each group: its name in the rows, and its label and unit."""
 
     name: str
     label: str
@@ -63,11 +63,11 @@ MEASURES: Final = (
     Measure("energy_error_relative", "Energy error", "%", 100.0),
     Measure("peak_measured_m", "Peak displacement", "mm", 1e3),
 )
-"""Of a test on one axis; the page draws the second over the first."""
+"""Measures of a test on one axis; the page draws the second over the first."""
 
 
 def measures_of(rig: RigFile | AxesRig) -> tuple[Measure, ...]:
-    """Return the figures that are told of each group: of several axes those of every direction."""
+    """Return the figures reported for each group; with several axes, those of every direction."""
     if not isinstance(rig, AxesRig):
         return MEASURES
     return tuple(
@@ -79,12 +79,12 @@ def measures_of(rig: RigFile | AxesRig) -> tuple[Measure, ...]:
 
 @dataclass(frozen=True)
 class Case:
-    """One run: how it is prepared, recorded and measured, in whatever process that is.
+    """One run: how it is prepared, recorded and evaluated, in any process.
 
     Attributes:
         number: from 0, in the order of the campaign.
-        chosen: what it has of the lists, by key.
-        drawn: number of its plant, 0 the file's own; -1: the campaign draws none.
+        chosen: its values from the lists, by key.
+        drawn: number of its plant; 0: that of the file; -1: the campaign draws no plants.
         repeat: number of its noise, from 0.
         test: test file; "" for the built-in one.
         rig: rig file or name; "" for that of the test.
@@ -109,7 +109,7 @@ class Case:
         return " ".join(words)
 
     def identity(self) -> Row:
-        """Return the part of its row that says which run it is."""
+        """Return the part of its row that identifies the run."""
         row: Row = {"case": self.number, **self.chosen}
         if self.drawn >= 0:
             row["drawn"] = self.drawn
@@ -117,10 +117,10 @@ class Case:
         return row
 
     def prepared(self) -> Setup:
-        """Return it ready to go.
+        """Return the prepared run.
 
         Raises:
-            InputError: with what is wrong in its files and settings.
+            InputError: with the errors in its files and settings.
         """
         return lab_several.prepare_any(*self._files())
 
@@ -135,8 +135,8 @@ class Case:
     def measured(self, setup: Setup, rec: Recording) -> Row:
         """Return ``ending``, ``cause`` and measures: those of ``rthyb run --json``.
 
-        Those of an axis or a direction have its name before them, ``axes.upper.tracking_nrmse``.
-        What is not a number there is None.
+        Those of an axis or a direction begin with its name, ``axes.upper.tracking_nrmse``. A
+        value that is not a number is None.
         """
         found = several.summarize_any(rec)
         measures = {
@@ -151,8 +151,8 @@ def ended(rec: Recording, found: summary.Summary | AxesSummary | None = None) ->
     """Return how a run ended: ``ending``, and ``cause`` in words.
 
     Args:
-        rec: of the run.
-        found: what is known of it already.
+        rec: recording of the run.
+        found: its measures, if they are already known.
     """
     if rec.meta["end_reason"] == "completed":
         return {"ending": COMPLETED, "cause": ""}
@@ -167,11 +167,11 @@ class Plan:
     """All runs of a campaign.
 
     Attributes:
-        name: of the campaign.
-        keep: of which runs recording and settings are kept.
+        name: name of the campaign.
+        keep: the runs whose recordings and settings are kept.
         cases: the runs, by number.
-        fingerprint: of the runs, of the files that they read, and of the core that computes them.
-        measures: that are told of each group.
+        fingerprint: fingerprint of the runs, the files that they read, and the core.
+        measures: measures that are reported for each group.
     """
 
     name: str
@@ -182,15 +182,14 @@ class Plan:
 
 
 def of(file: CampaignFile, path: Path) -> Plan:
-    """Return the runs of a campaign that is of a test.
+    """Return the runs of a campaign that varies a test.
 
     Args:
         file: the campaign.
-        path: of its file.
+        path: path of its file.
 
     Raises:
-        InputError: with every fault of the test or the rig with which it begins, or with the key
-            that those do not have.
+        InputError: with every error of the first test or rig, or with a key that they do not have.
     """
     count = _count(file)
     if count > MOST_RUNS:
@@ -217,7 +216,7 @@ def _count(file: CampaignFile) -> int:
 
 
 def _choices(file: CampaignFile) -> Iterator[dict[str, Scalar]]:
-    """Yield what each combination has of the lists; the last list changes fastest."""
+    """Yield the values of each combination of the lists; the last list changes fastest."""
     axes: list[list[dict[str, Scalar]]] = []
     for key, values in file.over.items():
         axes.append([{key: value} for value in values])
@@ -236,7 +235,7 @@ def _cases(file: CampaignFile, path: Path) -> Iterator[Case]:
         test, rig = (beside(path, name) if name else "" for name in (test, rig))
         given = [f"{key}={_toml(value)}" for key, value in chosen.items() if key not in FILES]
         if number == 0 or file.draws is not None:
-            # The first run is read here: a slip in the campaign is told before the pool is made.
+            # The first run is read here, so that an error is reported before the pool is made.
             base = _read(path, test, rig, given)
         plants = _plants(file.draws, base, path) if file.draws is not None else [(-1, ())]
         for (drawn, factors), repeat in itertools.product(plants, range(file.noise_seeds)):
@@ -246,7 +245,7 @@ def _cases(file: CampaignFile, path: Path) -> Iterator[Case]:
 
 
 def _read(path: Path, test: str, rig: str, given: Sequence[str]) -> dict[str, Any]:
-    """Return the values of both files by table, those of the rig below ``rig``."""
+    """Return the values of both files by table, those of the rig under ``rig``."""
     try:
         test_file, rig_file = load_any_both(Path(test) if test else None, rig or None, given)
     except InputError as error:
@@ -255,7 +254,7 @@ def _read(path: Path, test: str, rig: str, given: Sequence[str]) -> dict[str, An
 
 
 def _placed(problem: Problem, path: Path) -> Problem:
-    """Return a complaint about a setting with the place that the campaign file has for it."""
+    """Return an error about a setting with the place of that setting in the campaign file."""
     before, option, key = problem.where.partition("--set ")
     if before or not option:
         return problem
@@ -268,11 +267,11 @@ def _placed(problem: Problem, path: Path) -> Problem:
 
 
 def _plants(draws: Draws, base: dict[str, Any], path: Path) -> list[tuple[int, tuple[str, ...]]]:
-    """Return number and settings of each plant; the same seed draws the same ones."""
+    """Return number and settings of each plant; the same seed gives the same plants."""
     own = {key: _number(base, key, path) for key in draws.spread}
     plants: list[tuple[int, tuple[str, ...]]] = [(0, ())] if draws.nominal else []
     for n in range(1, draws.count + 1):
-        # Each plant has a stream of its own: more of them leave the first ones as they were.
+        # Each plant has a random stream of its own, so that further plants do not change the first.
         random = np.random.default_rng([draws.seed, n])
         settings = tuple(
             f"{key}={own[key] * _factor(spread, random)!r}" for key, spread in draws.spread.items()
@@ -307,7 +306,7 @@ def _number(base: dict[str, Any], key: str, path: Path) -> float:
 
 
 def _member(places: Sequence[Any], part: str) -> Any:
-    """Return what a list has at a number from 0, or under a name, as axes have; None: nothing."""
+    """Return the entry of a list by number from 0, or by name, as for axes; None if missing."""
     if part.isdecimal():
         return places[int(part)] if int(part) < len(places) else None
     named = (one for one in places if isinstance(one, dict) and one.get("name") == part)
@@ -315,7 +314,7 @@ def _member(places: Sequence[Any], part: str) -> Any:
 
 
 def program() -> str:
-    """Return what tells one program that computes from another: version, sources of the core.
+    """Return what distinguishes one computing program from another: version, sources of the core.
 
     Control laws are a part of the core, whoever wrote them.
     """
@@ -323,7 +322,7 @@ def program() -> str:
 
 
 def fingerprint(cases: Sequence[Case]) -> str:
-    """Return what tells one campaign from another, files and program included."""
+    """Return the fingerprint of a campaign, including its files and the program."""
     digest = hashlib.sha256(json.dumps([asdict(case) for case in cases]).encode())
     digest.update(program().encode())
     for name in sorted({name for case in cases for name in (case.test, case.rig) if name}):
@@ -333,7 +332,7 @@ def fingerprint(cases: Sequence[Case]) -> str:
 
 
 def _toml(value: Scalar) -> str:
-    """Return a value as `--set` takes it."""
+    """Return a value in the form that `--set` accepts."""
     if isinstance(value, bool):
         return "true" if value else "false"
     return value if isinstance(value, str) else repr(value)

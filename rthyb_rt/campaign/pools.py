@@ -23,21 +23,21 @@ ONE_THREAD: Final = (
     "MKL_NUM_THREADS",
     "NUMEXPR_NUM_THREADS",
 )
-"""Each process has one processor: threads of a linear algebra library would share it."""
+"""Each process has one processor, which threads of a linear algebra library would share."""
 AHEAD: Final = 4
-"""Runs that wait for each process, so that none is ever idle; numerics, not tuned."""
+"""Runs that are queued for each process, so that none is ever idle; not tuned."""
 
 Done = Callable[[Row], None]
 
 
 def processors() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """Have the processes that are made inside the block compute with one thread each."""
+    """Let processes that are created in the block compute with one thread each."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     try:
@@ -51,16 +51,16 @@ def single_threaded() -> Iterator[None]:
 
 
 def _leave_interrupts() -> None:
-    """Leave Ctrl-C to the process that conducts, which ends the others."""
+    """Leave Ctrl-C to the conducting process, which ends the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def _no_main() -> Iterator[None]:
-    """Have the processes that are made inside the block import nothing of whoever calls.
+    """Prevent processes that are created in the block from importing the caller's main module.
 
-    They would run a user's script from its top otherwise, sweep and all, unless it is guarded by
-    its ``__name__``; and a run needs nothing of it.
+    Otherwise they would run a user's script from its beginning, including its sweep, unless it is
+    guarded by ``__name__``; a run needs nothing from it.
     """
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -72,8 +72,8 @@ def _no_main() -> Iterator[None]:
 
 @contextmanager
 def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
-    """Yield a pool of so many processes of one thread each; what waits at the end is dropped."""
-    # Fresh processes: nothing that this one has open, no lock that one of its threads holds.
+    """Yield a pool of processes with one thread each; waiting runs are dropped at the end."""
+    # New processes inherit no open files and no locks held by threads of this one.
     context = multiprocessing.get_context("spawn")
     with single_threaded(), _no_main():
         pool = ProcessPoolExecutor(jobs, context, initializer=_leave_interrupts)
@@ -86,14 +86,14 @@ def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
 def locally(cases: Sequence[Case], jobs: int, keep: str, folder: str, done: Done) -> None:
     """Carry out runs in processes of this machine.
 
-    A process that dies takes no run with it: those that it may have had are tried again, one at a
-    time, and one whose process dies once more is a row that says so.
+    If a process dies, the runs that it may have had are repeated one at a time; a run whose process
+    dies again gets a row that says so.
 
     Args:
         cases: the runs.
-        jobs: processes.
-        keep, folder: as `carry_out` takes them.
-        done: takes each row, in this process, in no order.
+        jobs: number of processes.
+        keep, folder: as for `carry_out`.
+        done: called with each row, in this process, in any order.
 
     Raises:
         InputError: a process has another core than this one: its sources were changed meanwhile.
@@ -105,9 +105,9 @@ def locally(cases: Sequence[Case], jobs: int, keep: str, folder: str, done: Done
 
 
 def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) -> list[Case]:
-    """Carry out runs; return those that were under way when a process died, and all behind them.
+    """Carry out runs; return those that were under way when a process died, and all later ones.
 
-    Behind such a death the rest goes on in new processes.
+    After such a death, the rest continues in new processes.
     """
     suspects: list[Case] = []
     waiting = cases[::-1]
@@ -129,7 +129,7 @@ def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) ->
 
 
 def _undone(under_way: dict[Future[Row], Case], done: Done) -> list[Case]:
-    """Keep what had come to its end when a process died; return the others."""
+    """Store the runs that were completed when a process died; return the others."""
     left = []
     for future, case in under_way.items():
         if future.done() and not future.cancelled() and future.exception() is None:
@@ -142,10 +142,10 @@ def _undone(under_way: dict[Future[Row], Case], done: Done) -> list[Case]:
 def on_cluster(cases: Sequence[Case], cluster: Any, keep: str, folder: str, done: Done) -> None:
     """Carry out runs on a Dask cluster; arguments as for `locally`.
 
-    A worker that dies takes no run with it: the scheduler gives its runs to others. What is kept of
-    runs goes to the campaign's folder, which the workers must reach under the same path. All of
-    them must have the program of this process: its control laws are compiled into its core, and
-    those that a lab has added are in no other.
+    If a worker dies, the scheduler gives its runs to others. Kept recordings go to the campaign's
+    folder, which the workers must be able to access under the same path. All of them must have the
+    same program as this process: control laws are compiled into its core, including those that a
+    laboratory has added.
 
     Args:
         cluster: address of the scheduler, ``tcp://HOST:8786``, or a `distributed.Client`, which
@@ -193,10 +193,10 @@ def on_cluster(cases: Sequence[Case], cluster: Any, keep: str, folder: str, done
 
 
 def _client(distributed: Any, cluster: Any) -> AbstractContextManager[Any]:
-    """Return a client of a cluster: that which was given, or one for as long as it is used.
+    """Return a client of a cluster: the given one, or a new one for the time of the block.
 
     Raises:
-        InputError: nobody answers at the address.
+        InputError: no scheduler answers at the address.
     """
     if not isinstance(cluster, str):
         return nullcontext(cluster)
@@ -210,7 +210,7 @@ def _client(distributed: Any, cluster: Any) -> AbstractContextManager[Any]:
 
 
 def _require_same_program(client: Any, ours: str, address: str) -> None:
-    """Refuse workers that would compute something else.
+    """Refuse workers whose results would differ.
 
     Raises:
         InputError: with their addresses.

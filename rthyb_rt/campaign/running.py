@@ -1,4 +1,4 @@
-"""One run of a campaign, in whatever process it is carried out."""
+"""One run of a campaign, in any process."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ REPORT: Final = "report.html"
 
 
 class OtherProgramError(InputError):
-    """A process computes with another program than the one that conducts the campaign."""
+    """A process has another program than the process that conducts the campaign."""
 
 
 def carry_out(case: Case, keep: str = "nothing", folder: str = "", wanted: str = "") -> Row:
-    """Run one test in virtual time; a run that fails is a row that says why.
+    """Run one test in virtual time; a run that fails gives a row that says why.
 
     Args:
         case: the run.
-        keep: "nothing", "tripped" or "all": of which runs recording and settings are kept.
-        folder: of the campaign, for those.
-        wanted: `plan.program` of whoever conducts the campaign; "" for any.
+        keep: "nothing", "tripped" or "all": the runs whose recordings and settings are kept.
+        folder: folder of the campaign, for these.
+        wanted: `plan.program` of the conducting process; "" accepts any.
 
     Raises:
         OtherProgramError: this process has another core, and with it other control laws.
@@ -47,7 +47,7 @@ def carry_out(case: Case, keep: str = "nothing", folder: str = "", wanted: str =
     except RthybError as error:
         return row | {"ending": FAILED, "cause": str(error)}
     except (ArithmeticError, ValueError, MemoryError) as error:
-        # One run of thousands that a fault of this program ends must not end the others.
+        # An internal error in one of thousands of runs must not end the others.
         return row | {"ending": FAILED, "cause": f"{type(error).__name__}: {error}"}
     if keep == "all" or (keep == "tripped" and row["ending"] == STOPPED):
         row |= _kept(case, setup, rec, Path(folder))
@@ -55,7 +55,7 @@ def carry_out(case: Case, keep: str = "nothing", folder: str = "", wanted: str =
 
 
 def _kept(case: Case, setup: Setup, rec: Recording, folder: Path) -> Row:
-    """Keep recording, settings and report of a run; return what leads to them."""
+    """Store recording, settings and report of a run; return the links to them."""
     place = folder / FOLDERS / f"{case.number:06d}"
     place.mkdir(parents=True, exist_ok=True)
     keeping.keep(place, setup, rec)

@@ -1,4 +1,4 @@
-"""The table of a campaign for other programs: CSV, and Parquet where pyarrow is installed."""
+"""The table of a campaign for other programs: CSV, and Parquet if pyarrow is installed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FIRST: Final = ("case",)
 
 
 def columns(rows: Sequence[Row], first: Sequence[str] = _FIRST) -> list[str]:
-    """Return the names of all columns, in the order in which the rows bring them."""
+    """Return the names of all columns, in the order of their first occurrence."""
     names: dict[str, None] = dict.fromkeys(first)
     for row in rows:
         names.update(dict.fromkeys(row))
@@ -26,7 +26,7 @@ def columns(rows: Sequence[Row], first: Sequence[str] = _FIRST) -> list[str]:
 
 
 def statistics(groups: Sequence[Group], measures: Sequence[Measure]) -> list[Row]:
-    """Return a row for each group: what was chosen, the counts, and how its measures scatter."""
+    """Return a row for each group: chosen values, counts, and statistics of its measures."""
     rows = []
     for one in groups:
         row: Row = dict(one.chosen)
@@ -40,12 +40,12 @@ def statistics(groups: Sequence[Group], measures: Sequence[Measure]) -> list[Row
 
 
 def write_csv(rows: Sequence[Row], path: Path, first: Sequence[str] = _FIRST) -> None:
-    """Write all rows, one line each; what a run does not have is empty.
+    """Write all rows, one line each; missing values are left empty.
 
     Args:
-        rows: of the table.
+        rows: rows of the table.
         path: file to write.
-        first: columns that stand before the others.
+        first: columns that precede the others.
 
     Raises:
         RthybError: the file cannot be written.
@@ -58,9 +58,9 @@ def write_csv(rows: Sequence[Row], path: Path, first: Sequence[str] = _FIRST) ->
 
 
 def write_parquet(rows: Sequence[Row], path: Path) -> bool:
-    """Write the same as Parquet; return False where pyarrow is not installed.
+    """Write the same as Parquet; return False if pyarrow is not installed.
 
-    A column that has texts among its values is one of texts.
+    A column that contains text is written as text throughout.
 
     Raises:
         RthybError: the file cannot be written.

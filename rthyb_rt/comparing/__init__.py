@@ -1,1 +1,1 @@
-"""Recordings, simulations and tables of other labs beside one another."""
+"""Comparison of recordings, simulations and tables of other laboratories."""

@@ -1,4 +1,4 @@
-"""What is compared, as displacement and force over the time of the test, whatever it comes from."""
+"""Courses to be compared: displacement and force over the time of a test, from any source."""
 
 from __future__ import annotations
 
@@ -21,33 +21,33 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 MOST: Final = 10
-"""Curves that one figure can show."""
+"""Maximum of curves in one figure."""
 MEASURES: Final = (
     "peak_command_m", "peak_measured_m", "peak_force_n", "tracking_nrmse",
     "response_nrmse", "energy_error_relative", "alpha_end",
 )  # fmt: skip
-"""Measures of a recording that are told of each."""
+"""Measures of a recording that are reported for each course."""
 _TABLES: Final = (".csv", ".txt", ".dat", ".tsv")
 _UNEVEN: Final = 0.5
-"""Part of a sampling period by which a row of a table may be off its place."""
+"""Maximum deviation of a row of a table from its place, as a part of the sampling period."""
 _PRINTED: Final = 1e-6
-"""Part of a rate that the rounding of printed times may be off over a test."""
+"""Relative error of a rate that may be due to the rounding of printed times."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """A test as it is compared.
+    """The course of a test, for comparison.
 
     Attributes:
-        label: what it is called.
+        label: its name.
         kind: ``recording``, ``simulation`` or ``table``.
         fs_hz: sampling rate, Hz.
         x_m: displacement of the specimen from the first sample of the test proper, (n,), m.
-        f_n: force of the specimen, (n,), N; None where it is not known.
-        ending: ``completed``, or what ended it; "" where nobody says.
-        measures: of `MEASURES`; None where they are not known.
-        notes: what was made of its file.
-        axis: name of the axis, of a test on several.
+        f_n: force of the specimen, (n,), N; None if unknown.
+        ending: ``completed``, or what ended it; "" if unknown.
+        measures: values of `MEASURES`; None if unknown.
+        notes: notes on how its file was read.
+        axis: name of the axis, for a test on several axes.
     """
 
     label: str
@@ -71,18 +71,19 @@ def read(
     options: Sequence[str] = (),
     axis: str | None = None,
 ) -> list[Course]:
-    """Return what is given, or stands at a place, as it is compared.
+    """Return the courses of recordings, simulations and tables.
 
     Args:
         given: each a recording, or the folder or file of one; the folder of a campaign or sweep,
-            for the recordings that it has kept; a test file, for its reference simulation; or a
-            table of another lab (CSV). A recording alone stands behind its reference simulation.
-        options: columns of the tables, as `mapping.read_wishes` takes them.
-        axis: to be compared, of every test on several axes.
+            for the recordings that it kept; a test file, for its reference simulation; or a table
+            of another laboratory (CSV). A single recording is compared with its reference
+            simulation.
+        options: columns of the tables, as for `mapping.read_wishes`.
+        axis: axis to be compared, for tests on several axes.
 
     Raises:
         InputError: one of them cannot be read, there is nothing to compare, or an axis is not named
-            or not there.
+            or does not exist.
     """
     from rthyb_rt.diagnose.mapping import read_wishes
 
@@ -108,15 +109,15 @@ def read(
 
 
 def _place_name(place: Path) -> str | None:
-    """Return the name of a run's folder, by which its user knows it; None for the present one."""
+    """Return the name of a run's folder, as its label; None for the current folder."""
     return (place.name if place.is_dir() else place.parent.name) or None
 
 
 def beside_reference(rec: Recording, course: Course) -> list[Course]:
-    """Return a recording behind its own reference simulation.
+    """Return a recording after its own reference simulation.
 
     Raises:
-        InputError: it has none.
+        InputError: it has no reference simulation.
     """
     reference = simulated(rec, course.label, course.axis)
     if reference is None:
@@ -141,10 +142,10 @@ def _at(place: Path, wishes: Sequence[Wish], axis: str | None) -> Recording | li
 
 
 def recorded(rec: Recording, label: str | None = None, axis: str | None = None) -> Course:
-    """Return a recording, or the named one of several axes, as it is compared.
+    """Return the course of a recording, or of a named axis.
 
     Raises:
-        InputError: it has several axes, and none of them is named.
+        InputError: it has several axes, and none is named.
     """
     from rthyb_rt.analysis.summary import summarize
     from rthyb_rt.comparing import of_axis
@@ -167,7 +168,7 @@ def recorded(rec: Recording, label: str | None = None, axis: str | None = None) 
 
 
 def simulated(rec: Recording, label: str, axis: str = "") -> Course | None:
-    """Return the reference simulation of a recording; None where it has none."""
+    """Return the reference simulation of a recording, or None."""
     from rthyb_rt.comparing import of_axis
 
     if axis:
@@ -178,10 +179,10 @@ def simulated(rec: Recording, label: str, axis: str = "") -> Course | None:
 
 
 def simulation(path: Path, axis: str | None = None) -> Course:
-    """Return the reference simulation of a test file, or of the named one of its several axes.
+    """Return the reference simulation of a test file, or of a named axis.
 
     Raises:
-        InputError: with the faults of test and rig, or no axis is named.
+        InputError: with the errors of test and rig, or because no axis is named.
     """
     from rthyb_rt.comparing import of_axis
     from rthyb_rt.config import load_any_both
@@ -201,7 +202,7 @@ def _reference(rows: NDArray[np.void], fs_hz: float, label: str) -> Course:
 
 
 def reference_course(x: Floats, f: Floats, fs_hz: float, label: str, axis: str = "") -> Course:
-    """Return a reference simulation as it is compared, by displacement, m, and force, N, (n,)."""
+    """Return the course of a reference simulation with displacement, m, and force, N, (n,)."""
     measures: dict[str, float | None] = dict.fromkeys(MEASURES)
     measures["peak_command_m"] = measures["peak_measured_m"] = float(np.abs(x).max(initial=0.0))
     measures["peak_force_n"] = float(np.abs(f).max(initial=0.0))
@@ -209,10 +210,10 @@ def reference_course(x: Floats, f: Floats, fs_hz: float, label: str, axis: str =
 
 
 def _kept(folder: Path, axis: str | None) -> list[Course]:
-    """Return the recordings that a campaign or sweep has kept.
+    """Return the recordings that a campaign or sweep kept.
 
     Raises:
-        InputError: it has kept none, or more than can be told apart.
+        InputError: it kept none, or more than a figure can show.
     """
     from rthyb_rt.campaign.book import ROWS
     from rthyb_rt.record.recording import open_run
@@ -239,7 +240,7 @@ def _kept(folder: Path, axis: str | None) -> list[Course]:
 
 
 def _chosen(row: dict[str, Any]) -> str:
-    """Return what tells a run from the others of its campaign."""
+    """Return the values that distinguish a run from the others of its campaign."""
     chosen = itertools.takewhile(lambda key: key not in ("drawn", "repeat"), row)
     parts = [f"{key.rsplit('.', 1)[-1]} {row[key]}" for key in chosen if key != "case"]
     if row.get("drawn", -1) > 0:
@@ -253,10 +254,10 @@ def _chosen(row: dict[str, Any]) -> str:
 
 
 def table(path: Path, wishes: Sequence[Wish]) -> Course:
-    """Return a table of another lab, in SI; no model is there to guess a unit by.
+    """Return a table of another laboratory in SI units; there is no model to infer units from.
 
     Raises:
-        InputError: it cannot be read, or a column that is needed or its unit is not named.
+        InputError: it cannot be read, or a required column or its unit is not named.
     """
     from rthyb_rt.diagnose.lab import stated
 
@@ -281,7 +282,7 @@ def table(path: Path, wishes: Sequence[Wish]) -> Course:
 
 
 def _rate(step_s: float) -> float:
-    """Return the rate of rows, in whole hertz where only the rounding of times is between."""
+    """Return the rate of rows, in whole hertz if it differs only by the rounding of times."""
     rate = 1.0 / step_s
     return float(round(rate)) if abs(rate - round(rate)) < _PRINTED * rate else rate
 
@@ -291,7 +292,7 @@ def _largest(values: Floats) -> float:
 
 
 def named_apart(courses: Sequence[Course]) -> list[Course]:
-    """Return courses of which no two have one label."""
+    """Return the courses with labels that are all different."""
     labels: list[str] = []
     for course in courses:
         number, label = 2, course.label

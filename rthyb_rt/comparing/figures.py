@@ -1,4 +1,4 @@
-"""The figures of courses beside one another."""
+"""The figures of a comparison."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def plates(overlay: Overlay) -> list[draw.Plate]:
 
 
 def displacement(overlay: Overlay) -> draw.Plate:
-    """Draw the displacements over one another, and below what differs from the first."""
+    """Draw the displacements, and below them the differences from the first."""
     signals = [1e3 * x for x in overlay.x_m]
     return _beside(overlay, "compare", "displacement", "mm", signals, 1e-3)
 
 
 def force(overlay: Overlay) -> draw.Plate:
-    """Draw the same of the forces."""
+    """Draw the same for the forces."""
     signals = [1e-3 * f for f in overlay.f_n]
     return _beside(overlay, "compare-force", "force", "kN", signals, 1e-6)
 

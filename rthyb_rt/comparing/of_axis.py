@@ -1,4 +1,4 @@
-"""One axis of a test on several, as it is compared."""
+"""Courses of one axis of a test on several axes."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 
 
 def number_of(names: Sequence[str], axis: str | None, where: str) -> int:
-    """Return the number of the axis that is asked for.
+    """Return the number of the requested axis.
 
     Raises:
-        InputError: none is, or there is none of that name.
+        InputError: no axis is named, or none has that name.
     """
     if axis is None:
         raise InputError(
@@ -34,10 +34,10 @@ def number_of(names: Sequence[str], axis: str | None, where: str) -> int:
 
 
 def recorded(rec: Recording, label: str | None, axis: str | None) -> Course:
-    """Return an axis of a recording as it is compared.
+    """Return the course of an axis of a recording.
 
     Raises:
-        InputError: none is named, or there is none of that name.
+        InputError: no axis is named, or none has that name.
     """
     k = number_of(rec.axis_names, axis, label or "compare")
     found = several.summarize(rec)
@@ -77,7 +77,7 @@ def simulation(setup: Setup, axis: str | None) -> Course:
     """Return the reference simulation of an axis of a test.
 
     Raises:
-        InputError: none is named, or there is none of that name.
+        InputError: no axis is named, or none has that name.
     """
     assert setup.group is not None
     name, reference = setup.test.test.name, setup.group.reference

@@ -1,4 +1,4 @@
-"""Courses at the same instants: what differs from the first, and what was done for that."""
+"""Courses at common instants, and their differences from the first."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from rthyb_rt.numbers import count
 Floats = NDArray[np.float64]
 
 _ON_A_SAMPLE: Final = 1e-6
-"""Part of a sampling period within which an instant is that of a sample."""
+"""Part of a sampling period within which an instant coincides with a sample."""
 
 
 @dataclass(frozen=True)
 class Overlay:
-    """Courses beside the first of them.
+    """Courses compared with the first of them.
 
     Attributes:
-        courses: two to ten.
+        courses: two to ten courses.
         fs_hz: rate at which they are compared, that of the slowest, Hz.
-        x_m, f_n: displacement and force of each at these instants, as long as each lasts; of a
-            course without force, not a number.
-        shared: samples that all of them have.
-        lags_s: how far each lies behind the first, by the largest correlation of their
-            displacements, s; not a number where there is none.
-        aligned: the lags were taken out.
+        x_m, f_n: displacement and force of each at these instants, over its whole length; nan for
+            a course without force.
+        shared: number of samples that all of them have.
+        lags_s: lag of each behind the first, by the largest correlation of their displacements, s;
+            nan if there is no correlation.
+        aligned: whether the lags were removed.
         notes: what was done to make them comparable.
     """
 
@@ -49,14 +49,14 @@ class Overlay:
 
     @classmethod
     def of(cls, courses: Sequence[Course], *, align: bool = False) -> Overlay:
-        """Set courses beside one another.
+        """Compare courses with the first.
 
         Args:
-            courses: two to ten; of one name, they are numbered.
-            align: move each so that it lies over the first: for tables whose time begins anywhere.
+            courses: two to ten; those with the same name are numbered.
+            align: shift each so that it matches the first, for tables with an arbitrary time zero.
 
         Raises:
-            InputError: there are fewer than two or more than ten, or they share no instant.
+            InputError: there are fewer than two or more than ten, or they have no time in common.
         """
         if not 2 <= len(courses) <= MOST:
             raise InputError(
@@ -81,16 +81,16 @@ class Overlay:
 
     @property
     def labels(self) -> list[str]:
-        """What each is called."""
+        """Label of each course."""
         return [course.label for course in self.courses]
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each: label, ending, measures, and how it differs from the first.
+        """A row for each course: label, ending, measures, and its difference from the first.
 
-        ``x_difference_nrmse`` is rms(x - x_first) / rms(x_first) over the instants that all have,
-        ``x_difference_m`` the largest magnitude; ``f_difference_nrmse`` and ``f_difference_n`` the
-        same of the force; ``lag_s`` how far it lies behind the first.
+        ``x_difference_nrmse`` is rms(x - x_first) / rms(x_first) over the common instants,
+        ``x_difference_m`` the largest magnitude; ``f_difference_nrmse`` and ``f_difference_n`` are
+        the same for the force; ``lag_s`` is its lag behind the first.
         """
         rows = []
         for course, x, f, late in zip(self.courses, self.x_m, self.f_n, self.lags_s, strict=True):
@@ -115,11 +115,11 @@ def _known(value: float) -> float | None:
 def _at_rate(
     courses: Sequence[Course], fs_hz: float, shifts: Sequence[float]
 ) -> list[tuple[Floats, Floats]]:
-    """Return displacement and force of each at the instants n / fs_hz, each moved forward."""
+    """Return displacement and force of each at the instants n / fs_hz, each shifted forward."""
     found = []
     for course, shift in zip(courses, shifts, strict=True):
         last = course.duration_s - 1.0 / course.fs_hz - shift
-        # A sample that rounding has put just beyond the end is still there.
+        # A sample that rounding has moved just beyond the end still exists.
         size = max(0, math.floor(last * fs_hz + _ON_A_SAMPLE) + 1)
         at_s = shift + np.arange(size) / fs_hz
         x = at(course.x_m, course.fs_hz, at_s)
@@ -132,9 +132,9 @@ def _at_rate(
 def at(y: Floats, fs_hz: float, at_s: Floats) -> Floats:
     """Return a signal at other instants than those of its samples.
 
-    A sample where there is one; between two, the cubic through the four about it (Lagrange), whose
-    error is that of the fourth derivative: below 0.03 % of a sine with 20 samples a period.
-    Not a number where a sample is missing that it needs.
+    At a sample, that sample; between two, the cubic through the four nearest (Lagrange), whose
+    error is proportional to the fourth derivative: below 0.03 % of a sine with 20 samples per
+    period. The result is nan where a required sample is missing.
 
     Args:
         y: samples n / fs_hz, (n,).
@@ -163,10 +163,10 @@ def at(y: Floats, fs_hz: float, at_s: Floats) -> Floats:
 
 
 def lag(first: Floats, other: Floats, fs_hz: float) -> float:
-    """Return how far a signal lies behind another by their largest correlation, s.
+    """Return the lag of a signal behind another, by their largest correlation, s.
 
-    Between samples by the parabola through the largest value and its neighbours. Not a number where
-    one of them does not move.
+    Between samples, it is interpolated by the parabola through the largest value and its
+    neighbours. The result is nan if one of the signals is constant zero.
     """
     size = min(first.size, other.size)
     a, b = (np.where(np.isfinite(y[:size]), y[:size], 0.0) for y in (first, other))
@@ -198,7 +198,7 @@ def _notes(courses: Sequence[Course], fs_hz: float, shared: int) -> list[str]:
 
 
 def _who_has(values: Sequence[tuple[str, float]], one: str, many: str, unit: str) -> str:
-    """Return who has what in a sentence: each by name, or how many where there are many."""
+    """Return values in a sentence: each with its label, or only their range if there are many."""
     if len(values) <= 2:
         return ", ".join(f"{label} {one} {value:.6g} {unit}" for label, value in values)
     low, high = min(v for _, v in values), max(v for _, v in values)

@@ -1,4 +1,4 @@
-"""Courses beside one another as one page that needs nothing else, and their table as CSV."""
+"""A comparison as one self-contained page, and its table as CSV."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ FIGURES: Final = (
     Figure("response_nrmse", "Response, NRMSE", "%", 100.0),
     Figure("energy_error_relative", "Energy error", "%", 100.0),
 )
-"""What is told of each; that of the difference and the lag, from the first."""
+"""Figures of each course; differences and lag are relative to the first."""
 _OF_THE_FIRST: Final = ("x_difference_nrmse", "x_difference_m", "f_difference_nrmse", "lag_s")
 
 
 _BESIDE: Final = 4
-"""Courses that have room beside one another; more stand below one another."""
+"""Maximum of courses in columns beside one another; more are listed in rows."""
 
 
 def table(overlay: Overlay) -> tuple[list[str], list[list[str]]]:
-    """Return the table as people read it: heads, and rows with their label first.
+    """Return the table as text: heads, and rows with their label first.
 
     A column for each of a few courses, a row for each of many.
     """

@@ -1,1 +1,1 @@
-"""What is kept of a test: the HDF5 recording, the telemetry ring, exports."""
+"""Storage of tests: the HDF5 recording, the telemetry ring, exports."""

@@ -1,4 +1,4 @@
-"""One axis of a recording of several, for a diagnosis: its signals, and its rig by itself."""
+"""One axis of a recording with several axes, for a diagnosis: its signals and its rig."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ def axis_signals(rec: Recording, name: str, rig: AxesRig | None = None) -> dict[
     """Return the signals of an axis in the rows of the test proper, SI units, (n,) each.
 
     Args:
-        rec: of several axes.
-        name: of the axis.
-        rig: what is known of the specimen; None: the matrices of the rig file in the recording,
-            and of its elements nothing.
+        rec: a recording with several axes.
+        name: name of the axis.
+        rig: known properties of the specimen; None: the matrices of the rig file in the recording,
+            without its elements.
 
     Returns:
-        ``t``, ``ag``, ``x_cmd`` and ``x_meas`` as recorded; ``x_num``, where the numerical part
-        wants the axis, by the kinematics; ``f_meas``, its load cell less what the measured motion
-        of the other axes brings, see `from_others`.
+        ``t``, ``ag``, ``x_cmd`` and ``x_meas`` as recorded; ``x_num``, the command of the numerical
+        part for the axis, by the kinematics; ``f_meas``, its load cell less the force that is due
+        to the measured motion of the other axes, see `from_others`.
 
     Raises:
-        InputError: there is no such axis, or the recording is of one.
+        InputError: there is no such axis, or the recording has only one axis.
     """
     rig = rig or _without_elements(rig_of(rec))
     own, k = rec.axis(name), rec.axis_names.index(name)
@@ -61,16 +61,16 @@ def axis_signals(rec: Recording, name: str, rig: AxesRig | None = None) -> dict[
 
 
 def from_others(rig: AxesRig, k: int, x_m: Floats, dt_s: float) -> Floats:
-    """Return what an axis feels beside its own stiffness, damping and mass, N, (n,).
+    """Return the force on an axis that is not due to its own motion, N, (n,).
 
-    The specimen's matrices as along the axes at rest, J^-T K J^-1 and so on, without their
-    diagonal, and the whole force of its elements.
+    It follows from the specimen's matrices in the coordinates of the axes at rest, J^-T K J^-1 and
+    so on, without their diagonals, and from the whole force of its elements.
 
     Args:
-        rig: of the axes.
+        rig: the rig with all axes.
         k: number of the axis.
         x_m: displacements of all axes, (n, axes).
-        dt_s: from row to row.
+        dt_s: interval between rows.
     """
     v, a = _derivatives(x_m, dt_s)
     total = np.zeros(x_m.shape[0])
@@ -89,9 +89,9 @@ def from_others(rig: AxesRig, k: int, x_m: Floats, dt_s: float) -> Floats:
 
 
 def alone(rig: AxesRig, name: str) -> RigFile:
-    """Return an axis as a rig of its own, with the damping and mass that it feels by itself.
+    """Return an axis as a rig with one axis, with the damping and mass of its own motion.
 
-    It is the model of what `axis_signals` returns.
+    It is the model for the signals of `axis_signals`.
 
     Raises:
         InputError: there is no axis of that name.
@@ -112,10 +112,10 @@ def alone(rig: AxesRig, name: str) -> RigFile:
 
 
 def to_csv(rec: Recording, path: Path, name: str) -> Path:
-    """Write `axis_signals` as CSV, and beside it the rig of that axis; return the latter's path.
+    """Write `axis_signals` as CSV, and beside it the rig of that axis; return the rig's path.
 
     Raises:
-        InputError: as `axis_signals`.
+        InputError: as for `axis_signals`.
         RthybError: a file cannot be written.
     """
     signals = axis_signals(rec, name)
@@ -128,10 +128,10 @@ def to_csv(rec: Recording, path: Path, name: str) -> Path:
 
 
 def rig_of(rec: Recording) -> AxesRig:
-    """Return the rig file of a recording of several axes.
+    """Return the rig file of a recording with several axes.
 
     Raises:
-        InputError: it is of one.
+        InputError: the recording has only one axis.
     """
     rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
     if not isinstance(rig, AxesRig):
@@ -140,12 +140,12 @@ def rig_of(rec: Recording) -> AxesRig:
 
 
 def _without_elements(rig: AxesRig) -> AxesRig:
-    """Return a rig whose specimen is its matrices alone."""
+    """Return a rig whose specimen consists only of its matrices."""
     return rig.model_copy(update={"specimen": rig.specimen.model_copy(update={"element": []})})
 
 
 def stiffness_of(rig: AxesRig) -> Rows:
-    """Return the specimen's matrix: the measured one counts the elements' own stiffness as well."""
+    """Return the specimen's matrix: the measured one includes the stiffness of the elements."""
     return rig.specimen.stiffness if rig.specimen.element else rig.k_e
 
 

@@ -1,4 +1,4 @@
-"""Recordings for other programs: MAT for MATLAB and Octave, CSV for the rest."""
+"""Recordings for other programs: MAT for MATLAB and Octave, CSV for all others."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ INTERCHANGE: dict[str, str] = {
     "x_meas": "x_meas_m",
     "f_meas": "f_meas_n",
 }
-"""Columns of the interchange format besides ``t`` and the fields that they come from."""
+"""Columns of the interchange format other than ``t``, and the fields from which they come."""
 
 
 def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
@@ -34,7 +34,7 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
             gives every row, every field and every channel under its own name, after ``t_s``.
 
     Raises:
-        InputError: without ``full``, of a rig of several axes: see `axis_export`.
+        InputError: the rig has several axes and ``full`` is False: see `axis_export`.
         RthybError: the file cannot be written.
     """
     if rec.axis_names and not full:
@@ -56,16 +56,16 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
 
 
 def write_columns(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
-    """Write columns, (n,) each, by their names as CSV; raises ``RthybError`` where it cannot."""
+    """Write columns, (n,) each, under their names as CSV; raises ``RthybError`` on failure."""
     values = [one.tolist() for one in columns.values()]
     with replacing(Path(path)) as temporary, temporary.open("w", encoding="ascii") as file:
         file.write(",".join(columns) + "\n")
-        # repr gives the shortest text that reads back as the same double.
+        # repr gives the shortest text that is read back as the same double.
         file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*values, strict=True))
 
 
 def to_mat(rec: Recording, path: str | Path) -> None:
-    """Write a recording as a MAT file (version 5), one variable a field, column vectors.
+    """Write a recording as a MAT file (version 5), one column vector for each field.
 
     The variables are ``t_s``, every field of the samples under its own name, ``x_ref_m`` and the
     other reference signals if there are any, ``fs_hz``, ``test_toml``, ``rig_toml`` and the
@@ -110,7 +110,7 @@ def _values(rec: Recording, name: str) -> NDArray[Any]:
 
 
 def _excitation(rec: Recording) -> str:
-    """Return what the row that a test was driven by is: a prescribed history is a displacement."""
+    """Return the kind of excitation of a test: a prescribed history is a displacement."""
     return "history_m" if "excitation" in rec.ground_motion else "ag_mps2"
 
 

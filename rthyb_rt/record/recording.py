@@ -1,14 +1,14 @@
-"""The recording of a hybrid test: one HDF5 file with all that is needed to judge and repeat it.
+"""The recording of a hybrid test: one HDF5 file with everything needed to evaluate and repeat it.
 
 Layout of the file (schema ``rthyb-recording/3``)::
 
     /samples              one row a sample, the core's record and its channels as a compound; attrs
                           fs_hz, units, axes, channels
-    /ground_motion/ag_mps2   the ground motion as the controller had it; attrs name, source, ...
-                          of a prescribed history (attr excitation) the displacement, m
+    /ground_motion/ag_mps2   the ground motion as used by the controller; attrs name, source, ...
+                          for a prescribed history (attr excitation) the displacement, m
     /reference            reference simulation, x_ref_m, v_ref_mps, f_ref_n (optional)
     /config/test_toml, /config/rig_toml     the resolved files as text
-    /replay/...           what a bit-identical replay needs besides
+    /replay/...           further data for a bit-identical replay
     attributes of /       versions, test name, end reason, ...
 """
 
@@ -32,20 +32,20 @@ from rthyb_rt.errors import InputError, RthybError
 FILE_NAME = "recording.h5"
 
 BLOCK_ROWS = 128
-"""Rows of a block of a recording that grows: an eighth of a second."""
+"""Rows per block of a growing recording: an eighth of a second."""
 
 Rows = NDArray[np.void]
 
 
 @dataclass(frozen=True)
 class Field:
-    """A field of the samples as a version of the record has it.
+    """A field of the samples in a version of the record.
 
     Attributes:
         type: NumPy's name of the type.
         unit: its unit.
-        earlier: what a row of the version before has for it, (n,) from (n,); None: the field of the
-            same name there.
+        earlier: its value for rows of the previous version, (n,) from (n,); None: the field of the
+            same name in that version.
     """
 
     type: str
@@ -55,12 +55,12 @@ class Field:
 
 @dataclass(frozen=True)
 class Version:
-    """What a version of the record brought.
+    """The changes of a version of the record.
 
     Attributes:
         program: the first version of the program that writes it.
-        fields: those that it brought or changed; of version 1 all.
-        gone: fields of the version before that it has no more.
+        fields: fields that it added or changed; for version 1 all fields.
+        gone: fields of the previous version that it no longer has.
     """
 
     program: str
@@ -69,7 +69,7 @@ class Version:
 
 
 def _from_counts(name: str, unit: float) -> Callable[[Rows], NDArray[Any]]:
-    """Return the value of a field of version 1 in whole units, whose lowest count is no number."""
+    """Return the value of an integer field of version 1, whose lowest count means no reading."""
 
     def values(rows: Rows) -> NDArray[Any]:
         return np.where(rows[name] == np.iinfo(np.int32).min, np.nan, rows[name] * unit)
@@ -78,7 +78,7 @@ def _from_counts(name: str, unit: float) -> Callable[[Rows], NDArray[Any]]:
 
 
 def _in_a_row(rows: Rows) -> NDArray[Any]:
-    """Return how many rows up to each one, and with it, had no pair."""
+    """Return the number of rows without a pair up to and including each row."""
     lost = (rows["flags"] & FLAGS["predicted"]) != 0
     n = np.arange(1, len(rows) + 1)
     return (n - np.maximum.accumulate(np.where(lost, 0, n))).astype(np.uint32)
@@ -138,18 +138,18 @@ here, with what recordings of before have for it, and one in the core's rthyb_re
 
 VERSION = max(VERSIONS)
 OLDEST_REPLAYED = 2
-"""From this version on rows hold all that a replay needs, to the bit."""
+"""From this version on, rows contain everything that a bit-identical replay needs."""
 AXIS_FIELDS: tuple[str, ...] = (
     *("x_read_m", "f_read_n", "x_cmd_m", "x_meas_m", "f_meas_n"),
     *("missing", "echo", "count"),
 )
-"""Fields of one axis; the others are of the test as a whole."""
+"""Fields that exist for each axis; the others belong to the whole test."""
 _SCHEMAS = "rthyb-recording/"
 SCHEMA = f"{_SCHEMAS}{VERSION}"
 
 
 def fields_of(version: int) -> dict[str, Field]:
-    """Return the fields of the samples of a version."""
+    """Return the fields of the samples in a version."""
     found: dict[str, Field] = {}
     for number in range(1, version + 1):
         step = VERSIONS[number]
@@ -159,10 +159,10 @@ def fields_of(version: int) -> dict[str, Field]:
 
 
 def _converted(rows: Rows, version: int) -> Rows:
-    """Return rows of an older version as those of the present one."""
+    """Convert rows of an older version to the current one."""
     for number in range(version + 1, VERSION + 1):
         step, now = VERSIONS[number], fields_of(number)
-        # What a lab has beside the fields of its version stays beside those of this one.
+        # Additional fields of a laboratory are kept in addition to those of this version.
         own = [name for name in rows.dtype.names or () if name not in fields_of(number - 1)]
         made = np.zeros(
             len(rows),
@@ -181,7 +181,7 @@ UNITS: dict[str, str] = {name: field.unit for name, field in fields_of(VERSION).
 
 
 def units_of(axis_count: int = 1) -> dict[str, str]:
-    """Return the units of the fields of samples of so many axes: "x_cmd_m.1" is of the second."""
+    """Return the units of the fields for a number of axes: "x_cmd_m.1" belongs to the second."""
     further = {
         f"{name}.{axis}": UNITS[name] for axis in range(1, axis_count) for name in AXIS_FIELDS
     }
@@ -192,20 +192,20 @@ REFERENCE_UNITS: dict[str, str] = {"x_ref_m": "m", "v_ref_mps": "m/s", "f_ref_n"
 """Unit of each field of `Recording.reference`."""
 
 _CONVERTED = "converted_from"
-"""Attribute of a file that was read as an older version and written again: which one."""
+"""Attribute of a file that was written from an older version: that version."""
 
 
 @dataclass
 class ReplayData:
-    """What a bit-identical replay needs besides the samples and the configuration.
+    """Data for a bit-identical replay, in addition to the samples and the configuration.
 
     Attributes:
         parameters: every parameter set, ``{"generation", "tick", "values"}``.
         commands: every operator command, ``{"tick", "command"}``.
         skips: first tick and length of every skip, shape (n, 2).
-        tares: offset taken off each channel at zeroing, in the channel's unit.
-        codec: how the link has put numbers into frames, as the core has it; of several axes one
-            behind the other; empty: no wire.
+        tares: offset subtracted from each channel at zeroing, in the channel's unit.
+        codec: the core's description of how the link encodes numbers in frames; for several axes
+            one after another; empty: no wire.
     """
 
     parameters: list[dict[str, Any]] = field(default_factory=list)
@@ -224,19 +224,19 @@ class Recording:
     Attributes:
         samples: structured array with at least the fields of `UNITS`.
         fs_hz: sampling rate, Hz.
-        ag_mps2: ground motion at the sampling rate as the controller had it, m/s^2.
+        ag_mps2: ground motion at the sampling rate as used by the controller, m/s^2.
         ground_motion: provenance: name, source, pga_g, scale.
         reference: structured array with the fields of `REFERENCE_UNITS`, or None; its row k
             belongs to the k-th RUNNING row of ``samples`` and it may be longer.
         test_toml: resolved test file.
         rig_toml: resolved rig file.
-        replay: what a replay needs besides.
+        replay: further data for a replay.
         meta: rthyb_version, core_version, core_sources, compiler, architecture, git_hash,
             test_name, clock, created_utc, end_reason ("completed" or the reason), interrupted.
-        version: of the record as it was written; the samples are as the present one has them.
-        channels: named values that the rows have beside the fields of `UNITS`.
-        axis_names, interface_names: of several axes, and of the directions that they and the
-            numerical part meet in; empty with one.
+        version: version of the record in the file; the samples are converted to the current one.
+        channels: named values of the rows in addition to the fields of `UNITS`.
+        axis_names, interface_names: names of several axes, and of the directions in which they are
+            connected to the numerical part; empty for one axis.
     """
 
     samples: NDArray[np.void]
@@ -255,7 +255,7 @@ class Recording:
 
     @property
     def axis_count(self) -> int:
-        """How many axes the samples are of."""
+        """Number of axes."""
         return axes_in(self.samples.dtype)
 
     def axis(self, which: int | str = 0) -> NDArray[np.void]:
@@ -297,7 +297,7 @@ class Recording:
         raise InputError(f"no channel {name!r}; channels are: {known}", "recording")
 
     def extras(self) -> tuple[Channel, ...]:
-        """Return the channels that the rig file names beside displacement and force."""
+        """Return the extra channels of the rig file, besides displacement and force."""
         try:
             sensors = tomllib.loads(self.rig_toml).get("sensors", {})
             names = [one["name"] for one in sensors.get("extra", ())]
@@ -320,10 +320,10 @@ class Recording:
 
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary name beside ``path`` and move it there when the block ends well.
+    """Provide a temporary name beside ``path``; rename it to ``path`` if the block succeeds.
 
-    Whoever looks at ``path`` sees the old file or the whole new one; after a failure the
-    temporary file is gone.
+    A reader of ``path`` sees either the old file or the complete new one; after a failure the
+    temporary file is deleted.
 
     Raises:
         RthybError: the folder or the file cannot be written.
@@ -345,10 +345,10 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write(path: str | Path, rec: Recording) -> None:
-    """Write a recording in one piece: a temporary file in the same folder, then renamed.
+    """Write a recording atomically: a temporary file in the same folder, which is then renamed.
 
     Args:
-        path: file to write; folders are made, an older file is replaced.
+        path: file to write; folders are created, and an existing file is replaced.
         rec: the recording.
 
     Raises:
@@ -369,17 +369,17 @@ def write(path: str | Path, rec: Recording) -> None:
 
 def _made_anew(path: Path) -> BinaryIO:
     """Create and open a new file: symbolic links are never followed."""
-    # What a process of this number has left behind when it was killed.
+    # A file left behind by a killed process with this number.
     path.unlink(missing_ok=True)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     return os.fdopen(os.open(path, flags, 0o666), "wb")
 
 
 def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
-    """Put a recording into an open and empty HDF5 file.
+    """Write a recording to an open, empty HDF5 file.
 
-    ``growing``: without its samples, for which there is room without end, in blocks of
-    `BLOCK_ROWS`; a block that is written whole is never written again.
+    ``growing``: without its samples, whose data set can grow in blocks of `BLOCK_ROWS`; a complete
+    block is never written again.
     """
     file.attrs["schema"] = SCHEMA
     set_attributes(file, rec.meta)
@@ -411,7 +411,7 @@ def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
 
 
 def _names() -> dict[str, Any]:
-    """Return what the numbers of the samples mean, so that a file says it for itself."""
+    """Return a description of the samples, so that a file explains itself."""
     from rthyb_rt import core
 
     return {
@@ -424,7 +424,7 @@ def _names() -> dict[str, Any]:
 
 
 def fill_replay(file: Any, replay: ReplayData) -> None:
-    """Put what a replay needs into an open HDF5 file, in place of what is there."""
+    """Write the data for a replay to an open HDF5 file, replacing the existing data."""
     group = file["replay"]
     for name in tuple(group):
         del group[name]
@@ -436,7 +436,7 @@ def fill_replay(file: Any, replay: ReplayData) -> None:
 
 
 def set_attributes(owner: Any, values: dict[str, Any]) -> None:
-    """Store values as attributes: scalars as they are, structures as JSON, None not at all."""
+    """Store values as attributes: scalars directly, structures as JSON; None is omitted."""
     for key, value in values.items():
         if value is not None:
             scalar = isinstance(value, (str, bool, int, float, np.generic))
@@ -483,13 +483,13 @@ def read(path: str | Path, *, rows: bool = True) -> Recording:
 
     Args:
         path: the HDF5 file.
-        rows: False leaves ``samples`` empty, whose last block may be damaged.
+        rows: False leaves ``samples`` empty, because its last block may be damaged.
 
     Returns:
-        The recording, wholly in memory.
+        The complete recording in memory.
 
     Raises:
-        InputError: the file is missing, is no recording, is damaged, or has another schema.
+        InputError: the file is missing, damaged or not a recording, or has another schema.
     """
     import h5py
 
@@ -523,7 +523,7 @@ def _why_unreadable(path: Path, error: Exception) -> str:
 
 
 def _load(file: Any, where: str, rows: bool) -> Recording:
-    """Turn the open file into a recording; what h5py raises tells of damage."""
+    """Read the open file as a recording; an exception of h5py indicates damage."""
     version = _version(file, where)
     samples_set = file["samples"]
     if samples_set.ndim != 1:
@@ -565,7 +565,7 @@ def _texts(samples: Any, name: str) -> tuple[str, ...]:
 
 
 def _channels(samples: Any) -> tuple[Channel, ...]:
-    """Return what an open file says of its channels: those that its rows have."""
+    """Return the channels that an open file describes."""
     told = plain(samples.attrs.get("channels"))
     names = samples.dtype.names or ()
     return tuple(
@@ -576,7 +576,7 @@ def _channels(samples: Any) -> tuple[Channel, ...]:
 
 
 def _version(file: Any, where: str) -> int:
-    """Return the version of the record in an open file, one that is known."""
+    """Return the version of the record in an open file; it must be a known one."""
     schema = plain(file.attrs.get("schema"))
     if not isinstance(schema, str) or not schema.startswith(_SCHEMAS):
         raise InputError(
@@ -597,15 +597,15 @@ def _version(file: Any, where: str) -> int:
 
 
 def _take_program(which: str) -> str:
-    """Return how to get another version of this program: ``==0.1.0``."""
+    """Return how to obtain another version of this program, given as ``==0.1.0``."""
     return f"pip install 'rthyb-rt{which}'"
 
 
 def require_replayable(rec: Recording) -> None:
-    """Refuse to replay what a version has recorded whose rows lack something of the inputs.
+    """Refuse to replay a recording of a version whose rows do not contain all inputs.
 
     Raises:
-        InputError: the record is of an older version; says which program replays it.
+        InputError: the recording has an older version; the message states which program replays it.
     """
     if rec.version >= OLDEST_REPLAYED:
         return
@@ -624,7 +624,7 @@ def _require_fields(dtype: np.dtype[Any], needed: Iterable[str], name: str, wher
 
 
 def plain(value: Any) -> Any:
-    """Return an attribute as a Python value; text that holds JSON structures is parsed."""
+    """Return an attribute as a Python value; JSON structures in text are parsed."""
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, bytes):

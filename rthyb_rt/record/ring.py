@@ -1,8 +1,8 @@
 """The telemetry ring: the last 64 s of a test in a file in memory that outlives its process.
 
-The tick thread pushes one record a tick and never waits. Recorder, dashboard and black box read the
-same ring, each from a read-only mapping. Beside the ring stands its session file, a recording
-without samples; ring and session together are a recording (`recover`), also after ``kill -9``.
+The tick thread writes one record per tick and never waits. Recorder, live view and `recover` read
+the same ring, each through a read-only mapping. Beside the ring is its session file, a recording
+without samples; together they form a complete recording (`recover`), even after ``kill -9``.
 A ring does not survive a reboot.
 
 Layout of the file, every number with its low byte first::
@@ -59,7 +59,7 @@ _OTHER_VERSION = "use the version of rthyb_rt that wrote it"
 
 
 class OtherVersionError(InputError):
-    """A ring that another version of the program has written."""
+    """A ring that was written by another version of the program."""
 
 
 _REFUSED: Final[dict[int, str]] = {
@@ -73,12 +73,12 @@ _REFUSED: Final[dict[int, str]] = {
 
 
 def default_folder() -> Path:
-    """Return where rings belong: in memory, and where this user may write.
+    """Return the default folder of rings: in memory, and writable for this user.
 
-    ``/run/rthyb`` for the user whose it is by the service's installation, else the user's runtime
-    folder, else a folder of the user's own in ``/dev/shm``.
+    ``/run/rthyb`` if the installed service gave it to this user, otherwise the user's runtime
+    folder, otherwise a folder of the user in ``/dev/shm``.
     """
-    # Root may write there too: rings of root's are nothing that the service's recorder may read.
+    # Root may write there too, but the service's recorder may not read the rings of root.
     with suppress(OSError):
         if _SERVICE.is_dir() and _SERVICE.stat().st_uid == os.geteuid():
             return _SERVICE
@@ -86,17 +86,17 @@ def default_folder() -> Path:
 
 
 def folders() -> list[Path]:
-    """Return every folder that rings may be in, whether it is there or not: the service's first."""
+    """Return every possible folder of rings, whether it exists or not; the service's first."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     own = [Path(runtime) / "rthyb"] if runtime else []
     return [_SERVICE, *own, _SHARED / f"rthyb-{os.geteuid()}"]
 
 
 def claim(folder: Path) -> Path:
-    """Return a folder of rings, made for this user alone if it is missing.
+    """Return a folder of rings; if it is missing, it is created for this user only.
 
     Raises:
-        RthybError: it cannot be made, or is not to be trusted; see `trusted`.
+        RthybError: it cannot be created, or is not trustworthy; see `trusted`.
     """
     try:
         folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
@@ -114,14 +114,14 @@ def _not_made(folder: Path, error: OSError) -> RthybError:
 
 
 def trusted(folder: Path) -> Path:
-    """Return a folder of rings, unless another user may have put it there, or may write in it.
+    """Return a folder of rings, unless another user may have created it or may write to it.
 
-    Where everybody may make files, as in ``/dev/shm``, it must be a folder of this user's own, with
-    rights for nobody else: who came first could have this user's files written elsewhere, or stand
-    in for his service. One that is missing passes.
+    Where everybody may create files, as in ``/dev/shm``, the folder must belong to this user and
+    give no rights to anybody else: another user could otherwise redirect this user's files or
+    impersonate the service. A missing folder is accepted.
 
     Raises:
-        RthybError: it is not to be trusted; whose it is, and what to do.
+        RthybError: it is not trustworthy; the message states its owner and what to do.
     """
     try:
         around, found = folder.parent.stat(), folder.lstat()
@@ -154,17 +154,17 @@ def session_path(ring: Path) -> Path:
 def delete(ring: Path) -> None:
     """Delete a ring and its session.
 
-    The session first: as soon as the ring has gone another one may have its name, and a session.
+    The session is deleted first: once the ring is deleted, a new ring may use the same name.
     """
     for path in (session_path(ring), ring):
         path.unlink(missing_ok=True)
 
 
 def find(folder: Path) -> list[Path]:
-    """Return the rings in a folder, the newest last."""
+    """Return the rings in a folder, newest last."""
     made_s = {}
     for path in folder.glob("ring.*"):
-        # One may go while they are looked at.
+        # A ring may be deleted while they are inspected.
         with suppress(FileNotFoundError):
             if _is_ring_name(path.name):
                 made_s[path] = path.stat().st_mtime
@@ -179,15 +179,15 @@ def _is_ring_name(name: str) -> bool:
 
 
 class Ring:
-    """A ring that this process fills; made by `create`.
+    """A ring that this process writes; made by `create`.
 
-    The object owns the memory that the tick thread writes to: it must outlive that thread.
+    The object owns the memory to which the tick thread writes, so it must outlive that thread.
 
     Attributes:
         path: the ring's file.
-        locked: the ring cannot be paged out.
-        in_memory: the ring lies on tmpfs. Elsewhere the write-back of the disk can make the
-            producer wait.
+        locked: whether the ring is locked in memory.
+        in_memory: whether the ring is on tmpfs. Elsewhere, writing back to the disk can delay the
+            producer.
     """
 
     def __init__(
@@ -203,17 +203,17 @@ class Ring:
 
     @classmethod
     def create(cls, folder: Path, session: Recording, capacity: int = CAPACITY) -> Ring:
-        """Make a ring and its session file, all memory taken, locked and written once.
+        """Create a ring and its session file; all memory is allocated, locked and written once.
 
         Args:
-            folder: where; made if it is missing, for this user alone.
-            session: all that the recording will hold but the samples, which are left out.
-            capacity: records, a power of two.
+            folder: folder of the ring; created for this user only if it is missing.
+            session: the recording without its samples.
+            capacity: number of records, a power of two.
 
         Raises:
-            RthybError: the folder cannot be written, has no room or is not to be `trusted`; nothing
-                is left behind.
-            ValueError: ``capacity`` is no power of two.
+            RthybError: the folder cannot be written, has no room or is not `trusted`; nothing is
+                left behind.
+            ValueError: ``capacity`` is not a power of two.
         """
         if capacity < 1 or capacity & (capacity - 1):
             raise ValueError(f"found a capacity of {capacity} rows; it must be a power of two")
@@ -236,7 +236,7 @@ class Ring:
             core = ffi.new("rthyb_ring *")
             lib.rthyb_ring_init(core, view, capacity, len(about), session.axis_count, count)
             undo.callback(session_path(path).unlink, missing_ok=True)
-            # Last of all: whoever finds a session finds a ring beside it.
+            # Written last: a process that finds a session finds a ring beside it.
             _write_session(path, session)
             ring = cls(path, owned.pop_all(), core, facts, dtype)
             undo.pop_all()
@@ -254,9 +254,9 @@ class Ring:
         return self._c
 
     def push(self, records: RecordArray) -> None:
-        """Push rows of ``dtype``, or their records alone, (n,), as the tick thread does in C.
+        """Write rows of ``dtype``, or only their records, (n,), as the tick thread does in C.
 
-        For exchange threads in Python; one thread at a time.
+        For exchange threads in Python; only one thread may call it at a time.
         """
         source, values = as_records(records), ffi.NULL
         names = (self.dtype.names or ())[len(as_records(records[:0]).dtype.names or ()) :]
@@ -266,15 +266,15 @@ class Ring:
         lib.rthyb_ring_push_run(self.pointer, _records(source), source.size, values)
 
     def renew_session(self, session: Recording) -> None:
-        """Replace the session file in one piece: what tares, commands and parameters have become.
+        """Replace the session file atomically, with new tares, commands and parameters.
 
         Raises:
-            RthybError: it cannot be written; the old one is still there.
+            RthybError: it cannot be written; the previous file remains.
         """
         _write_session(self.path, session)
 
     def close(self) -> None:
-        """Say that the test ended in good order, and let go of the file; twice does no harm.
+        """Mark the ring as ended in good order, and close the file; a second call has no effect.
 
         The tick thread must have ended.
         """
@@ -284,7 +284,7 @@ class Ring:
             self._owned.close()
 
     def remove(self) -> None:
-        """Close the ring and delete it with its session: the recording has all of it."""
+        """Close the ring and delete it with its session, once the recording is complete."""
         self.close()
         delete(self.path)
 
@@ -319,7 +319,7 @@ def _boot_id() -> str:
 
 
 def _reserve(folder: Path) -> tuple[Path, int]:
-    """Make and lock an empty file of a new name."""
+    """Create and lock an empty file with a new name."""
     stem = f"ring.{_boot_id()[:8]}"
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     claim(folder)
@@ -331,7 +331,7 @@ def _reserve(folder: Path) -> tuple[Path, int]:
                 fd = os.open(path, flags, _MODE)
                 break
             number += 1
-        # The lock goes with the process, however that ends: so readers know whether it lives.
+        # The lock ends with the process, however it ends, so readers know whether it is alive.
         fcntl.flock(fd, fcntl.LOCK_EX)
         os.fchmod(fd, _MODE)
     except OSError as error:
@@ -340,7 +340,7 @@ def _reserve(folder: Path) -> tuple[Path, int]:
 
 
 def _take_memory(fd: int, path: Path, size: int) -> mmap.mmap:
-    """Have every block now: on a full tmpfs the tick thread would die of SIGBUS."""
+    """Allocate every block now: on a full tmpfs the tick thread would be killed by SIGBUS."""
     try:
         os.posix_fallocate(fd, 0, size)
         return mmap.mmap(fd, size)
@@ -371,7 +371,7 @@ def _records(array: RecordArray) -> Any:
 
 @dataclass(frozen=True)
 class Rows:
-    """Records that followed one another without a gap.
+    """Consecutive records without a gap.
 
     Attributes:
         first: number of the first of them; the ring's first record ever has number 0.
@@ -383,7 +383,7 @@ class Rows:
 
 
 class Reader:
-    """One reader of a ring, at its own pace; begins with the oldest record.
+    """A reader of a ring, at its own pace; it starts with the oldest record.
 
     Attributes:
         path: the ring's file.
@@ -391,7 +391,7 @@ class Reader:
         dtype: of a row.
 
     Raises:
-        InputError: the file is missing, no ring, of another version, truncated or damaged.
+        InputError: the file is missing, not a ring, truncated, damaged or of another version.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -419,31 +419,31 @@ class Reader:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self.close()
 
     def close(self) -> None:
-        """Let go of the file; the reader is of no more use."""
+        """Close the file; the reader can no longer be used."""
         self._owned.close()
 
     @property
     def next(self) -> int:
-        """Number of the record to be read next."""
+        """Number of the next record to be read."""
         return int(self._c.next)
 
     @property
     def lost(self) -> int:
-        """Records that this reader came too late for, and those that were half written."""
+        """Number of records that were overwritten before they were read, or were incomplete."""
         return int(self._c.lost)
 
     @property
     def pushed(self) -> int:
-        """Records that the ring has taken so far."""
+        """Number of records written to the ring so far."""
         return int(lib.rthyb_ring_pushed(self._c))
 
     @property
     def frozen(self) -> bool:
-        """Whether the ring stands still after a TRIP."""
+        """Whether the ring is frozen after a TRIP."""
         return bool(lib.rthyb_ring_phase(self._c) & lib.RTHYB_RING_FROZEN)
 
     @property
@@ -453,7 +453,7 @@ class Reader:
 
     @property
     def alive(self) -> bool:
-        """Whether a process still holds the ring to fill it."""
+        """Whether a process still has the ring open for writing."""
         try:
             fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -462,17 +462,17 @@ class Reader:
         return False
 
     def read(self, most: int = 8192) -> Rows:
-        """Return the next records, at most so many, without waiting.
+        """Return the next records, at most the given number, without waiting.
 
-        Records that were overwritten meanwhile are passed over: `Rows.first` then lies beyond the
-        last ``next``. No records: there is nothing new.
+        Records that were overwritten in the meantime are skipped: `Rows.first` is then greater than
+        the previous ``next``. An empty result means that there is nothing new.
         """
         buffer = np.empty(most, dtype=self.dtype)
         count = int(lib.rthyb_ring_read(self._c, ffi.from_buffer(buffer), most))
         return Rows(self.next - count, buffer[:count])
 
     def newest(self) -> np.void | None:
-        """Return the record of the last tick, also of a frozen ring, or None before the first."""
+        """Return the record of the last tick, even of a frozen ring, or None before the first."""
         buffer = np.empty(1, dtype=self.dtype)
         return buffer[0] if lib.rthyb_ring_newest(self._c, ffi.from_buffer(buffer)) else None
 
@@ -525,7 +525,7 @@ def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any],
 
 
 def _axes_of(about: Mapping[str, Any]) -> int:
-    """Return of how many axes the rows of a ring are, by its description."""
+    """Return the number of axes in the rows of a ring, by its description."""
     return sum(str(field["name"]).partition(".")[0] == "x_cmd_m" for field in about["fields"]) or 1
 
 
@@ -542,19 +542,19 @@ def _description_in(memory: mmap.mmap) -> tuple[int, dict[str, Any]]:
 
 @dataclass(frozen=True)
 class Sight:
-    """What a ring shows of itself at a glance.
+    """Summary of a ring.
 
     Attributes:
-        path: of the ring.
-        test_name: from the session file; "" where that cannot be read.
-        pid: of the process that made it; 0 where it does not say.
-        started_utc: when the ring was made; "" where it does not say.
-        age_s: since then.
-        rows: records that it has taken so far; not all of them may still be there.
+        path: path of the ring.
+        test_name: name in the session file; "" if that cannot be read.
+        pid: process that created it; 0 if unknown.
+        started_utc: time of its creation; "" if unknown.
+        age_s: time since then.
+        rows: records written so far; some of them may have been overwritten.
         ticks: ticks up to the newest record.
-        state: of the newest record; "" before the first.
-        alive: a process holds it to fill it.
-        fault: why it cannot be read, or not recovered; "" if it can.
+        state: state in the newest record; "" before the first.
+        alive: whether a process has it open for writing.
+        fault: why it cannot be read or recovered; "" if it can.
     """
 
     path: Path
@@ -574,7 +574,7 @@ class Sight:
 
 
 def look(path: Path) -> Sight:
-    """Look at a ring without disturbing anybody; what is wrong with it is said, never raised."""
+    """Inspect a ring without disturbing its users; faults are returned, never raised."""
     try:
         with Reader(path) as reader:
             newest = reader.newest()
@@ -610,15 +610,15 @@ def _age_s(started_utc: str) -> float | None:
 
 @dataclass(frozen=True)
 class Recovered:
-    """What a ring and its session gave.
+    """Recording that was recovered from a ring and its session.
 
     Attributes:
-        recording: rows from the oldest record that the ring still had. Its ``meta`` states the
-            other attributes too.
+        recording: rows from the oldest record that the ring still had. Its ``meta`` also contains
+            the other attributes.
         rows: first and last ring row held, counted from the ring's start.
-        missing_rows: ranges [first, last] of ring rows that were overwritten or half written.
+        missing_rows: ranges [first, last] of ring rows that were overwritten or incomplete.
         missing_ticks: ranges [first, last] of ticks between two rows: of missing rows, or of the
-            time that the ring was frozen.
+            time during which the ring was frozen.
         alive: the test was still running.
     """
 
@@ -630,9 +630,9 @@ class Recovered:
 
 
 def recover(path: str | Path) -> Recovered:
-    """Make a recording of a ring and the session beside it, whatever became of the process.
+    """Make a recording from a ring and the session beside it, whether or not its process is alive.
 
-    Nothing is changed or deleted, and a test that is running does not notice.
+    Nothing is changed or deleted, and a running test is not disturbed.
 
     Args:
         path: the ring.
@@ -680,7 +680,7 @@ def _session(ring: Path) -> Recording:
 
 
 def _join(session: Recording, samples: RecordArray, first_row: int) -> Recording:
-    """Return the session with its samples, and without what no longer fits them."""
+    """Return the session with its samples, and without data that no longer match them."""
     held = bool((samples["state"] == STATES.index("HOLD")).any())
     return replace(
         session,
@@ -692,7 +692,7 @@ def _join(session: Recording, samples: RecordArray, first_row: int) -> Recording
 
 
 def _read_all(reader: Reader) -> list[Rows]:
-    """Return everything up to the present; a running test may go on meanwhile."""
+    """Return all rows so far; a running test may continue meanwhile."""
     end = reader.pushed + 1  # a process may have died between a record and its count
     parts = []
     while reader.next < end:
