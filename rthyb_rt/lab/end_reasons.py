@@ -60,21 +60,21 @@ REMEDIES: Final[dict[str, str]] = {
     "heartbeat": "Something blocked the program for a second, such as a full disk, a suspended "
     "process or a debugger.",
 }
-"""What to do about an end that lies neither in the test nor in a limit of its motion."""
+"""What to do about an end that is due neither to the test nor to a limit of its motion."""
 TIMING_CAUSES: Final = ("skips", "stalled", "heartbeat")
-"""Causes that lie in this PC and not in the test."""
+"""Causes that are due to this PC and not to the test."""
 
 _LOST_S: Final = 20 / 1024
 
 
 class TimingError(RthybError):
-    """This PC is not as punctual as the test demands."""
+    """This PC is not as punctual as the test requires."""
 
     exit_code = 7
 
 
 class RefusedError(RthybError):
-    """A command that is not for the present state."""
+    """A command that the current state does not allow."""
 
     exit_code = 5
 
@@ -101,13 +101,13 @@ def shown_of(status: Mapping[str, Any]) -> str:
 
 
 def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> str:
-    """Return in words how a test ended: "completed", or what took it off its course.
+    """Return in words how a test ended: "completed", or what interrupted or ended it.
 
     Args:
-        state: the last one.
-        cause: the station's.
-        moved: whether anything was on its way; else nothing can have been ramped out.
-        of: what of several axes or directions the cause belongs to, in words.
+        state: the last state.
+        cause: cause in the words of the station.
+        moved: whether anything had moved; otherwise nothing can have been ramped out.
+        of: axis or direction to which the cause belongs, in words.
     """
     words = f"{in_words(cause)} of {of}" if of else in_words(cause)
     if state == "TRIPPED":
@@ -122,12 +122,12 @@ def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> s
 
 
 def remedy(cause: str, samples: NDArray[np.void], fs_hz: float) -> str:
-    """Return what to do about an end; "" where that lies in the test, or the cause says it.
+    """Return what to do about an end; "" if it is due to the test, or the cause already says it.
 
     Args:
-        cause: the station's.
+        cause: cause in the words of the station.
         samples: rows of the test, (n,).
-        fs_hz: rows a second.
+        fs_hz: rows per second.
     """
     text = REMEDIES.get(cause, "")
     if cause != "link_lost":
@@ -136,9 +136,9 @@ def remedy(cause: str, samples: NDArray[np.void], fs_hz: float) -> str:
 
 
 def _unusable(samples: NDArray[np.void], ticks: int) -> str:
-    """Return what to do where readings came to the end, and none was fit for use; "": none came.
+    """Return what to do if readings arrived until the end but none was usable; "" if none arrived.
 
-    ``ticks``: without a usable pair, after which a link is lost.
+    ``ticks``: number of ticks without a usable pair after which a link is considered lost.
     """
     tripped = samples["state"] == STATES.index("TRIPPED")
     before = samples[: int(np.argmax(tripped))] if tripped.any() else samples

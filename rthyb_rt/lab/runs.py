@@ -1,4 +1,4 @@
-"""A run: a station, and the book that is kept of what it does."""
+"""A run: a station, and a log of its rows and commands."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
 
 AT_REST: Final = ("IDLE", "ZEROED", "ARMED", "TRIPPED")
-"""States in which nothing moves on this program's word."""
+"""States in which this program does not move anything."""
 
 _IDLE, _ZEROED, _HOLD, _TRIPPED = map(STATES.index, ("IDLE", "ZEROED", "HOLD", "TRIPPED"))
 _MOVING: Final = [STATES.index(name) for name in STATES if name not in AT_REST]
 
 
 def _of_further(tares: Sequence[tuple[float, float]]) -> dict[str, float]:
-    """Return the tares of axes 1 on, under the names of the first with their number."""
+    """Return the tares of the further axes, under the names of the first with their number."""
     found = dict[str, float]()
     for axis, (x_m, f_n) in enumerate(tares):
         if axis:
@@ -35,23 +35,23 @@ def _of_further(tares: Sequence[tuple[float, float]]) -> dict[str, float]:
 
 @dataclass(kw_only=True)
 class Run:
-    """A station, and what a recording of it is to know.
+    """A station, and the data for a recording of it.
 
     Attributes:
         setup: the test.
         config: settings of the station.
-        station: what ticks.
-        bare: the recording as it was before its first row.
+        station: the station.
+        bare: the recording before its first row.
         commands: every operator command so far: ``{"tick", "command", "refused"}``.
         parameters: every set of parameters: ``{"generation", "tick", "values"}``.
         running: rows of the test proper so far.
-        zeroed, held: whether ZEROED, or HOLD, was ever entered.
-        moved: whether a command other than the reading at rest has ever left.
+        zeroed, held: whether ZEROED, or HOLD, has been entered.
+        moved: whether any command other than the reading at rest has been sent.
         tripped_rows: rows in TRIPPED.
         idle_rows: rows in IDLE at the end.
-        caused, caused_by, caused_in_figures: `causing`, `whose` and `cause_in_figures` at the trip,
-            once that is seen; a reset takes them from the station.
-        longest_skip: the most ticks that were skipped at a time.
+        caused, caused_by, caused_in_figures: `causing`, `whose` and `cause_in_figures` at a trip,
+            because a reset clears them in the station.
+        longest_skip: largest number of consecutive skipped ticks.
     """
 
     setup: Setup
@@ -81,17 +81,17 @@ class Run:
         facts: Mapping[str, Any] | None = None,
         **more: Any,
     ) -> Self:
-        """Make a station, and open the book.
+        """Create a station and its log.
 
         Args:
             setup: the test.
-            clock: what it goes by.
+            clock: the clock of the test.
             config: settings of the station.
-            facts: what else the recording is to know, by name.
+            facts: further facts for the recording, by name.
             more: fields of a subclass.
 
         Raises:
-            CoreError: a setting is refused.
+            CoreError: a setting is rejected.
         """
         station = core.Station(config, setup.ag_mps2)
         parameters = [experiment.first_parameters(setup, config)]
@@ -105,7 +105,7 @@ class Run:
     # ---- the book -------------------------------------------------------------------------------
 
     def take(self, samples: NDArray[np.void]) -> None:
-        """Note rows in the book, in order, shape (n,)."""
+        """Add rows to the log, in order, shape (n,)."""
         states = samples["state"]
         count = np.bincount(states, minlength=len(STATES))
         self.running += int(count[RUNNING])
@@ -126,12 +126,12 @@ class Run:
 
     @property
     def causing(self) -> tuple[str, float, float]:
-        """The station's cause, the value that was met and the limit's."""
+        """The station's cause, the value reached and the limit."""
         return self.station.cause, self.station.cause_value, self.station.cause_limit
 
     @property
     def begun(self) -> bool:
-        """Whether more has come of it than a tare: its end is one at rest."""
+        """Whether more than the tare has been run, so that the end is at rest."""
         return self.zeroed or self.moved or self.tripped_rows > 0
 
     @property
@@ -142,7 +142,7 @@ class Run:
     # ---- what the recording is to know ----------------------------------------------------------
 
     def known(self) -> Recording:
-        """Return the recording without its rows, with what tare and commands have become."""
+        """Return the recording without its rows, with the current tares and commands."""
         x_m, f_n = self.station.tare
         further = self.station.tares if self.config.controller.axis_count > 1 else ()
         replay = dataclasses.replace(
@@ -160,7 +160,7 @@ class Run:
 
     @property
     def whose(self) -> str:
-        """Which of several axes, or directions, the station's cause belongs to; "": of none."""
+        """Axis or direction to which the station's cause belongs; "" if none."""
         return self._of(self.station.cause_axis, self.station.cause_interface)
 
     def _of(self, axis: int | None, interface: int | None) -> str:
@@ -168,16 +168,16 @@ class Run:
 
     @property
     def cause_in_figures(self) -> str:
-        """The cause with the value met and the limit's, of several axes with whose it is.
+        """The value that triggered the cause, and the limit; with several axes, also the axis.
 
-        "" where it has no figures.
+        "" if there are no figures.
         """
         station = self.station
         return self._figures(self.causing, station.cause_axis, station.cause_interface)
 
     @property
     def refusal_in_figures(self) -> str:
-        """The same of what stands against the command that the station refused last."""
+        """The same for the reason why the station refused the last command."""
         station = self.station
         return self._figures(station.refusal, station.refusal_axis, station.refusal_interface)
 
@@ -189,18 +189,18 @@ class Run:
         return f"{whose}: {told}" if told and whose else told
 
     def _turns(self, interface: int) -> bool:
-        """Tell whether a direction is a rotation, whose limits are in rad and N m."""
+        """Return whether a direction is a rotation, whose limits are in rad and N m."""
         group = self.setup.group
         return group is not None and group.rig.kinematics.turns()[interface]
 
     def note_cause(self) -> None:
-        """Keep the cause of a trip, before a reset takes it from the station."""
+        """Store the cause of a trip before a reset clears it in the station."""
         told = self.cause_in_figures
         self.caused, self.caused_by, self.caused_in_figures = self.causing, self.whose, told
 
     @property
     def ended_by(self) -> str:
-        """The limit that took the test off its course, with its figures and when; "": none did."""
+        """The limit that interrupted or ended the test, with its figures and time; "" if none."""
         cause, told = self.causing[0], self.cause_in_figures
         if self.caused is not None:
             cause, told = self.caused[0], self.caused_in_figures
@@ -209,10 +209,10 @@ class Run:
         return f"{told} at {self.running / self.setup.rate.hz:.1f} s"
 
     def ending(self, state: str) -> dict[str, Any]:
-        """Return what ``meta`` of the recording says of the end.
+        """Return the entries about the end for ``meta`` of the recording.
 
         Args:
-            state: the station's, by what the thread that ticks has told.
+            state: state of the station, as reported by the tick thread.
         """
         state = "TRIPPED" if self.tripped_rows else state
         cause, value, limit = self.caused or self.causing

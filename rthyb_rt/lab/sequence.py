@@ -1,4 +1,4 @@
-"""The way of a test, whatever time it goes by: zero, arm, start, and back to rest."""
+"""The sequence of a test, in real or virtual time: zero, arm, start, and back to rest."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from rthyb_rt.lab import trips
 from rthyb_rt.lab.end_reasons import RefusedError, in_words
 
 REST_TICKS: Final = 103
-"""Rows of 1/1024 s at rest behind a test that are kept with it: a tenth of a second."""
+"""Rows of 1/1024 s at rest that are recorded after a test: a tenth of a second."""
 
 TARE_MARGIN_S: Final = 2.0
-"""On top of the tare's own time, in which it has to come to its end."""
+"""Additional time, beyond its own duration, within which the tare must end."""
 
 STEP_TICKS: Final = 8192
-"""Between two looks at most; what has an operator looks far more often by itself."""
+"""Maximum interval between two checks; with an operator, checks are far more frequent."""
 
 
 @dataclass
 class Operator:
-    """What the operator wants; another thread, or a signal handler, may set it.
+    """Requests of the operator; another thread, or a signal handler, may set them.
 
     Attributes:
-        stops: how often a stop was asked for: the first one ramps out, a second one trips.
+        stops: number of requested stops: the first ramps out, the second trips.
     """
 
     stops: int = 0
 
     def stop(self) -> None:
-        """Ask for a stop."""
+        """Request a stop."""
         self.stops += 1
 
 
 class Conducted(Protocol):
-    """What goes the way of a test: a station, over a link or in virtual time."""
+    """Interface of a test that a sequence conducts: a station, over a link or in virtual time."""
 
     @property
     def config(self) -> core.StationConfig:
@@ -51,7 +51,7 @@ class Conducted(Protocol):
 
     @property
     def causing(self) -> tuple[str, float, float]:
-        """The station's latched first cause, the value that was met and the limit's."""
+        """The station's latched first cause, the value reached and the limit."""
 
     @property
     def zeroing_failed(self) -> bool:
@@ -63,34 +63,33 @@ class Conducted(Protocol):
 
     @property
     def now_s(self) -> float:
-        """The time that it goes by."""
+        """Its clock."""
 
     def command(self, name: core.Command) -> int:
-        """Give an operator's command until it is obeyed; return the tick of that.
+        """Give an operator's command until it is accepted; return the tick in which it was.
 
         Raises:
-            RefusedError: it is not for the present state, or was refused again and again.
+            RefusedError: the current state does not allow it, or it was refused repeatedly.
         """
 
     def advance(self, ticks: int) -> None:
-        """Let up to so many ticks pass: fewer where there is something to look at."""
+        """Let a number of ticks pass; fewer if there is something to check."""
 
     def settle(self) -> None:
-        """Let what is kept behind a test come: `REST_TICKS`, or a black box after a trip."""
+        """Wait for the rows that are recorded after a test: `REST_TICKS`, or more after a trip."""
 
     def not_zeroed(self) -> RthybError:
-        """Return why the tare did not come to its end."""
+        """Return why the tare did not end."""
 
 
 class Sequence:
-    """Leads a test from state to state, and lets the operator in meanwhile.
+    """Conducts a test from state to state, and passes on the operator's requests.
 
     Args:
-        test: what is led.
-        operator: asks for a stop.
-        hold_s: how long a held test stands before it is stopped: as long as the operator wants
-            where there is one who sees it.
-        way_out_s: how long a ramp-out is followed.
+        test: the test.
+        operator: requests of the operator.
+        hold_s: time after which a held test is stopped; inf if an operator is present.
+        way_out_s: time for which a ramp-out is followed.
         progress: called with (ticks done, ticks of the test) now and then.
         warn: takes a sentence that the user should read while the test runs.
     """
@@ -113,11 +112,11 @@ class Sequence:
 
     @property
     def stopped(self) -> bool:
-        """Whether the operator's stop was ever passed on."""
+        """Whether a stop of the operator has been passed on."""
         return self._given > 0
 
     def until(self, done: Callable[[], bool], most_s: float = math.inf) -> bool:
-        """Return True once ``done`` is, False when time or the operator's patience is over."""
+        """Return True once ``done`` is true, False if time runs out or the operator stops."""
         test, end_s = self._test, self._test.now_s + most_s
         while not done():
             if test.now_s >= end_s:
@@ -151,7 +150,7 @@ class Sequence:
             self._operator.stop()
 
     def _obey(self) -> bool:
-        """Pass on what the operator asked for; True if that was ever anything."""
+        """Pass on the operator's requests; return whether there has been any."""
         asked = min(self._operator.stops, 2)
         while self._given < asked:
             self._given += 1
@@ -160,14 +159,14 @@ class Sequence:
         return self.stopped
 
     def conduct(self, zeroed: Callable[[], None] = lambda: None) -> None:
-        """Zero, arm, start, and bring it back to rest, whatever happens on the way.
+        """Zero, arm, start, and return to rest, whatever happens in between.
 
         Args:
-            zeroed: called between the tare and ARM, when nothing has moved; what it raises ends
-                the test there.
+            zeroed: called between the tare and ARM, before anything moves; an exception ends the
+                test there.
 
         Raises:
-            RthybError: the tare did not come to its end, or a command was refused.
+            RthybError: the tare did not end, or a command was refused.
         """
         commands: tuple[core.Command, ...] = ("zero", "arm", "start")
         for name in commands:

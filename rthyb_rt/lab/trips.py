@@ -1,4 +1,4 @@
-"""What took a test off its course, with its figures: what was met, what is allowed, and when."""
+"""What interrupted or ended a test, with its figures: value reached, limit, and time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class _Watched(NamedTuple):
-    """How people say what is watched; ``factor`` turns SI into the unit."""
+    """Name and unit of a watched quantity for messages; ``factor`` converts SI to the unit."""
 
     name: str
     unit: str
@@ -51,33 +51,33 @@ _TURNED: Final[dict[str, _Watched]] = {
     "position": _Watched("command", "mrad", 1e3),
     "force": _Watched("moment", "kN m", 1e-3),
 }
-"""What is watched along a rotation."""
+"""Watched quantities of a rotation."""
 
 _OF_MOTION: Final = (
     "position", "velocity", "increment", "force", "tracking", "indicator", "energy",
     "rig_position", "rig_force",
 )  # fmt: skip
-"""Limits that a motion which grows meets, whatever it is that lets it grow."""
+"""Limits that a growing motion reaches, whatever the reason for its growth."""
 _KEYS: Final = {
     "position": "command_position_m",
     "force": "force_n",
     "tracking": "tracking_error_m",
 }
 NONE: Final = ("", "none", "completed", "operator", "signal")
-"""Causes that are no fault."""
+"""Causes that are not faults."""
 
 _OFF_COURSE: Final = [STATES.index(name) for name in ("HOLD", "RAMP_OUT", "TRIPPED")]
 
 
 @dataclass(frozen=True)
 class Met:
-    """A limit that took a test off its course.
+    """A limit that interrupted or ended a test.
 
     Attributes:
-        cause: the station's.
-        value, limit: what was met and what is allowed, SI; both 0 where the cause has no number.
-        time_s: from the first sample of the test proper on; nan where it is not known.
-        alpha: delay estimate then, samples; nan where it is not known.
+        cause: cause in the words of the station.
+        value, limit: value reached and limit, SI; both 0 if the cause has no number.
+        time_s: time since the first sample of the test proper; nan if unknown.
+        alpha: delay estimate at that time, samples; nan if unknown.
     """
 
     cause: str
@@ -90,11 +90,11 @@ class Met:
 def whose(
     axis: int | None, interface: int | None, axes: Sequence[str], interfaces: Sequence[str]
 ) -> str:
-    """Return which of several axes, or directions, a cause belongs to, in words; "": to none.
+    """Return the axis or direction to which a cause belongs, in words; "" if none.
 
     Args:
-        axis, interface: their numbers, as a station has them.
-        axes, interfaces: their names; () of one axis.
+        axis, interface: their numbers in the station.
+        axes, interfaces: their names; () for one axis.
     """
     if axis is not None and axis < len(axes):
         return f"axis {axes[axis]}"
@@ -104,14 +104,14 @@ def whose(
 
 
 def figures(cause: str, value: float, limit: float, *, turns: bool = False) -> str:
-    """Return what was met and what is allowed: "force 15.0 kN (limit 15 kN)"; "" without figures.
+    """Return value and limit in words: "force 15.0 kN (limit 15 kN)"; "" without figures.
 
     Args:
-        cause: the station's.
-        value, limit: as the station has them, SI.
-        turns: they are of a rotation, rad and N m.
+        cause: cause in the words of the station.
+        value, limit: value reached and limit, SI.
+        turns: they belong to a rotation, in rad and N m.
     """
-    # Skipped ticks are counted in a row, or as their share.
+    # Skipped ticks are counted consecutively, or as a share.
     watched = _WATCHED.get("skip_share" if cause == "skips" and limit < 1.0 else cause)
     if turns:
         watched = _TURNED.get(cause, watched)
@@ -124,10 +124,10 @@ def figures(cause: str, value: float, limit: float, *, turns: bool = False) -> s
 
 
 def found(rec: Recording, given: Setup) -> Met | None:
-    """Return what took a recorded test off its course, None if nothing did.
+    """Return what interrupted or ended a recorded test, None if nothing did.
 
-    Recordings that do not hold the figures, as the earlier ones, have the value from their rows and
-    the limit from their test file.
+    For older recordings without these figures, the value is taken from the rows and the limit from
+    the test file.
     """
     facts = facts_of(rec.meta)
     rows = rec.samples
@@ -144,7 +144,7 @@ def found(rec: Recording, given: Setup) -> Met | None:
 
 
 def facts_of(meta: dict[str, Any]) -> dict[str, Any]:
-    """Return what the station says of a test, in real time or virtual; {} without a word."""
+    """Return the station's statement about a test, in real or virtual time; {} if there is none."""
     for name in ("station", "real_time"):
         facts = meta.get(name)
         if isinstance(facts, dict):
@@ -153,7 +153,7 @@ def facts_of(meta: dict[str, Any]) -> dict[str, Any]:
 
 
 def _row(rec: Recording) -> int:
-    """Return the last row on the test's course."""
+    """Return the last row before the test was interrupted."""
     off = np.isin(rec.samples["state"], _OFF_COURSE)
     started = np.flatnonzero(rec.samples["state"] == RUNNING)
     first = np.flatnonzero(off & (np.arange(off.size) >= (started[0] if started.size else 0)))
@@ -182,12 +182,13 @@ def sentence(met: Met, given: Setup) -> str:
     """Return the end of a test with its figures and what `rthyb check` knows of it.
 
     Args:
-        met: what was met.
-        given: of the test.
+        met: the limit that was reached.
+        given: settings of the test.
 
     Returns:
         Such as "force 15.0 kN (limit 15 kN) at 3.1 s; without compensation this structure remains
-        stable up to a delay of 3.3 samples; the rig has 17"; "" where there are no figures.
+        stable up to a delay of 3.3 samples (3.2 ms); the rig has 17 samples (16.6 ms)"; "" without
+        figures.
     """
     told = figures(met.cause, met.value, met.limit)
     if not told:
@@ -199,7 +200,7 @@ def sentence(met: Met, given: Setup) -> str:
 
 
 def _known(met: Met, given: Setup) -> str:
-    """Return what was known of it before the test ran."""
+    """Return what was known before the test ran that explains the end."""
     peak = {"position": given.reference_peak_m, "force": given.reference_peak_n}.get(met.cause)
     if peak is not None and peak > met.limit:
         watched = _WATCHED[met.cause]

@@ -1,4 +1,4 @@
-"""A test in virtual time: the station of one in real time, at the virtual rig, without a clock."""
+"""A test in virtual time: the station as in real time, with the virtual rig, without a clock."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from rthyb_rt.record.recording import Recording
 from rthyb_rt.record.ring import AFTER_TRIP
 
 WAY_OUT_S: Final = 120.0
-"""How long a ramp-out is followed: a motion that ran away, without limits, comes back for hours."""
+"""Time for which a ramp-out is followed: after divergence without limits it would take hours."""
 HOLD_S: Final = 1.0
-"""How long a held test stands: nobody is there who could have it resumed."""
+"""Time after which a held test is stopped: there is nobody who could resume it."""
 
 TRUTH: Final = (Channel("x_true_m", "m"), Channel("f_true_n", "N"))
-"""What the virtual rig's sensors saw, without their errors."""
+"""True values of the virtual rig's sensors, without their errors."""
 
 
 def freedom_channels(setup: Setup) -> tuple[Channel, ...]:
-    """Return the channels that say where the numerical part's degrees of freedom are, in order."""
+    """Return the channels for the displacements of the numerical part's degrees of freedom."""
     structure = setup.derived.structure
     count = 1 if structure is None else len(structure.labels)
     return tuple(Channel(f"x_part_{number + 1}_m", "m") for number in range(count))
 
 
 def truth_channels(setup: Setup) -> tuple[Channel, ...]:
-    """Return the channels of what the sensors saw: `TRUTH`, of each further axis by its number."""
+    """Return the channels of the true values: `TRUTH`, with its number for each further axis."""
     further = [
         Channel(f"{one.name}_{axis}", one.unit)
         for axis in range(1, setup.controller.axis_count)
@@ -47,18 +47,18 @@ def truth_channels(setup: Setup) -> tuple[Channel, ...]:
 
 
 class Bench:
-    """A station and a virtual rig, conducted tick by tick as fast as it goes.
+    """A station and a virtual rig, run tick by tick as fast as possible.
 
     Args:
         setup: the test.
-        rig: what moves and measures; None takes the rig file's.
-        config: settings of the station; None takes those of the test.
-        truth: record what the sensors saw without their errors, as the channels `TRUTH`.
-        freedoms: record where every degree of freedom of the numerical part is, as the channels
-            that `freedom_channels` names.
+        rig: the virtual rig; None: that of the rig file.
+        config: settings of the station; None: those of the test.
+        truth: record the true values of the sensors, as the channels `TRUTH`.
+        freedoms: record the displacement of every degree of freedom of the numerical part, as the
+            channels of `freedom_channels`.
 
     Attributes:
-        run: the station, and the book that is kept of it.
+        run: the station and its log.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Bench:
 
     @property
     def causing(self) -> tuple[str, float, float]:
-        """The station's latched first cause, the value that was met and the limit's."""
+        """The station's latched first cause, the value reached and the limit."""
         return self.run.causing
 
     @property
@@ -142,16 +142,16 @@ class Bench:
         return tick
 
     def advance(self, ticks: int) -> None:
-        """Run so many ticks, fewer where the state becomes another, or a tare has failed."""
+        """Run a number of ticks; fewer if the state changes or a tare fails."""
         self._tick(ticks, "none")
 
     def settle(self) -> None:
-        """Run what is kept behind a test."""
+        """Run the ticks that are recorded after a test."""
         kept = AFTER_TRIP if self.state == "TRIPPED" else REST_TICKS
         self.advance(self.run.setup.rate.ticks(kept / core.FS_HZ))
 
     def not_zeroed(self) -> RthybError:
-        """Return why the tare did not come to its end."""
+        """Return why the tare did not end."""
         return RthybError(
             "the virtual rig is not at rest: its displacement moves by more than "
             f"{self.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m) during the tare; "
@@ -172,7 +172,7 @@ class Bench:
     def _fill(
         self, rows: core.RecordArray, command: core.Command, values: NDArray[np.float64]
     ) -> int:
-        """Run as many ticks as there are rows, or until the state becomes another."""
+        """Run as many ticks as there are rows, or until the state changes."""
         return self._test.run(rows, command, values if values.size else None)
 
     @property
@@ -181,7 +181,7 @@ class Bench:
         return self._rows[: self._count]
 
     def recording(self) -> Recording:
-        """Return the recording of all that was."""
+        """Return the recording of the whole run."""
         self.run.take(self.rows)
         rec = self.run.known()
         channels = self.run.setup.channels
@@ -199,19 +199,19 @@ def run(
     truth: bool = False,
     freedoms: bool = False,
 ) -> Recording:
-    """Run the test against the virtual rig as fast as it goes.
+    """Run the test with the virtual rig as fast as possible.
 
     Args:
         setup: the test.
         progress: called with (ticks done, ticks of the test) now and then.
-        truth: record what the sensors saw without their errors, as the channels `TRUTH`.
-        freedoms: record where every degree of freedom of the numerical part is as well.
+        truth: record the true values of the sensors, as the channels `TRUTH`.
+        freedoms: record the displacement of every degree of freedom of the numerical part.
 
     Returns:
         The recording, all rows from the first tick on; ``meta["end_reason"]`` says how it ended.
 
     Raises:
-        RthybError: the test cannot be begun.
+        RthybError: the test cannot be started.
     """
     bench = Bench(setup, truth=truth, freedoms=freedoms)
     conduct(bench, progress)
@@ -219,7 +219,7 @@ def run(
 
 
 def conduct(bench: Bench, progress: Progress | None = None) -> None:
-    """Zero, arm, start, and bring it back to rest, whatever happens on the way.
+    """Zero, arm, start, and return to rest, whatever happens in between.
 
     Raises:
         RthybError: the rig does not come to rest, or a command is refused.

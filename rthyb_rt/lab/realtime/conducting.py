@@ -1,4 +1,4 @@
-"""A whole test, from the first reading back to rest, whatever happens on the way."""
+"""A whole test, from the first reading back to rest, whatever happens in between."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _LOCK_S = 20.0
 _STANDS_S = 2.0
-"""A drive that follows nobody for so long, though commands come, does not follow at all."""
+"""Time after which a drive that receives commands but does not follow is considered stopped."""
 _STANDS_RESET_S = 0.25
 """The same where it may be reset: too early does no harm."""
 
@@ -48,33 +48,33 @@ def run(
     answered: Callable[[Session], None] = lambda _: None,
     zeroed: Callable[[Session], None] = lambda _: None,
 ) -> Recording:
-    """Conduct a test: zero, arm, start, and back to rest, whatever happens on the way.
+    """Conduct a test: zero, arm, start, and back to rest, whatever happens in between.
 
     Args:
         setup: the test.
-        opened: the link to the drive; stays the caller's.
+        opened: the link to the drive, which remains the caller's.
         clock, folder, before_tick: as in `Session`.
         progress: called with (ticks done, ticks of the test) now and then.
-        operator: asks for a stop.
-        hold_s: how long a held test stands before it is stopped.
+        operator: requests of the operator.
+        hold_s: time after which a held test is stopped.
         require_realtime: refuse to run without `NEEDED`.
-        warn: takes a sentence that the user should read while the test runs.
-        save: puts the recording in its place; only then is the ring deleted.
+        warn: called with a sentence for the user while the test runs.
+        save: stores the recording; only then is the ring deleted.
         station, facts: as in `Session`.
-        resets: a drive that has stopped by itself is reset: on the word of its operator, or for
-            being the caller's own virtual rig.
+        resets: reset a drive that has stopped by itself, at the operator's request or because it is
+            the caller's own virtual rig.
         answered: called with the session once the drive answers, before anything moves.
-        zeroed: called with the session between the tare and ARM, when nothing has moved; what it
-            raises ends the test there.
+        zeroed: called with the session between the tare and ARM, before anything moves; an
+            exception ends the test there.
 
     Returns:
-        The recording, all rows from the first tick on. ``meta["real_time"]`` says how it went.
+        The recording, all rows from the first tick on. ``meta["real_time"]`` has the statistics.
 
     Raises:
-        TimingError: a privilege is missing that ``require_realtime`` demands; nothing moved.
-        InputError: no feedback comes, or the drive does not follow; nothing moved.
-        RefusedError: the drive has stopped by itself, and nobody has reset it; nothing moved.
-        RthybError: something else failed. What moved is stopped, and the message names the ring
+        TimingError: a privilege that ``require_realtime`` requires is missing; nothing moved.
+        InputError: no feedback arrives, or the drive does not follow; nothing moved.
+        RefusedError: the drive has stopped by itself and was not reset; nothing moved.
+        RthybError: something else failed. Any motion is stopped, and the message names the ring
             that has the records.
     """
     with Session(
@@ -127,7 +127,7 @@ def _judge(session: Session, zeroed: Callable[[Session], None]) -> None:
 
 
 def _say_where(session: Session, error: BaseException) -> None:
-    """Leave the ring where it is worth something, and say so in the error."""
+    """Keep a ring that contains records, and mention it in the error."""
     if not session.run.moved:
         session.discard()
         return

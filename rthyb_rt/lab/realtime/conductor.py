@@ -1,8 +1,8 @@
-"""Whoever has a rig in hand: its link, the tick thread, and the run whose station ticks.
+"""Control of a rig: its link, the tick thread, and the run whose station is active.
 
-One test of a process of its own (`rthyb_rt.lab.realtime.Session`) and a service that goes from
-test to test (`rthyb_rt.service.engine.Engine`) begin, wait, command, publish, account and end
-alike: here.
+A process that runs a single test (`rthyb_rt.lab.realtime.Session`) and a service that runs many
+(`rthyb_rt.service.engine.Engine`) start, wait, command, publish and end in the same way, with the
+class in this module.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from rthyb_rt.rig.links.opened import Opened
 
 NEEDED: Final = ("fifo", "memory_locked")
-"""Privileges without which a tick comes when the rest of the machine has time for it."""
+"""Privileges without which ticks are delayed by other processes of the machine."""
 
 FEEDBACK_S: Final = 10.0
-"""How long good pairs of a drive that follows are waited for."""
+"""Time to wait for valid pairs from a drive that follows."""
 
 SET_REFUSED: Final = (
     "these parameters would remove a limit on the command's velocity or acceleration during a "
@@ -48,55 +48,55 @@ SET_REFUSED: Final = (
 
 _ATTEMPTS: Final = 10
 _ATTEMPTS_AT_REST: Final = {"zero": 60, "reset": 60}
-"""Where nobody waits: a specimen that has just been stopped has still to stand."""
+"""Attempts for commands at rest: a specimen that has just stopped must first come to rest."""
 _BETWEEN_TICKS: Final = 2
 
 _LOOK_S: Final = 0.001
 _ANSWER_S: Final = 2.0
 _FIRST_TICK_S: Final = 5.0
 _TRIP_TICKS: Final = 4
-"""In which its three frames have left."""
+"""Ticks within which the three frames of a trip have been sent."""
 _RESET_TICKS: Final = 4
-"""In which the three commands of a reset have left."""
+"""Ticks within which the three commands of a reset have been sent."""
 _RELEASE_S: Final = 0.25
-"""In which a drive that was reset says that it no longer stands by itself."""
+"""Time within which a drive that was reset reports that it follows again."""
 _PAIR_S: Final = 0.25
 _SILENT_WAITS: Final = 20
 
 _RATE_S: Final = 0.1
 _RATE_PAIRS: Final = 16
 _RATE_OFF: Final = 0.2
-"""What a tenth of a second tells of a rate, on a PC that may be late and a line that may lose
-pairs: whether it is another one. What is closer, the slips of the two clocks show."""
+"""Deviation above which a drive has another rate, measured over a tenth of a second on a PC that
+may be late and a link that may lose pairs. Smaller deviations appear as slips of the two clocks."""
 
 _T = TypeVar("_T")
 
 
 class Conductor:
-    """Conducts the runs at one link, from the first tick to the last.
+    """Conducts the runs on one link, from the first tick to the last.
 
-    Commands, waiting and closing belong to one thread.
+    Commands, waiting and closing must come from one thread.
 
     Args:
         opened: the link, which stays the caller's.
         clock: "host"; "link": the ticks follow the drive's samples; or "stepped", which is not real
             time: waiting executes the ticks.
-        before_tick: stepped clock: called before every tick, the drive's own tick for one; None: a
-            tick comes with the next pair.
-        first: what begins to tick; deleted if the link is of no use.
+        before_tick: stepped clock: called before every tick, for example the drive's own tick;
+            None: a tick follows each new pair.
+        first: the first run; deleted if the link cannot be used.
 
     Attributes:
         opened, clock: as given.
-        run: whose station ticks now.
-        loop, wire, link: what makes the tick; see their modules for what may be read. Wire and
-            link of the first axis.
+        run: the run whose station is active.
+        loop, wire, link: the loop, and wire and link of the first axis; see their modules for what
+            may be read.
         ways: wire, link and calibration of every axis.
-        commands_before: number of the command before the first one; 0 where a drive starts anew.
-        rate: of the ticks; a run at another one is not taken up.
+        commands_before: number of the command before the first; 0 if the drive starts from 0.
+        rate: rate of the ticks; a run at another rate is not accepted.
 
     Raises:
-        RthybError: the descriptor is of no use.
-        CoreError: a setting is refused.
+        RthybError: the descriptor cannot be used.
+        CoreError: a setting is rejected.
     """
 
     def __init__(
@@ -141,10 +141,10 @@ class Conductor:
     # ---- its life -------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Begin to tick, in state IDLE.
+        """Start the ticks, in state IDLE.
 
-        The command is the first reading; or, where a drive still follows the last loop at this
-        link and stands as it did then, the last command of that loop.
+        The command is the first reading; or, if a drive still follows the last loop on this link
+        and is still at the same position, the last command of that loop.
 
         Raises:
             RthybError: the system refused a thread.
@@ -164,15 +164,15 @@ class Conductor:
         self._owned.callback(ticker.unlock_memory)
 
     def check_privileges(self, warn: Callable[[str], None], *, required: bool, hint: str) -> None:
-        """Say which privileges the tick thread did not obtain.
+        """Report which privileges the tick thread did not obtain.
 
         Args:
-            warn: takes a sentence that the user should read.
-            required: refuse to go on without `NEEDED`.
+            warn: called with a sentence for the user.
+            required: refuse to continue without `NEEDED`.
             hint: how to obtain them.
 
         Raises:
-            TimingError: it lacks one, and they are required.
+            TimingError: a required privilege is missing.
         """
         if self.clock == "stepped":
             return
@@ -193,10 +193,10 @@ class Conductor:
         warn(f"{words}: ticks may be late or skipped; {hint}")
 
     def close(self) -> None:
-        """End the tick thread and let go of everything; twice does no harm.
+        """End the tick thread and release everything; a second call has no effect.
 
-        What still moves is tripped first, so that the drive stops at once and not by its watchdog.
-        One at rest is told that the silence is meant.
+        A motion is tripped first, so that the drive stops at once and not by its watchdog. A drive
+        at rest is told that the commands end on purpose.
         """
         if self._closed:
             return
@@ -217,16 +217,16 @@ class Conductor:
                 self._put_away()
 
     def fall_silent(self) -> None:
-        """End the tick thread as if this PC had died: without a word to the drive."""
+        """End the tick thread as in a crash of this PC: without informing the drive."""
         self._farewell = False
         self.loop.stop()
 
     def _put_away(self) -> None:
-        """Take the last rows in, and let go of the run; the tick thread has ended."""
+        """Read the last rows and close the run; the tick thread has ended."""
         raise NotImplementedError
 
     def _trip(self) -> None:
-        """Have the drive stopped, without anything that may have failed before."""
+        """Stop the drive without using anything that may have failed."""
         self.loop.command("trip")
         if self.clock == "stepped":
             for _ in range(_TRIP_TICKS):
@@ -248,12 +248,12 @@ class Conductor:
 
     @property
     def causing(self) -> tuple[str, float, float]:
-        """The station's latched first cause, the value that was met and the limit's."""
+        """The station's latched first cause, the value reached and the limit."""
         return self.run.causing
 
     @property
     def config(self) -> core.StationConfig:
-        """Settings of the station that ticks."""
+        """Settings of the active station."""
         return self.run.config
 
     @property
@@ -273,28 +273,28 @@ class Conductor:
 
     @property
     def privileges(self) -> list[str]:
-        """What the tick thread obtained, once it ticks."""
+        """Privileges that the tick thread obtained, once it runs."""
         return self.loop.privileges
 
     def follows(self) -> bool:
-        """Whether good pairs come, of a drive that obeys."""
+        """Whether valid pairs arrive from a drive that follows."""
         return follows(self.run.recent_flags)
 
     def stays_stopped(self) -> bool:
-        """Whether the drive has heard commands, and says all the while that it has stopped."""
+        """Whether the drive receives commands but keeps reporting that it has stopped."""
         return stays_stopped(self.run.recent_flags)
 
     # ---- time -----------------------------------------------------------------------------------
 
     @property
     def now_s(self) -> float:
-        """The time that is waited by; stepped clock: of its ticks."""
+        """The time used for waiting; with the stepped clock, that of its ticks."""
         if self.clock == "stepped":
             return self.loop.counts.elapsed / self.rate.hz
         return time.monotonic()
 
     def _pass(self, seconds: float) -> None:
-        """Let time pass; stepped clock: execute that time's ticks."""
+        """Wait; with the stepped clock, execute the ticks of that time."""
         if self.clock != "stepped":
             time.sleep(seconds)
             return
@@ -303,7 +303,7 @@ class Conductor:
             self.loop.step()
 
     def _await_tick(self) -> None:
-        """Wait for the drive, though not in every tick for one that has fallen silent."""
+        """Wait for the drive's pair, but not in every tick for a drive that has gone silent."""
         if self._before_tick is not None:
             self._before_tick()
             return
@@ -332,11 +332,11 @@ class Conductor:
     # ---- commands and parameters ----------------------------------------------------------------
 
     def command(self, name: core.Command) -> int:
-        """Give an operator's command until it is obeyed; return the run's tick of that.
+        """Give an operator's command until it is accepted; return the tick in which it was.
 
         Raises:
-            RefusedError: it is not for the present state, or was refused again and again.
-            InputError, TimingError: "arm", at a rate that is not the drive's, or not this PC's.
+            RefusedError: the current state does not allow it, or it was refused repeatedly.
+            InputError, TimingError: "arm", at a rate that the drive or this PC does not keep.
             RthybError: the tick thread does not answer.
         """
         if name == "arm":
@@ -357,18 +357,18 @@ class Conductor:
                 return tick
             if not core.command_allowed(state, name):
                 raise self._refusal(name, state, "")
-            # A tick without a fresh pair is none to start in; the next one may be.
+            # A test cannot start in a tick without a new pair, but perhaps in the next one.
             self._pass(_BETWEEN_TICKS * self.rate.period_s)
         raise self._refusal(name, state, self._why_refused(name, state))
 
     def _refuse_rate(self) -> None:
-        """Refuse to arm at another rate than the drive's, or above 1024 Hz one that is missed.
+        """Refuse to arm at a rate other than the drive's, or above 1024 Hz if the PC misses it.
 
-        By what came since the tare began: pairs have come all the while, and nothing has moved.
+        This is judged by the time since the tare began, during which nothing has moved.
 
         Raises:
             InputError: a drive samples at another rate.
-            TimingError: of the ticks more were skipped than end a test.
+            TimingError: so many ticks were skipped that it would end a test.
         """
         before, now = self._at_zero, self._count()
         if before is None or now.ticks.elapsed - before.ticks.elapsed < self.rate.ticks(_RATE_S):
@@ -413,7 +413,7 @@ class Conductor:
         return self._wait_for(lambda: self.loop.answer(generation))
 
     def _refusal(self, name: str, state: str, why: str) -> RefusedError:
-        """Return the error for a command that was refused; ``why`` is "" where the state is why."""
+        """Return the error for a refused command; ``why`` is "" if the state is the reason."""
         return RefusedError(f"{name}: refused in state {state}" + (f": {why}" if why else ""))
 
     def _why_refused(self, name: str, state: str) -> str:
@@ -443,14 +443,14 @@ class Conductor:
         )
 
     def set_parameters(self, parameters: core.Parameters) -> int:
-        """Publish a set of parameters, wait until a tick has it, and keep it for the recording.
+        """Publish a set of parameters, wait until a tick uses it, and store it for the recording.
 
         Returns:
             its generation, which records then show.
 
         Raises:
-            CoreError: a value is refused; the set before stays in force.
-            RefusedError: the station refuses it; the set before stays in force.
+            CoreError: a value is rejected; the previous set remains in force.
+            RefusedError: the station refuses it; the previous set remains in force.
             RthybError: the tick thread does not answer.
         """
         state, run = self.state, self.run
@@ -470,7 +470,7 @@ class Conductor:
     # ---- reasons --------------------------------------------------------------------------------
 
     def why_not_zeroed(self) -> str:
-        """Return in words why the tare did not come to its end."""
+        """Return in words why the tare did not end."""
         run = self.run
         if not self.zeroing_failed:
             return f"the feedback stopped during zeroing; {self.no_feedback()}"
@@ -497,9 +497,9 @@ class Conductor:
         )
 
     def _restless(self) -> tuple[str, float, float]:
-        """Return which axis moved most during the tare, in words, how far, and what is allowed.
+        """Return the axis that moved most during the tare, in words, its motion, and the limit.
 
-        By what each of them is allowed; the words are "" where there is one.
+        The motion is relative to the limit of each axis; the words are "" for a single axis.
         """
         run, names = self.run, self.run.setup.axis_names
         if not names:
@@ -512,9 +512,9 @@ class Conductor:
 
     @property
     def tare(self) -> dict[str, Any]:
-        """What zeroing takes off both readings: ``displacement_m`` and ``force_n``.
+        """Offsets that zeroing subtracts from the readings: ``displacement_m`` and ``force_n``.
 
-        Of several axes those of the first, and under ``axes`` of each by its name.
+        With several axes those of the first, and under ``axes`` those of each by its name.
         """
         names, station = self.run.setup.axis_names, self.run.station
         x_m, f_n = station.tare
@@ -527,7 +527,7 @@ class Conductor:
         return found
 
     def tare_in_words(self) -> str:
-        """Return it for people."""
+        """Return the tare in words."""
         names, station = self.run.setup.axis_names, self.run.station
         if not names:
             return numbers.tare(*station.tare)
@@ -535,9 +535,9 @@ class Conductor:
         return "; ".join(f"{name} {numbers.tare(*own)}" for name, own in each)
 
     def no_feedback(self) -> str:
-        """Return in words why good pairs of a drive that follows do not come.
+        """Return in words why no valid pairs arrive from a drive that follows.
 
-        Of several axes each that is the matter is named.
+        With several axes, every axis concerned is named.
         """
         if self.opened.failure is not None:
             return f"the thread that exchanges its frames has ended: {self.opened.failure}"
@@ -555,10 +555,11 @@ class Conductor:
         return (f"{whose}: " if whose else "") + _no_more(flags)
 
     def other_rate(self, since: Counted | None = None) -> str:
-        """Return in words that a drive samples at another rate than the ticks; "": none does.
+        """Return in words that a drive samples at another rate than the ticks; "" if none does.
 
-        By its own count of samples. ``since``: what the counters showed when pairs began to come
-        without a break; None: with the first tick. Too few ticks say nothing.
+        This is judged by the drive's sample count. ``since``: the counters when pairs began to
+        arrive without interruption; None: those of the first tick. After too few ticks the result
+        is "".
         """
         elapsed = self.loop.counts.elapsed - (since.ticks.elapsed if since else 0)
         if elapsed < self.rate.ticks(_RATE_S):
@@ -602,15 +603,15 @@ class Conductor:
     # ---- how it went ----------------------------------------------------------------------------
 
     def wire_counters(self) -> dict[str, int]:
-        """Return the counters of the wire by name; of several axes their sum."""
+        """Return the counters of the wire by name; with several axes, their sum."""
         return _sum([way.wire.counters() for way in self.ways])
 
     def link_counters(self) -> dict[str, int]:
-        """Return the counters of the link by name; of several axes their sum."""
+        """Return the counters of the link by name; with several axes, their sum."""
         return _sum([way.link.counters() for way in self.ways])
 
     def axis_counters(self) -> dict[str, dict[str, dict[str, int]]]:
-        """Return both of each of several axes by its name; {} of one."""
+        """Return both for each of several axes by its name; {} for one axis."""
         names = self.run.setup.axis_names
         return dict(zip(names, self._each(), strict=True)) if names else {}
 
@@ -632,7 +633,7 @@ class Conductor:
         )
 
     def _axis_facts(self, run: LiveRun, before: Counted, now: Counted) -> dict[str, Any]:
-        """Return how the link of each of several axes went, by its name; {} of one axis."""
+        """Return the statistics of the link of each of several axes, by name; {} for one axis."""
         if not now.axes:
             return {}
         delays = self.loop.axis_delays
@@ -650,12 +651,12 @@ class Conductor:
         }
 
     def ending(self, run: LiveRun) -> dict[str, Any]:
-        """Return what ``meta`` of a run's recording says of its end."""
+        """Return the entries about the end for ``meta`` of a run's recording."""
         end = run.ending(self.state)
         return {**end, "real_time": {**end["station"], **self._facts(run)}}
 
     def _facts(self, run: LiveRun) -> dict[str, Any]:
-        """Return how a run went in real time; every value is there."""
+        """Return the real-time statistics of a run; every value is present."""
         before, now = run.counted, self._count()
         assert before is not None
         return {
@@ -688,13 +689,13 @@ class Conductor:
 
 
 def _lead_us(rig: RigFile, rate: Rate) -> float:
-    """Return how long a pair is to arrive before its tick."""
+    """Return the time by which a pair should arrive before its tick."""
     wanted = None if rig.link is None else rig.link.lead_us
     return default_lead_us(rate.whole_hz) if wanted is None else wanted
 
 
 def _stopped_axes(recent: NDArray[np.uint32], names: Sequence[str]) -> str:
-    """Return which of several axes' drives have stopped by themselves, in words; "": none."""
+    """Return the axes whose drives have stopped by themselves, in words; "" if none."""
     seen = int(np.bitwise_or.reduce(recent)) if recent.size else 0
     found = [name for k, name in enumerate(names) if seen >> (core.STOPPED_BIT + k) & 1]
     return f"axis {' and '.join(found)}" if found else ""
@@ -705,7 +706,7 @@ def _sum(counters: Sequence[Mapping[str, int]]) -> dict[str, int]:
 
 
 def _no_more(recent: NDArray[np.uint32]) -> str:
-    """Return in words why pairs that came do not count any more."""
+    """Return in words why the pairs received so far are no longer valid."""
     if (recent & FLAGS["stopped"]).any():
         return (
             "the drive reports that it has stopped, and will not follow commands until an "
@@ -728,11 +729,11 @@ def _more(now: Mapping[str, int], before: Mapping[str, int]) -> dict[str, int]:
 
 
 def link_delay(running: NDArray[np.int64], last: int | None) -> int:
-    """Return the median of the link's delay in the test proper, samples; -1: not known.
+    """Return the median of the link's delay in the test proper, samples; -1: unknown.
 
     Args:
-        running: how many pairs of it came with a delay of n samples, (n,).
-        last: delay of the last pair of all, for a session without a test.
+        running: number of its pairs with a delay of n samples, (n,).
+        last: delay of the last pair, for a session without a test.
     """
     if not running.any():
         return -1 if last is None else last
@@ -740,7 +741,7 @@ def link_delay(running: NDArray[np.int64], last: int | None) -> int:
 
 
 def histogram(latency: ticker.Latency) -> dict[str, Any]:
-    """Return a histogram as plain numbers: where its buckets begin and how many lie in each."""
+    """Return a histogram as plain numbers: the lower bound and the count of each bucket."""
     buckets = latency.buckets()
     used = np.flatnonzero(buckets)
     return {

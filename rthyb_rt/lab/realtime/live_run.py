@@ -1,4 +1,4 @@
-"""A run whose rows go through a ring: whoever conducts it reads them there."""
+"""A run whose rows pass through a ring, from which its conductor reads them."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ _CHUNK: Final = 256
 
 
 def follows(flags: NDArray[np.uint32]) -> bool:
-    """Return whether good pairs come, of a drive that obeys, by the flags of the newest rows."""
+    """Return whether valid pairs arrive from a drive that follows, by the newest rows' flags."""
     fresh = np.count_nonzero(flags & FLAGS["fresh"])
     return bool(fresh >= GOOD_PAIRS and not (flags & _NOT_FOLLOWING).any())
 
 
 def stays_stopped(flags: NDArray[np.uint32]) -> bool:
-    """Return whether pairs come of a drive that stands by itself, by the newest rows' flags."""
+    """Return whether pairs arrive from a drive that has stopped by itself, by the newest flags."""
     heard = flags[(flags & FLAGS["lost"]) == 0]
     return bool(heard.size >= GOOD_PAIRS and (heard & FLAGS["stopped"]).all())
 
 
 @dataclass(frozen=True)
 class Counted:
-    """What the counters of a link showed at one instant; of all axes' links their sum.
+    """Values of the counters of a link at one instant; with several axes, their sum.
 
-    ``axes``: of each of several axes, ``{"wire", "link"}``; empty of one.
+    ``axes``: those of each of several axes, ``{"wire", "link"}``; empty for one axis.
     """
 
     ticks: ticker.Counts
@@ -61,15 +61,16 @@ class Counted:
 class LiveRun(Run):
     """A station and its ring; `make` makes it.
 
-    One thread takes the rows in (`news`); any may look at the book that it keeps.
+    One thread reads the rows (`news`); any thread may read the log.
 
     Attributes:
-        ring: where the tick thread puts every record.
-        reader: of the ring.
-        keeps: every row stays in memory, for a recording; else those that a tare's spread needs.
-        counted: what the counters showed when the station began to tick.
-        missed: ranges [first, last] of rows that came to be overwritten before they were read.
-        recent_flags: of the last `LOOK_BACK_TICKS` rows.
+        ring: the ring to which the tick thread writes every record.
+        reader: reader of the ring.
+        keeps: whether every row is kept in memory for a recording, or only those needed for the
+            spread of a tare.
+        counted: counters when the station began to run.
+        missed: ranges [first, last] of rows that were overwritten before they were read.
+        recent_flags: flags of the last `LOOK_BACK_TICKS` rows.
     """
 
     ring: Ring
@@ -95,21 +96,21 @@ class LiveRun(Run):
         keeps: bool = False,
         **more: Any,
     ) -> Self:
-        """Make a station and its ring.
+        """Create a station and its ring.
 
         Args:
             setup: the test.
-            clock: what it goes by.
-            codecs: frames of the link, or of each axis' link, without which no replay is the same.
-            folder: of the ring; None takes `rthyb_rt.record.ring.default_folder`.
-            config: settings of the station; None takes those of the test.
-            facts: what else the recording is to know, by name.
-            keeps: as the attribute.
+            clock: the clock of the test.
+            codecs: frames of the link, or of each axis' link, which a bit-identical replay needs.
+            folder: folder of the ring; None: `rthyb_rt.record.ring.default_folder`.
+            config: settings of the station; None: those of the test.
+            facts: further facts for the recording, by name.
+            keeps: see the attribute.
             more: fields of a subclass.
 
         Raises:
-            RthybError: the ring has no room.
-            CoreError: a setting is refused.
+            RthybError: there is no room for the ring.
+            CoreError: a setting is rejected.
         """
         config = config or experiment.station_config(setup, real=True)
         run = Run.begin(setup, clock, config, facts)
@@ -124,23 +125,23 @@ class LiveRun(Run):
         return cls(**vars(run), ring=filled, reader=reader, keeps=keeps, **more)
 
     def close(self) -> None:
-        """Let go of the ring, which stays where it is; twice does no harm."""
+        """Close the ring without deleting it; a second call has no effect."""
         self.reader.close()
         self.ring.close()
 
     def remove(self) -> None:
-        """Delete the ring and its session file; twice does no harm."""
+        """Delete the ring and its session file; a second call has no effect."""
         self.reader.close()
         self.ring.remove()
 
     def renew(self) -> None:
-        """Write what is known beside the ring, for a recorder or a recovery."""
+        """Write the session file beside the ring, for a recorder or a recovery."""
         self.ring.renew_session(self.known())
 
     # ---- the book -------------------------------------------------------------------------------
 
     def news(self) -> Iterator[NDArray[np.void]]:
-        """Take in the rows that have come, and give them, part by part, each of shape (n,)."""
+        """Read new rows, and yield them in parts, each of shape (n,)."""
         while (rows := self.reader.read(_CHUNK)).samples.size:
             if rows.first != self._next_row:
                 self.missed.append([self._next_row, rows.first - 1])
@@ -150,7 +151,7 @@ class LiveRun(Run):
             yield samples
 
     def take(self, samples: NDArray[np.void]) -> None:
-        """Note rows in the book, in order, shape (n,)."""
+        """Add rows to the log, in order, shape (n,)."""
         super().take(samples)
         self._keep(samples)
         self.recent_flags = np.concatenate([self.recent_flags, samples["flags"]])[-LOOK_BACK_TICKS:]
@@ -164,7 +165,7 @@ class LiveRun(Run):
             self._kept_rows -= self._parts.pop(0).size
 
     def spread_m(self, axis: int = 0) -> float:
-        """Return how far an axis' reading of the displacement moved during the last tare's time."""
+        """Return how far the displacement reading of an axis moved during the last tare."""
         ticks, field = self.config.tare_ticks, f"x_read_m.{axis}" if axis else "x_read_m"
         parts = self._parts[-ticks:]
         read = [part[field][part["flags"] & FLAGS["fresh"] != 0] for part in parts]
@@ -172,7 +173,7 @@ class LiveRun(Run):
         return float(np.ptp(x_m)) if x_m.size else 0.0
 
     def recording(self) -> Recording:
-        """Return the recording of every row, of a run that keeps them; its end is not in it."""
+        """Return the recording of a run that keeps its rows, without the entries about its end."""
         rec = self.known()
         rec.samples = ring.joined(self._parts)
         rec.replay.skips = ring.skips(rec.samples)

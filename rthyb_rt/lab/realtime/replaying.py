@@ -1,4 +1,4 @@
-"""A recording through a fresh station."""
+"""Replay of a recording with a new station."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from rthyb_rt.record.recording import Recording, require_replayable
 
 
 def replay(rec: Recording) -> experiment.Replay:
-    """Run all that a test was told through a fresh station, and compare every field.
+    """Run all inputs of a recorded test through a new station, and compare every field.
 
-    Skipped ticks at the very end, whose next executed one is not in the recording, are left out:
-    a black box may be full there, and a process killed.
+    Skipped ticks at the very end, after which no executed tick was recorded, are omitted: the ring
+    may have been full there, or the process killed.
 
     Raises:
-        InputError: another version has recorded it, its configuration cannot be read by this one,
+        InputError: it was recorded by another version, this version cannot read its configuration,
             or rows are missing.
     """
     rows, rec, _ = _rerun(rec)
@@ -36,16 +36,16 @@ def replay(rec: Recording) -> experiment.Replay:
 
 
 def first_cause(rec: Recording) -> tuple[str, float, float]:
-    """Return what took a test off its course, by a fresh station's finding.
+    """Return what interrupted or ended a test, as determined by a new station.
 
-    For rows of a test that still runs, or whose process has not said it.
+    For rows of a test that is still running, or whose process did not record the cause.
 
     Returns:
-        The cause, "none" if nothing did, the value that was met and the limit's, SI; both 0 where
-        the cause has no number.
+        The cause, or "none"; the value reached and the limit, SI, both 0 if the cause has no
+        number.
 
     Raises:
-        InputError: another version has recorded it, its configuration cannot be read by this one,
+        InputError: it was recorded by another version, this version cannot read its configuration,
             or rows are missing.
     """
     station = _rerun(rec)[2]
@@ -53,10 +53,10 @@ def first_cause(rec: Recording) -> tuple[str, float, float]:
 
 
 def first_cause_in_words(rec: Recording) -> str:
-    """Return it for people, with its figures and whose of several axes it is; "": there is none.
+    """Return that cause in words, with its figures and its axis; "" if there is none.
 
     Raises:
-        InputError: as of `first_cause`.
+        InputError: as for `first_cause`.
     """
     station = _rerun(rec)[2]
     if station.cause == "none":
@@ -73,7 +73,7 @@ def first_cause_in_words(rec: Recording) -> str:
 
 
 def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
-    """Return the rows that a fresh station computes, of which recording, and the station then."""
+    """Return the rows that a new station computes, the recording, and the final station."""
     require_replayable(rec)
     own = np.flatnonzero((rec.samples["flags"] & FLAGS["blind"]) == 0)
     rec = replace(rec, samples=rec.samples[: own[-1] + 1 if own.size else 0])
@@ -97,10 +97,10 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
 
 
 def _codecs(tables: bytes, axes: int) -> list[Codec | None]:
-    """Return the frames of each axis' link from their tables, one behind the other.
+    """Return the frames of each axis' link from their consecutive tables.
 
     Raises:
-        InputError: they are not of as many axes.
+        InputError: their number is not that of the axes.
     """
     if not tables:
         return [None] * axes
@@ -113,7 +113,7 @@ def _codecs(tables: bytes, axes: int) -> list[Codec | None]:
 def _settings(
     rec: Recording, test: TestFile, rig: RigFile, values: Mapping[str, Any]
 ) -> core.StationConfig:
-    """Return the settings that a recording began with: as it states them, else as they follow."""
+    """Return the initial settings of a recording: as stated in it, otherwise as derived."""
     if "station" in values:
         return core.StationConfig.of(values["station"])
     derived = config.derive(test, rig)
@@ -132,7 +132,7 @@ def _settings(
 
 
 def _padded(rows: NDArray[np.void], count: int) -> NDArray[np.void]:
-    """Return so many rows; those that did not come again are like no other."""
+    """Return rows padded to a length; the missing ones differ from any recorded row."""
     full = np.zeros(count, dtype=core.record_dtype(core.axes_in(rows.dtype)))
     full["tick"] = np.iinfo(np.uint64).max
     full[: rows.size] = rows

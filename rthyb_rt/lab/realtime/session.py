@@ -1,4 +1,4 @@
-"""One test at one link: begun, conducted and ended in this process."""
+"""One test on one link: started, conducted and ended in this process."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 
 class Session(Conductor):
-    """One test at one link; a context manager that leaves nothing running.
+    """One test on one link; a context manager that leaves nothing running.
 
-    A thread of its own keeps every record and gives the sign of life.
+    A separate thread collects every record and sends the heartbeat.
 
     Args:
         setup: the test.
         opened, clock, before_tick: as in `Conductor`.
-        folder: of the ring; None takes `rthyb_rt.record.ring.default_folder`.
-        station: settings of the station; None takes those of the test.
-        facts: what else the recording is to know, by name.
+        folder: folder of the ring; None: `rthyb_rt.record.ring.default_folder`.
+        station: settings of the station; None: those of the test.
+        facts: further facts for the recording, by name.
 
     Raises:
-        RthybError: the ring has no room, or the descriptor is of no use.
-        CoreError: a setting is refused.
+        RthybError: there is no room for the ring, or the descriptor cannot be used.
+        CoreError: a setting is rejected.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class Session(Conductor):
         self.close()
 
     def attended(self) -> None:
-        """Have the operator's thread watched: a test whose operator is not heard ramps out.
+        """Supervise the operator's thread: if it does not respond, the test ramps out.
 
         From this call on `wait` must be called at least once a second.
         """
@@ -85,7 +85,7 @@ class Session(Conductor):
         self._collector.attended()
 
     def start(self) -> None:
-        """Begin to tick and to keep every record; as `Conductor.start`."""
+        """Start the ticks and the collection of records; see `Conductor.start`."""
         super().start()
         if self.clock != "stepped":
             self._collector.start()
@@ -99,11 +99,11 @@ class Session(Conductor):
         self.run.remove()
 
     def wait(self, seconds: float) -> None:
-        """Let time pass; stepped clock: execute that time's ticks.
+        """Wait; with the stepped clock, execute the ticks of that time.
 
         Raises:
             RthybError: the recorder failed.
-            TimingError: the tick thread stands still.
+            TimingError: the tick thread has stalled.
         """
         self._pass(seconds)
 
@@ -116,11 +116,11 @@ class Session(Conductor):
         self._collector.check()
 
     def advance(self, ticks: int) -> None:
-        """Let up to so many ticks pass, and no more than an operator may be waited for."""
+        """Let a number of ticks pass, at most as long as the operator's thread may wait."""
         self.wait(min(ticks / self.rate.hz, RECORDER_PERIOD_S))
 
     def settle(self) -> None:
-        """Let what is kept behind a test come."""
+        """Wait for the rows that are recorded after a test."""
         # Of a trip somewhat more, so that the black box is full: it counts rows at any rate.
         tripped = self.state == "TRIPPED"
         kept_s = 1.1 * AFTER_TRIP / self.rate.hz if tripped else REST_TICKS / core.FS_HZ
@@ -129,11 +129,11 @@ class Session(Conductor):
             self.wait(RECORDER_PERIOD_S)
 
     def not_zeroed(self) -> InputError:
-        """Return why the tare did not come to its end."""
+        """Return why the tare did not end."""
         return InputError(self.why_not_zeroed(), self.opened.name)
 
     def recording(self) -> Recording:
-        """Return the recording of all that was; after `close`."""
+        """Return the recording of the whole session; call after `close`."""
         rec = self.run.recording()
         rec.meta |= self.ending(self.run)
         rec.meta["real_time"] |= {

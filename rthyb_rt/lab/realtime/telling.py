@@ -1,7 +1,7 @@
-"""What a person is told during a test, from a thread that may be held up.
+"""Messages for the user during a test, from a thread that may be blocked.
 
-A terminal that stands still (Ctrl-S, a connection that died) blocks whoever writes to it. That must
-not be the thread that passes on a stop.
+A terminal that is stopped (Ctrl-S, a lost connection) blocks every thread that writes to it. That
+must not be the thread that passes on a stop.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ _LAST_WORDS_S = 1.0
 
 
 class Teller:
-    """Takes what is to be told without ever waiting, and tells it when it can.
+    """Accepts messages without waiting, and delivers them when possible.
 
     Args:
         progress: called with (ticks done, ticks of the test).
-        warn: takes a sentence.
-        at_once: tell in the caller's thread, in order: for the stepped clock.
+        warn: called with a sentence.
+        at_once: deliver in the caller's thread, in order, for the stepped clock.
     """
 
     def __init__(self, progress: Progress, warn: Callable[[str], None], *, at_once: bool) -> None:
@@ -36,16 +36,16 @@ class Teller:
             self._thread.start()
 
     def warn(self, sentence: str) -> None:
-        """Have a sentence told."""
+        """Queue a sentence."""
         if self._at_once:
             self._warn(sentence)
         else:
             self._sentences.append(sentence)
 
     def progress(self, done: int, total: int) -> None:
-        """Have the progress told; of several, only the newest.
+        """Queue the progress; only the newest value is delivered.
 
-        Raises what telling raised.
+        Raises the exceptions of the delivery.
         """
         if self._at_once:
             self._progress(done, total)
@@ -55,7 +55,7 @@ class Teller:
             raise self._failure
 
     def close(self) -> None:
-        """Tell the rest, unless the other side takes none."""
+        """Deliver the rest, unless the receiver is blocked."""
         self._done.set()
         if not self._at_once:
             self._thread.join(_LAST_WORDS_S)
