@@ -587,15 +587,28 @@ static int longest_missing(const rthyb_station *s)
     return of_axis(longest);
 }
 
-/* Why no pair was accepted for so long: an axis has none, or those of all axes correspond to no
- * pose. */
+/* A reading arrives, but it has leapt and is not accepted; *found says which. */
+static int has_leapt(const rthyb_axis *a, finding *found)
+{
+    if (!a->has_reading || a->off_scale || (a->leaps_x.count == 0 && a->leaps_f.count == 0))
+        return 0;
+    const int of_x = a->leaps_x.count > 0;
+    found->cause = of_x ? RTHYB_CAUSE_SENSOR_JUMP : RTHYB_CAUSE_FORCE_JUMP;
+    found->value = of_x ? a->leaps_x.level - a->seen_x : a->leaps_f.level - a->seen_f;
+    return 1;
+}
+
+/* Why no pair was accepted for so long: an axis has none, or its readings have leapt, or those of all axes
+ * correspond to no pose. */
 static finding not_taken(const rthyb_station *s)
 {
     const int axis = longest_missing(s);
-    const int cause =
-        s->controller.axis[axis - 1].missing ? RTHYB_CAUSE_LINK_LOST : RTHYB_CAUSE_NO_POSE;
-    return (finding){cause, s->controller.missing, s->ticks.lost,
-                     cause == RTHYB_CAUSE_LINK_LOST ? axis : 0};
+    finding found = {RTHYB_CAUSE_LINK_LOST, s->controller.missing, s->ticks.lost, axis};
+    if (has_leapt(&s->axis[axis - 1], &found))
+        found.limit = watch_of(s, axis - 1, found.cause)->value;
+    else if (!s->controller.axis[axis - 1].missing)
+        found = (finding){RTHYB_CAUSE_NO_POSE, s->controller.missing, s->ticks.lost, 0};
+    return found;
 }
 
 /* 1 + index of the first axis with a value that is not finite; 0: none. */
@@ -667,8 +680,11 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
     else if (!tripped && !blind)
         watch_at_rest(s, record);
     record->tick = s->tick;
-    if (!blind && s->controller.missing >= s->ticks.lost && s->state != RTHYB_IDLE)
-        trip_at(s, not_taken(s), RTHYB_S_LINK_LOST, record);
+    if (!blind && s->controller.missing >= s->ticks.lost && s->state != RTHYB_IDLE) {
+        const finding found = not_taken(s);
+        const int lost = found.cause == RTHYB_CAUSE_LINK_LOST || found.cause == RTHYB_CAUSE_NO_POSE;
+        trip_at(s, found, lost ? RTHYB_S_LINK_LOST : RTHYB_S_SENSOR_JUMP, record);
+    }
     if (code & RTHYB_S_NOT_FINITE)
         trip_at(s, (finding){.cause = RTHYB_CAUSE_NOT_FINITE, .where = not_finite(s, in)},
                 RTHYB_S_NOT_FINITE, record);

@@ -458,6 +458,32 @@ def test_jumping_sensor_ramps_out_and_the_jump_is_not_taken() -> None:
     assert abs(bench.rows()["x_meas_m"][-1]) < 0.02
 
 
+@pytest.mark.parametrize(
+    ("cause", "leap"), [("sensor_jump", {"x_m": 0.05}), ("force_jump", {"f_n": 5e3})]
+)
+def test_sensor_that_leaps_to_another_level_before_the_test_is_told_as_that(
+    cause: str, leap: dict[str, float]
+) -> None:
+    bench = Bench(changes=watched(cause, 1e-4 if "x_m" in leap else 100.0, "ramp-out"))
+    bench.step("zero")
+    bench.until("ZEROED")
+    for _ in range(19):
+        bench.step(**leap)
+    assert bench.station.state == "ZEROED"
+    bench.step(**leap)
+    assert_tripped(bench, cause)
+
+
+def test_link_that_is_lost_after_a_leap_is_told_as_lost() -> None:
+    bench = Bench(changes=watched("sensor_jump", 1e-4, "ramp-out"))
+    bench.step("zero")
+    bench.until("ZEROED")
+    bench.step(x_m=0.05)
+    for _ in range(19):
+        bench.step(lost=True)
+    assert_tripped(bench, "link_lost")
+
+
 @pytest.mark.parametrize("why", ["stop", "end"])
 def test_force_limit_trips_on_the_way_out_as_well(why: str) -> None:
     bench = Bench(changes=watched("force", 5e4, "trip")).running()
