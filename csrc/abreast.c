@@ -37,8 +37,8 @@ static int farthest(int n, const int64_t *away)
 
 /* If two counts differ, either may be the wrong one. It is the one that has just changed its offset
  * from the ticks; if all drift slowly, it is the one that has drifted farthest from the ticks. */
-static int who_left(const abreast *known, int n, const uint64_t *counts, uint64_t tick,
-                    const int64_t *usual)
+static int which_drifted(const abreast *known, int n, const uint64_t *counts, uint64_t tick,
+                         const int64_t *usual)
 {
     int64_t lately[MOST] = {0}, ever[MOST] = {0};
     for (int i = 0; i < n; i++) {
@@ -67,5 +67,5 @@ int32_t abreast_compare(abreast *known, int n, const uint64_t *counts, uint64_t 
     known->ticks += known->ticks < ABREAST_TICKS;
     if (known->ticks < ABREAST_TICKS)
         return RTHYB_APART_UNKNOWN;
-    return most - least > 1 ? 1 + who_left(known, n, counts, tick, usual) : 0;
+    return most - least > 1 ? 1 + which_drifted(known, n, counts, tick, usual) : 0;
 }

@@ -163,7 +163,7 @@ void course_ramp_to_zero(rthyb_station *s)
     s->leg = 0;
 }
 
-void course_begin_anew(rthyb_station *s)
+void course_replan(rthyb_station *s)
 {
     if (path_done(&s->path[0]))
         return;

@@ -295,7 +295,7 @@ static void brake_directions(int n, const rthyb_controller *c, double *step)
 
 /* Share of a change that the limit of one interface coordinate permits: all of it, or as far as the
  * limit. A coordinate that is already beyond its limit may return but go no further out. */
-static double let_through(double limit, double from, double to)
+static double permitted_share(double limit, double from, double to)
 {
     const double bound = copysign(fmax(limit, fabs(from)), to);
     const double out = fabs(to) - fabs(bound);
@@ -320,7 +320,7 @@ static void keep_directions(int n, rthyb_controller *c, const double *wanted, do
         for (int j = 0; j < n && found; j++) {
             const double limit = c->cfg.direction_clamp[j];
             if (limit > 0.0)
-                least = fmin(least, let_through(limit, way.from[j], way.to[j]));
+                least = fmin(least, permitted_share(limit, way.from[j], way.to[j]));
             c->at_direction |= known && limit > 0.0 && fabs(beyond[j]) > limit + AT_DIRECTION &&
                                fabs(way.to[j]) >= limit - AT_DIRECTION;
         }

@@ -16,7 +16,7 @@
 
 #define HEAD_START_NS 20000000 /* from the thread being ready to the first tick */
 #define LISTEN_NS 2000000      /* shortest time before the first tick in which data is accepted */
-#define SIGHTINGS 16           /* pairs whose arrival times determine the first tick */
+#define FIRST_PAIRS 16         /* pairs whose arrival times determine the first tick */
 #define SECOND_NS 1000000000
 #define STACK_BYTES (1u << 18)
 #define STACK_TOUCHED (1u << 16)
@@ -230,7 +230,7 @@ static int is_punctual(const rthyb_loop *loop, const rthyb_tick *tick)
     return !timeless && !tick->skipped && tick->woken_ns - tick->due_ns < loop->half_period_ns;
 }
 
-static void know_offset(rthyb_loop_way *way, int64_t offset)
+static void set_offset(rthyb_loop_way *way, int64_t offset)
 {
     way->offset = way->offset_seen = offset;
     way->offset_known = 1;
@@ -256,7 +256,7 @@ static int has_slipped(rthyb_loop *loop, rthyb_loop_way *way, const rthyb_feedba
 {
     const int64_t offset = (int64_t)(feedback->samples - k);
     if (!way->offset_known || age >= RESYNC_AGE) {
-        know_offset(way, offset);
+        set_offset(way, offset);
     } else {
         if (way->votes == 0)
             way->offset_seen = offset;
@@ -264,7 +264,7 @@ static int has_slipped(rthyb_loop *loop, rthyb_loop_way *way, const rthyb_feedba
     }
     if (way->votes < RTHYB_SLIP_VOTES)
         return 0;
-    know_offset(way, way->offset_seen);
+    set_offset(way, way->offset_seen);
     add(&loop->counters.slips, 1);
     return 1;
 }
@@ -318,7 +318,7 @@ static void take_axis(rthyb_loop *loop, int axis, const rthyb_tick *tick, arriva
     const uint32_t age = loop->cfg.axis[axis].wire->age;
     take_in(loop, axis, tick->woken_ns);
     found->lost = rthyb_wire_take(loop->cfg.axis[axis].wire, &found->feedback);
-    rthyb_wire_tell_extras(loop->cfg.axis[axis].wire, loop->cfg.station->channel);
+    rthyb_wire_record_extras(loop->cfg.axis[axis].wire, loop->cfg.station->channel);
     if (found->lost)
         return;
     put_signed(&way->delay, found->feedback.delay);
@@ -629,16 +629,16 @@ void rthyb_loop_drop_old(rthyb_loop *loop)
         drop_old(loop, i);
 }
 
-/* Arrival times of the next pairs of the first axis, at most SIGHTINGS; returns how many arrived
+/* Arrival times of the next pairs of the first axis, at most FIRST_PAIRS; returns how many arrived
  * within twice the time they should take. The pairs are not used otherwise: the state of the wire
  * begins with the first tick. */
-static uint32_t sight(rthyb_loop *loop, int64_t *arrived_ns)
+static uint32_t time_first_pairs(rthyb_loop *loop, int64_t *arrived_ns)
 {
     const rthyb_loop_axis *at = &loop->cfg.axis[0];
     rthyb_wire aside = *at->wire;
     uint32_t count = 0;
-    const int64_t until_ns = rthyb_now_ns() + (int64_t)4 * SIGHTINGS * loop->half_period_ns;
-    for (int i = 0; i < SIGHTINGS * RTHYB_WAKE_UPS_MAX && count < SIGHTINGS; i++) {
+    const int64_t until_ns = rthyb_now_ns() + (int64_t)4 * FIRST_PAIRS * loop->half_period_ns;
+    for (int i = 0; i < FIRST_PAIRS * RTHYB_WAKE_UPS_MAX && count < FIRST_PAIRS; i++) {
         const uint64_t pairs = aside.counters.pairs;
         if (!rthyb_link_wait(at->link, until_ns - rthyb_now_ns()))
             break;
@@ -667,18 +667,18 @@ static int64_t first_due(rthyb_loop *loop, int64_t from_ns, const int64_t *arriv
 }
 
 /* The first tick is like all others: what it takes has arrived just before it. */
-static void set_off(rthyb_loop *loop)
+static void begin_ticking(rthyb_loop *loop)
 {
-    int64_t arrived_ns[SIGHTINGS];
-    uint32_t sighted = 0;
+    int64_t arrived_ns[FIRST_PAIRS];
+    uint32_t timed = 0;
     if (loop->ticker.clock == RTHYB_CLOCK_LINK) {
         rthyb_loop_drop_old(loop);
-        sighted = sight(loop, arrived_ns);
+        timed = time_first_pairs(loop, arrived_ns);
     }
     const int64_t listen_ns =
         4 * loop->half_period_ns > LISTEN_NS ? 4 * loop->half_period_ns : LISTEN_NS;
     const int64_t from_ns = rthyb_now_ns() + HEAD_START_NS;
-    put_signed(&loop->ticker.t0_ns, first_due(loop, from_ns, arrived_ns, sighted));
+    put_signed(&loop->ticker.t0_ns, first_due(loop, from_ns, arrived_ns, timed));
     const int64_t until_ns = loop->ticker.t0_ns - listen_ns;
     const struct timespec until = {.tv_sec = until_ns / SECOND_NS, .tv_nsec = until_ns % SECOND_NS};
     while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &until, NULL) == EINTR)
@@ -694,7 +694,7 @@ static void *tick_thread(void *shared)
     loop->privileges =
         rthyb_thread_become_real_time(loop->priority, loop->cpu, loop->latency_fd, STACK_TOUCHED);
     if (loop->ticker.clock != RTHYB_CLOCK_STEPPED)
-        set_off(loop);
+        begin_ticking(loop);
     rthyb_thread_usage(&before);
     while (wait_for_tick(loop, &tick))
         execute(loop, &tick);
@@ -734,7 +734,7 @@ int rthyb_loop_last(const rthyb_loop *loop, rthyb_last_command *last)
 }
 
 /* This command was sent before, so the wire can represent it exactly. */
-static int take_leave(const rthyb_loop *loop, int axis)
+static int send_leaving(const rthyb_loop *loop, int axis)
 {
     const rthyb_station *s = loop->cfg.station;
     const rthyb_loop_axis *at = &loop->cfg.axis[axis];
@@ -750,7 +750,7 @@ int rthyb_loop_leave(rthyb_loop *loop)
 {
     int sent = loop->cfg.station->seen && is_at_rest(loop->cfg.station);
     for (int i = 0; i < loop->axis_count && sent; i++)
-        sent = take_leave(loop, i);
+        sent = send_leaving(loop, i);
     return sent;
 }
 

@@ -101,7 +101,7 @@ static int inverted(double a[MOST][MOST], int n, double out[MOST][MOST])
 
 /* Whether the powers of a matrix, with rows of `width`, decay to zero: repeated squaring gives its
  * powers 2, 4, 8, ... */
-static int dies_away(double a[STATES][STATES], double next[STATES][STATES], int width)
+static int decays(double a[STATES][STATES], double next[STATES][STATES], int width)
 {
     for (int round = 0; round < SQUARINGS; round++) {
         double largest = 0.0;
@@ -125,7 +125,7 @@ static int dies_away(double a[STATES][STATES], double next[STATES][STATES], int 
 }
 
 /* Stability of the axes as fitted, without a command: each state alone, advanced by one sample. */
-static int undoing_is_stable(const rthyb_matrix_lead *s)
+static int inverse_is_stable(const rthyb_matrix_lead *s)
 {
     const int n = s->cfg.size, width = n * (s->cfg.poles + 1);
     const double none[MOST] = {0.0};
@@ -139,7 +139,7 @@ static int undoing_is_stable(const rthyb_matrix_lead *s)
         for (int row = 0; row < width; row++)
             a[row][column] = row < n ? state.x1[row] : state.pole[(row - n) / n][row % n];
     }
-    return dies_away(a, next, width);
+    return decays(a, next, width);
 }
 
 /* ---- setting up ---------------------------------------------------------------------------------- */
@@ -307,7 +307,7 @@ static int inverse_init(rthyb_matrix_lead *s)
                 s->feed[i][j] += c->inverse[k][i][j];
         }
     return inverted(still, c->size, s->still) && inverted(s->feed, c->size, s->taken) &&
-           undoing_is_stable(s);
+           inverse_is_stable(s);
 }
 
 int rthyb_matrix_lead_init(rthyb_matrix_lead *s, const rthyb_matrix_lead_config *cfg,

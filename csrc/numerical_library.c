@@ -134,14 +134,14 @@ static size_t report(const rthyb_numerical *part, double *values, size_t most)
     return count;
 }
 
-static void leave(const rthyb_numerical *part)
+static void before_save(const rthyb_numerical *part)
 {
     config *c = part->cfg;
     if (c->calls.save)
         c->calls.save(state_of(part));
 }
 
-static void come_back(const rthyb_numerical *part)
+static void after_restore(const rthyb_numerical *part)
 {
     config *c = part->cfg;
     if (c->calls.restore)
@@ -156,6 +156,6 @@ const rthyb_numerical_ops rthyb_library_ops = {
     .freeze = freeze,
     .look = look,
     .report = report,
-    .before_save = leave,
-    .after_restore = come_back,
+    .before_save = before_save,
+    .after_restore = after_restore,
 };

@@ -9,7 +9,7 @@ enum { MOST = RTHYB_COUPLED_MAX };
 
 #define SEARCH_STEPS 80 /* factors of 1.25: from 8 ms to longer than any test */
 /* Pins: factor by which a path is lengthened each time, and how often; in total by a factor of 3.
- * The axes of a specimen that rotates by 80 mrad are 5 to 10 % faster than in its upright pose. */
+ * The axes of a specimen that rotates by 80 mrad are 5 to 10 % faster than without rotation. */
 #define STRETCH 1.08
 #define STRETCHES 15
 #define POINTS 32          /* of a path, at which the axes are checked */

@@ -51,7 +51,7 @@ static int32_t lost(const rthyb_record *row, int axis, int axes)
 
 /* What a row says of all axes together is taken from the axis that its cause names, or from the
  * first. */
-static int whose(const rthyb_record *row)
+static int axis_of_row(const rthyb_record *row)
 {
     const int number = (int)(row->cause >> RTHYB_PLACE_BIT & 7u);
     return row->cause & RTHYB_PLACE_INTERFACE || number == 0 ? 0 : number - 1;
@@ -60,7 +60,7 @@ static int whose(const rthyb_record *row)
 static rthyb_station_input input_of(const rthyb_station *station, const rthyb_record *row)
 {
     const uint64_t skipped = row->tick - station->tick;
-    const int axes = axes_of(station), one = whose(row) % axes;
+    const int axes = axes_of(station), one = axis_of_row(row) % axes;
     rthyb_station_input in = {
         .skipped = skipped < UINT32_MAX ? (uint32_t)skipped : UINT32_MAX,
         .command = (int32_t)(row->flags >> RTHYB_F_COMMAND_BIT),

@@ -243,7 +243,7 @@ int rthyb_wire_feed(rthyb_wire *wire, const uint8_t *bytes, size_t n);
  * pair. The result is RTHYB_OK, or the reason why there is none, for rthyb_input.lost. */
 int rthyb_wire_take(rthyb_wire *wire, rthyb_feedback *feedback);
 /* After rthyb_wire_take: the extra channels of a pair that was new in this tick; NaN if there was none. */
-void rthyb_wire_tell_extras(const rthyb_wire *wire, double *channels);
+void rthyb_wire_record_extras(const rthyb_wire *wire, double *channels);
 /* cffi: end */
 
 #endif

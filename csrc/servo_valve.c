@@ -102,7 +102,7 @@ int rthyb_valve_init(rthyb_servo *s)
 }
 
 /* The value after a converter with limited resolution and range. */
-static double taken_in(const rthyb_servo *s, double value)
+static double converted(const rthyb_servo *s, double value)
 {
     const rthyb_servo_config *c = &s->cfg;
     if (c->command_lsb_m > 0.0)
@@ -116,11 +116,11 @@ static double driven(rthyb_servo *s, double command)
 {
     const rthyb_servo_config *c = &s->cfg;
     if (c->loop_kp == 0.0 && c->loop_ki_per_s == 0.0)
-        return taken_in(s, command);
-    const double error = taken_in(s, command - s->sensed_m);
+        return converted(s, command);
+    const double error = converted(s, command - s->sensed_m);
     s->integral = clamp(s->integral + 0.5 * c->period_s * (error + s->loop_error), -1e3, 1e3);
     s->loop_error = error;
-    return taken_in(s, c->loop_kp * error + c->loop_ki_per_s * s->integral);
+    return converted(s, c->loop_kp * error + c->loop_ki_per_s * s->integral);
 }
 
 void rthyb_valve_advance(rthyb_servo *s, rthyb_element *elements, uint32_t element_count)

@@ -171,7 +171,7 @@ int rthyb_station_adopt(rthyb_station *s, const rthyb_parameters *p)
     s->cfg.brake_acceleration_m_per_s2 = p->brake_acceleration_m_per_s2;
     s->controller.generation = p->generation;
     if (course_narrows(s, &before))
-        course_begin_anew(s);
+        course_replan(s);
     return 1;
 }
 
@@ -201,7 +201,7 @@ void station_blame(rthyb_station *s, finding found)
     s->cause_interface = found.where < 0 ? -1 - found.where : -1;
 }
 
-static void forget_cause(rthyb_station *s)
+static void clear_cause(rthyb_station *s)
 {
     s->cause = RTHYB_CAUSE_NONE;
     s->cause_value = s->cause_limit = 0.0;
@@ -317,7 +317,7 @@ static void begin_test(rthyb_station *s)
     s->controller.generation = generation;
     s->test_tick = 0;
     s->interrupted = 0;
-    forget_cause(s);
+    clear_cause(s);
     s->indicated = 0;
     s->indicator_slope = 0.0;
     for (int i = 0; i < axes_of(s); i++)
@@ -418,7 +418,7 @@ static int reset(rthyb_station *s, const rthyb_station_input *in)
     if (!can_reset(s, in))
         return 0;
     station_enter(s, RTHYB_IDLE);
-    forget_cause(s);
+    clear_cause(s);
     s->tared = 0;
     settle_at_readings(s, in);
     s->reset_frames = RESET_FRAMES;

@@ -79,7 +79,7 @@ void course_caps(const rthyb_station *s, path_caps *caps);
 int course_narrows(const rthyb_station *s, const path_caps *before);
 /* Call after the limits of the current path were tightened: brakes to rest within them; course_arrive then starts a new
  * path for the rest of the distance. */
-void course_begin_anew(rthyb_station *s);
+void course_replan(rthyb_station *s);
 /* Next displacements if a path determines them; NULL if the equation of motion does. */
 const double *course_next(rthyb_station *s, double *x);
 /* Continues after the end of a path. */

@@ -123,7 +123,7 @@ static int stopped(const rthyb_ticker *ticker)
 }
 
 /* The bell is read before the values that it announces, so that a ring in between is not missed. */
-static int wait_for_word(rthyb_ticker *ticker, rthyb_tick *tick)
+static int wait_for_grant(rthyb_ticker *ticker, rthyb_tick *tick)
 {
     for (;;) {
         const uint32_t bell = __atomic_load_n(&ticker->bell, __ATOMIC_ACQUIRE);
@@ -140,7 +140,7 @@ static int wait_for_word(rthyb_ticker *ticker, rthyb_tick *tick)
 int rthyb_ticker_wait(rthyb_ticker *ticker, rthyb_tick *tick)
 {
     if (ticker->clock == RTHYB_CLOCK_STEPPED)
-        return wait_for_word(ticker, tick);
+        return wait_for_grant(ticker, tick);
     const int64_t due_ns = rthyb_ticker_due_ns(ticker, ticker->elapsed);
     const struct timespec due = {.tv_sec = due_ns / SECOND_NS, .tv_nsec = due_ns % SECOND_NS};
     int error = EINTR;

@@ -3,7 +3,7 @@
 #include "station.h"
 
 #define JUMP_TAKEN 3 /* consecutive readings at a new level that establish it, at any rate */
-#define OVERLOAD 1.5 /* times the force limit: reacts without delay */
+#define OVERLOAD 1.5 /* times the force limit: escalates to a trip at once */
 #define START_SPREADS                                                                              \
     5.0 /* times rest_spread_m: largest distance of x_m from the command at START */
 #define ALL_AXES (~0u)

@@ -237,7 +237,7 @@ int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
     return fresh ? RTHYB_OK : RTHYB_LOST | refused;
 }
 
-void rthyb_wire_tell_extras(const rthyb_wire *w, double *channels)
+void rthyb_wire_record_extras(const rthyb_wire *w, double *channels)
 {
     for (uint32_t i = 0; i < w->codec.extra_count; i++) {
         const uint32_t at = w->extra_channel + i;

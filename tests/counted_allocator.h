@@ -1,5 +1,5 @@
-/* Replaces every allocation function of the C library by one that tells note_allocation() first. One
- * source file of a program includes it. */
+/* Replaces every allocation function of the C library by one that calls note_allocation() first. To
+ * be included in one source file of a program. */
 #ifndef COUNTED_ALLOCATOR_H
 #define COUNTED_ALLOCATOR_H
 
@@ -53,7 +53,7 @@ int posix_memalign(void **block, size_t alignment, size_t size)
     return *block ? 0 : ENOMEM;
 }
 
-/* The C library itself ends every thread with free(NULL), which asks for nothing. */
+/* The C library itself ends every thread with free(NULL), which does nothing. */
 void free(void *block)
 {
     if (block)

@@ -7,7 +7,7 @@
 
 #include "rthyb.h"
 
-/* A setting without a default begins at `instead`. */
+/* A setting without a default has the value `instead`. */
 static inline rthyb_law_config law_of_kind(int32_t kind, double instead)
 {
     const rthyb_law_description *is = rthyb_law_describe(kind);
@@ -24,7 +24,7 @@ static inline rthyb_law_config law_example(const char *name, double instead)
     return law_of_kind(rthyb_law_find(name), instead);
 }
 
-/* Does nothing for a law that has no such setting. */
+/* Has no effect on a law without such a setting. */
 static inline void law_set(rthyb_law_config *law, const char *key, double value)
 {
     const rthyb_law_description *is = rthyb_law_describe(law->kind);

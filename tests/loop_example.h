@@ -1,5 +1,5 @@
-/* A whole test for the C programs that run the tick thread: a small structure, a spring of a specimen,
- * a drive of six samples, CAN frames over a socket pair. */
+/* A complete test for the C programs that run the tick thread: a small structure, a specimen that
+ * is a spring, a drive with a delay of six samples, CAN frames over a socket pair. */
 #ifndef LOOP_EXAMPLE_H
 #define LOOP_EXAMPLE_H
 
@@ -64,7 +64,8 @@ static int loop_example_links(loop_example *e)
     return error;
 }
 
-/* Everything but the loop itself, whose settings the caller may still change; 0, or what was refused. */
+/* Everything except the loop itself, whose settings the caller may still change; returns 0, or the
+ * error. */
 static int loop_example_set_up(loop_example *e)
 {
     const double stiffness = EXAMPLE_K_E;

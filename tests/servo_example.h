@@ -1,5 +1,5 @@
-/* The virtual actuator that the C drivers of the tests measure, watch and fuzz: the shaking table's figures,
- * and some for every other kind. */
+/* The virtual actuator that the C programs of the tests measure, monitor and fuzz: with the
+ * parameters of the shaking table, and some for every other kind. */
 #ifndef SERVO_EXAMPLE_H
 #define SERVO_EXAMPLE_H
 

@@ -181,7 +181,7 @@ def test_what_is_no_number_is_nan_and_refuses_nothing() -> None:
                 received.feed(frame.data) if codec.is_serial else received.receive(frame)
             assert received.take().lost == 0
             channels = ffi.new("double[32]")
-            lib.rthyb_wire_tell_extras(received.struct, channels)
+            lib.rthyb_wire_record_extras(received.struct, channels)
             # 1e300 is held to the end of its 32 bits.
             assert math.isnan(channels[0]) or channels[0] == pytest.approx(2147.483647)
             assert channels[1] == 3.0
@@ -191,19 +191,19 @@ def test_without_a_new_pair_an_extra_channel_has_no_number() -> None:
     codec = wire.serial().with_extras(TWO)
     received, channels = wire.Wire(codec), ffi.new("double[32]")
     received.struct.extra_channel = 5
-    lib.rthyb_wire_tell_extras(received.struct, channels)
+    lib.rthyb_wire_record_extras(received.struct, channels)
     assert math.isnan(channels[5])
     received.feed(codec.encode_feedback(READING)[0].data)
     received.take()
-    lib.rthyb_wire_tell_extras(received.struct, channels)
+    lib.rthyb_wire_record_extras(received.struct, channels)
     assert list(channels[5:7]) == pytest.approx(list(READING.extra))
     received.take()
-    lib.rthyb_wire_tell_extras(received.struct, channels)
+    lib.rthyb_wire_record_extras(received.struct, channels)
     assert math.isnan(channels[5])
     assert math.isnan(channels[6])
     # An index that is none writes nothing.
     received.struct.extra_channel = 4_000_000_000
-    lib.rthyb_wire_tell_extras(received.struct, channels)
+    lib.rthyb_wire_record_extras(received.struct, channels)
 
 
 def test_a_recording_of_before_has_a_table_without_them() -> None:

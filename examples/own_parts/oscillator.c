@@ -1,7 +1,8 @@
-/* A numerical part of one's own in C: m x'' + c x' + k x + force = -m ag by the central difference, as the
- * program's own of one degree of freedom has it.
+/* A user's own numerical part in C: m x'' + c x' + k x + force = -m ag by central difference, like
+ * the built-in part with one degree of freedom.
  *
- *   cc -O2 -ffp-contract=off -shared -fPIC -I csrc examples/own_parts/oscillator.c -o oscillator.so */
+ *   cc -O2 -ffp-contract=off -shared -fPIC -I csrc examples/own_parts/oscillator.c -o oscillator.so
+ */
 #include <string.h>
 
 #include "rthyb_library.h"
@@ -10,7 +11,7 @@ enum { MASS, DAMPING, STIFFNESS };
 
 typedef struct {
     double mass, damping, stiffness, h;
-    double x, x1; /* displacement of t_n and of the sample before, m */
+    double x, x1; /* displacement at t_n and at the previous sample, m */
 } oscillator;
 
 int32_t rthyb_part_version(void)

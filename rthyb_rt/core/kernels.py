@@ -377,7 +377,7 @@ class Rig:
         """Readings of the extra sensors at the last latch, each in its unit."""
         return tuple(self._c.extra[i] for i in range(len(self.config.extras)))
 
-    def tell_extras(self, station: Station, channel: int) -> None:
+    def record_extras(self, station: Station, channel: int) -> None:
         """Write the extra sensors' readings of every sample into a station's row.
 
         Args:

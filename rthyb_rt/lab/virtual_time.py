@@ -92,7 +92,7 @@ class Bench:
             return CoupledRig(setup.group.virtual_rig)
         virtual = core.Rig(rig or setup.virtual_rig)
         if setup.rig.sensors.extra:
-            virtual.tell_extras(self.run.station, extras)
+            virtual.record_extras(self.run.station, extras)
         return virtual
 
     @property

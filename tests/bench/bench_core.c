@@ -1,9 +1,9 @@
-/* Computing time of the core: every kernel alone, one sample of each controller, whole tests.
- * JSON on stdout; times in ns per sample, or in ns for a whole test.
+/* Computing time of the core: each kernel alone, one sample of each controller, complete tests.
+ * JSON on stdout; times in ns per sample, or in ns for a complete test.
  *
- * Every repetition starts from the same memory and takes the same samples, recorded beforehand in a
- * test on the virtual shaking table with its sensor noise. Virtual machines stall for tens of
- * milliseconds: look at the median, and at the tenth percentile beside it. */
+ * Every repetition starts from the same memory and uses the same samples, which were recorded
+ * beforehand in a test on the virtual shaking table with its sensor noise. Virtual machines stall
+ * for tens of milliseconds: use the median, together with the tenth percentile. */
 #define _POSIX_C_SOURCE 200809L
 
 #include <math.h>
@@ -18,7 +18,7 @@
 
 #define FS_HZ 1024
 #define PERIOD_S (1.0 / FS_HZ)
-#define SETTLE (4 * FS_HZ)  /* ticks before the samples that are timed: windows full, gate open */
+#define SETTLE (4 * FS_HZ)  /* ticks before the timed samples: windows full, gate open */
 #define SAMPLES (8 * FS_HZ) /* ticks of one repetition */
 #define REPETITIONS 200
 #define TEST_REPETITIONS 25
@@ -30,7 +30,7 @@ typedef struct {
     rthyb_rig rig;
 } loop;
 
-/* One signal for each argument of a kernel, SAMPLES long, and where the results go. */
+/* One signal of length SAMPLES for each argument of a kernel, and places for the results. */
 typedef struct {
     double x_num[SAMPLES], x_cmd[SAMPLES], x_meas[SAMPLES], f[SAMPLES], ag[SAMPLES];
     double v[SAMPLES], a[SAMPLES], alpha[SAMPLES], beta[SAMPLES];
@@ -44,7 +44,7 @@ static rthyb_record made[SAMPLES];
 static double rows[LONGEST_S * FS_HZ][RTHYB_TEST_WORDS + RTHYB_AXIS_WORDS];
 static int first_row = 1;
 
-/* Of one axis: a record up to its first axis. */
+/* With one axis: a record up to its first axis. */
 static const rthyb_record *row(size_t i)
 {
     return (const rthyb_record *)(const void *)rows[i];
@@ -80,7 +80,7 @@ static void print_row(const char *group, const char *name, double *ns, size_t n)
     first_row = 0;
 }
 
-/* Times `run` over SAMPLES samples, every time from a fresh copy of the kernel. */
+/* Times `run` over SAMPLES samples, each time with a fresh copy of the kernel. */
 static void time_kernel(const char *group, const char *name, const void *kernel, size_t size,
                         void (*run)(void *kernel))
 {
@@ -194,8 +194,8 @@ static void set_up_controller(rthyb_controller *controller, int which)
     must(rthyb_controller_init(controller, &cfg), "controller");
 }
 
-/* A steady mixture of eight sines up to 8 Hz, 0.3 m/s^2 at its peak, so that any part of a test
- * costs what any other costs. */
+/* A steady mixture of eight sines up to 8 Hz, with a peak of 0.3 m/s^2, so that all parts of a test
+ * take the same computing time. */
 static void make_excitation(void)
 {
     for (size_t n = 0; n < LONGEST_S * FS_HZ; n++) {
@@ -207,7 +207,7 @@ static void make_excitation(void)
 
 /* ---- recording the samples --------------------------------------------------------------------- */
 
-/* Runs a test and leaves `l` as it was before the SAMPLES records that follow. */
+/* Runs a test, and leaves `l` as it was before the SAMPLES records that follow. */
 static void record(loop *l, int which)
 {
     int32_t status;
@@ -386,7 +386,8 @@ static void time_rigs(void)
     time_kernel("rig", "pure delay, noisy sensors", &rig, sizeof rig, run_rig);
 }
 
-/* A whole test from its first sample, on a rig without noise or with the shaking table's. */
+/* A complete test from its first sample, on a rig without noise or with that of the shaking
+ * table. */
 static void time_test(const char *group, const char *name, int which, enum rthyb_servo_kind kind,
                       int inelastic, size_t seconds)
 {

@@ -1,6 +1,7 @@
-/* An oscillator m x'' + c x' = -m ag - f as an FMU for co-simulation, FMI 2 or 3 by the macro FMI: the
- * central difference of csrc/motion.c, one step a communication step. Variables by reference:
- * 0 ag, 1 f (inputs), 2 x (output), 3 m, 4 c (parameters), 5 v (local), 6 start. WRONG is put into a step. */
+/* An oscillator m x'' + c x' = -m ag - f as an FMU for co-simulation, FMI 2 or 3 depending on the
+ * macro FMI: the central difference of csrc/motion.c, one step per communication step. Variables by
+ * reference: 0 ag, 1 f (inputs), 2 x (output), 3 m, 4 c (parameters), 5 v (local), 6 start. WRONG
+ * is inserted into a step. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>

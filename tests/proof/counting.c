@@ -1,5 +1,5 @@
-/* Preloaded: counts what one thread asks of the allocator. The thread's pthread_t is written into
- * counting_thread by whoever wants to know; 0: nobody is watched. */
+/* Preloaded library: counts the allocator calls of one thread. The program that evaluates the count
+ * writes the pthread_t of that thread into counting_thread; 0: no thread is counted. */
 #define _GNU_SOURCE
 #include <pthread.h>
 

@@ -1,6 +1,7 @@
-/* A bare thread that keeps the time of a tick and does nothing: what it suffers is the machine's.
+/* A thread with the timing of a tick and nothing to do: its delays are due to the machine.
  *
- *   reference T0_NS TICKS PRIORITY CPU      prints "executed skipped longest_ns p50_ns p99_ns fifo" */
+ *   reference T0_NS TICKS PRIORITY CPU      prints "executed skipped longest_ns p50_ns p99_ns
+ * fifo" */
 #include <stdio.h>
 #include <stdlib.h>
 

@@ -1,22 +1,24 @@
-/* Preloaded into the guest's kernel: a clock that makes the host a faster and a quieter machine.
+/* Preloaded into the guest's kernel: a clock that makes the host appear faster and free of stalls.
  *
- * The guest's kernel is a process. It takes its time from the host, arms a timer for whatever is due next,
- * and looks at the time again when that has come. A host that stalls for 30 ms has it look too late: what
- * is more than a moment beyond the due time is left out of the guest's time. And a kernel that traces its
- * programs from outside takes 15 to 60 ms to start one or to give it memory, which nothing interrupts: the
- * guest's time goes by at a third of the pace, so that it takes a third of that. Scenarios are about what
- * the program does, not about what stalls the machine they happen to run on. */
+ * The guest's kernel is a process. It takes its time from the host, sets a timer for the next thing
+ * that is due, and reads the time again when the timer expires. If the host stalls for 30 ms, it
+ * reads the time too late: whatever is more than a moment after the due time is omitted from the
+ * guest's time. And a kernel that traces its programs from outside takes 15 to 60 ms to start one
+ * or to give it memory, without interruption: the guest's time runs at a third of the pace, so that
+ * this takes a third as long. The scenarios test what the program does, not what stalls the machine
+ * that they happen to run on. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <stdint.h>
 #include <time.h>
 
 #define SECOND_NS 1000000000LL
-/* Measured, on a slow day: with 1 two thirds of the scenarios over SocketCAN meet a kernel that is busy for 20
- * ticks, with 3 two of 28, with another guest at work beside them. Most of a scenario is starting programs,
- * so that it lasts less than twice as long. */
+/* Measured on a slow day, with another guest at work: with 1, two thirds of the scenarios over
+ * SocketCAN meet a kernel that is busy for 20 ticks; with 3, two of 28. Most of a scenario is
+ * starting programs, so that it takes less than twice as long. */
 #define SLOWER 3
-/* Two reads of the clock may lie so far apart with nothing due between: half a tick of the program. */
+/* Two reads of the clock may be this far apart with nothing due in between: half a tick of the
+ * program. */
 #define MOMENT_NS 500000LL
 
 typedef int get_call(clockid_t clock, struct timespec *time);
@@ -24,7 +26,7 @@ typedef int set_call(timer_t timer, int flags, const struct itimerspec *wanted, 
 
 static get_call *libc_get;
 static set_call *libc_set;
-/* What the host's clock said at the last look, the guest's time then, and when its timer is due. */
+/* The host's clock at the last call of `look`, the guest's time then, and when its timer is due. */
 static int64_t host_ns, guest_ns, due_ns = INT64_MAX;
 
 static int64_t in_ns(const struct timespec *time)
@@ -44,7 +46,7 @@ static int64_t read_host(void)
     return in_ns(&now);
 }
 
-/* Not at the first call: that one comes on a kernel's stack, which is too small for the linker. */
+/* Not at the first call, which uses a kernel's stack that is too small for the dynamic linker. */
 __attribute__((constructor)) static void begin(void)
 {
     libc_get = (get_call *)dlsym(RTLD_NEXT, "clock_gettime");
@@ -52,7 +54,8 @@ __attribute__((constructor)) static void begin(void)
     host_ns = guest_ns = read_host();
 }
 
-/* One processor, and one thread that asks. A timer that is never set again must not stop the time. */
+/* There is one processor, and one thread that reads. A timer that is never set again must not stop
+ * the time. */
 static void look(void)
 {
     const int64_t now_ns = read_host(), passed_ns = now_ns - host_ns;

@@ -1,8 +1,9 @@
-/* A bare thread's own clock: what it was late by, nobody but the machine is to blame for.
+/* Threads that do nothing but keep time: if they are late, only the machine can be the reason.
  *
- * reference FILE: two threads that only sleep from tick to tick. "fifo" comes before every thread of
- * the program; "other" waits in turn as ordinary programs do. Each time one of them was late by a
- * tick or more its file has a line: name, when it was due, when it woke (CLOCK_MONOTONIC, ns). */
+ * reference FILE: two threads that only sleep from tick to tick. "fifo" has priority over every
+ * thread of the program; "other" waits like ordinary programs. Whenever one of them is late by a
+ * tick or more, a line is added to the file: name, when it was due, when it woke up
+ * (CLOCK_MONOTONIC, ns). */
 #define _GNU_SOURCE
 #include <fcntl.h>
 #include <pthread.h>
@@ -62,7 +63,8 @@ int main(int count, char **arguments)
     const int file = count == 2 ? open(arguments[1], O_WRONLY | O_CREAT | O_APPEND, 0644) : -1;
     if (file < 0 || mlockall(MCL_CURRENT | MCL_FUTURE))
         return 1;
-    /* What is looked for is tens of ticks: on one small processor each waking costs the others. */
+    /* The stalls of interest are tens of ticks long, and on one small processor each wake-up costs
+     * time. */
     reference fifo = {"fifo", 2 * TICK_NS, 99, file}, other = {"other", 8 * TICK_NS, 0, file};
     pthread_t thread;
     if (pthread_create(&thread, NULL, sleep_and_note, &fifo))

@@ -1,9 +1,9 @@
-/* Preloaded into the guest's kernel where the processor has more registers than that kernel knows.
+/* Preloaded into the guest's kernel if the processor has more registers than that kernel knows.
  *
- * Linux sets a traced process's extended registers (NT_X86_XSTATE) as a whole or not at all. Debian's
- * user-mode kernel 6.1 hands over an area of a fixed size, and a processor with AMX has four times
- * that: the kernel refuses, and the guest panics. Here the area that is handed over is laid over the
- * front of the process's own one, and the whole is set. */
+ * Linux sets the extended registers of a traced process (NT_X86_XSTATE) completely or not at all.
+ * Debian's user-mode kernel 6.1 passes an area of a fixed size, and a processor with AMX has four
+ * times that: the kernel refuses, and the guest panics. Here, the area that is passed replaces the
+ * front of the process's own area, and the result is set completely. */
 #define _GNU_SOURCE
 #include <cpuid.h>
 #include <dlfcn.h>
@@ -17,13 +17,13 @@ typedef long ptrace_call(enum __ptrace_request request, ...);
 
 static ptrace_call *libc_ptrace;
 
-/* Not at the first call: that one comes on a kernel's stack, which is too small for the linker. */
+/* Not at the first call, which uses a kernel's stack that is too small for the dynamic linker. */
 __attribute__((constructor)) static void find_ptrace(void)
 {
     libc_ptrace = (ptrace_call *)dlsym(RTLD_NEXT, "ptrace");
 }
 
-/* Bytes of this processor's area, with all that its kernel has switched on. */
+/* Size of this processor's area in bytes, with all features that its kernel has enabled. */
 unsigned xstate_area(void)
 {
     unsigned a, bytes = 0, c, d;
