@@ -237,7 +237,7 @@ def test_ring_folder_with_rights_for_others_is_refused_with_the_remedy(
 ) -> None:
     shared.mkdir()
     shared.chmod(mode)
-    with pytest.raises(RthybError, match=f"mode {mode:o}; chmod 700 {shared}"):
+    with pytest.raises(RthybError, match=f"mode {mode:o}; run chmod 700 {shared}"):
         Ring.create(shared, session, 64)
     shared.chmod(0o700)
     Ring.create(shared, session, 64).remove()

@@ -433,7 +433,7 @@ def test_state_that_resets_a_users_drive_is_named_in_the_dbc_or_in_the_rig_file(
     [
         ('3 "reset"', None, "found 3 for reset; 0 to 7 are the controller's own states"),
         ('8 "idle"', 256, "found 256 for reset; 0 to 7 .*8 bits hold 255 at most"),
-        ('9 "leaving"', 9, "found 9 for reset and for leaving"),
+        ('9 "leaving"', 9, "found 9 for both reset and leaving"),
     ],
 )
 def test_state_that_cannot_reset_a_drive_is_refused(
