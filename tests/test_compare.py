@@ -163,7 +163,7 @@ def test_table_of_a_lab_is_compared_in_its_units_and_moved(kept: Path, tmp_path:
     # Its time begins at 7 s and is counted from there: nothing is left to move.
     assert found.rows[1]["x_difference_nrmse"] < 1e-9
     assert found.rows[1]["f_difference_nrmse"] < 1e-9
-    assert any("'LVDT 1' in mm, converted" in note for note in found.notes)
+    assert any("'LVDT 1' converted from mm" in note for note in found.notes)
     assert any("time begins at 7 s" in note for note in found.notes)
     assert any("1024 Hz; compared at 512 Hz" in note for note in found.notes)
 

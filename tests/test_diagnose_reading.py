@@ -124,7 +124,7 @@ def test_own_names_with_the_unit_behind_them(tmp_path, columns):
     head = "t_ms,x_cmd_mm,x_meas_mm,f_meas_kN"
     case = read(tmp_path, written(columns, head, {**MM_KN, "t": 1e3}, ",", "."))
     same(case, columns)
-    assert "x_meas: 'x_meas' in mm, converted" in case.notes
+    assert "x_meas: 'x_meas' converted from mm" in case.notes
 
 
 def test_a_unit_after_a_comma_in_a_table_of_commas(tmp_path, columns):

@@ -97,7 +97,7 @@ def test_diagnosis_of_a_csv_names_the_friction_and_the_column_that_is_not_there(
     shown = [text_of(cell) for cell in book.cells if cell.cell_type == "code"]
     assert shown[0].strip().startswith("Time [ms],Accel [m/s^2],Target [mm]")
     assert shown[2].strip() == "explained ['coulomb']"
-    assert "'LVDT 1' in mm, converted" in shown[3].replace("&#x27;", "'")
+    assert "'LVDT 1' converted from mm" in shown[3].replace("&#x27;", "'")
     assert "<svg" in shown[3]
     assert "compared at" not in shown[3]  # one rate, though its times are rounded
     assert "did you mean 'LVDT 1'?" in shown[4]

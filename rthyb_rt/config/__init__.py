@@ -1,4 +1,4 @@
-"""Test files and rig files: TOML in, checked and frozen models out."""
+"""Test files and rig files: TOML is read into checked, immutable models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The reference simulation of a test on a rig of several axes: no actuator, no sensor."""
+"""The reference simulation of a test on a rig with several axes: no actuator, no sensor."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class AxesReference:
-    """What the joined structure does.
+    """Response of the complete structure.
 
     Attributes:
         x, v, force: displacement, velocity and the specimen's force along the interface, (n, axes)
             each.
         axis_m, axis_n: displacements of the axes, and the specimen's forces on them, (n, axes).
-        responses: of the structure by name, (n, responses).
+        responses: responses of the structure by name, (n, responses).
     """
 
     x: Floats
@@ -57,10 +57,10 @@ def reference_of(
 
 
 def joint_model(test: TestFile, rig: AxesRig) -> JointModel:
-    """Return the specimen of a rig file along its interface, as the reference has it.
+    """Return the specimen of a rig file along its interface, for the reference simulation.
 
-    With ``reference.table_forces``, what load cells at the actuators' ends also see of the tables:
-    their masses and viscous forces. Their dry friction is not in it.
+    With ``reference.table_forces``, it includes the masses and viscous forces of the tables, which
+    load cells at the actuators' ends also measure, but not their dry friction.
     """
     n, given = len(rig.axis), rig.specimen
     stiffness, damping, mass = (

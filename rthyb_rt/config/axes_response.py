@@ -1,4 +1,4 @@
-"""The matrix of frequency responses that a rig file of several axes holds."""
+"""The matrix of frequency responses in a rig file with several axes."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rthyb_rt.config.rate import Rate
 
 
 def held_otherwise(rig: AxesRig, f_hz: NDArray[np.float64], rate: Rate) -> NDArray[np.complex128]:
-    """Return what a rate makes of the responses that a rig file has, as factors, (n, 1, axes).
+    """Return the factors that convert the responses of a rig file to a rate, (n, 1, axes).
 
     Args:
-        rig: whose drives hold their commands, or interpolate.
+        rig: the rig; its drives hold their commands, or interpolate.
         f_hz: frequencies, (n,).
-        rate: of the commands.
+        rate: rate of the commands.
     """
     columns = [
         response.held_otherwise(f_hz, rate, response.hold_of(rig.of_axis(name)))
@@ -27,10 +27,10 @@ def held_otherwise(rig: AxesRig, f_hz: NDArray[np.float64], rate: Rate) -> NDArr
 
 
 def response_of_rig(rig: AxesRig, found: JointIdentified, rate: Rate) -> MatrixResponse:
-    """Return it as numbers, as a controller of a rate meets it.
+    """Return the responses as numbers, at the rate of a controller.
 
     Raises:
-        InputError: frequencies that do not rise.
+        InputError: the frequencies do not increase.
     """
     f_hz = np.array(found.frequency_hz)
     swept = np.array(found.real) + 1j * np.array(found.imaginary)

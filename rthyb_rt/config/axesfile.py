@@ -1,6 +1,6 @@
-"""The rig file of several actuators at one specimen: ``[[axis]]``, ``[kinematics]``.
+"""The rig file for several actuators on one specimen: ``[[axis]]``, ``[kinematics]``.
 
-What an axis is made of are the very tables that a rig of one axis has at the top of its file.
+An axis consists of the same tables that a rig with one axis has at the top level of its file.
 """
 
 from __future__ import annotations
@@ -86,13 +86,13 @@ DIRECTION: Final = _name("the name of a direction")
 
 @dataclass(frozen=True)
 class MatrixOf(Reader):
-    """Rows of numbers, all of one length.
+    """Rows of numbers, all of the same length.
 
     Attributes:
-        what: what the matrix is.
-        most: rows and columns at most.
-        square, symmetric: whether it must be.
-        size: of each number.
+        what: description of the matrix.
+        most: maximum number of rows and columns.
+        square, symmetric: whether it must be so.
+        size: allowed magnitude of each number.
     """
 
     what: str
@@ -154,11 +154,11 @@ class MatrixOf(Reader):
 
 @dataclass(frozen=True)
 class Point(Reader):
-    """Two coordinates, m; texts with a unit are taken.
+    """Two coordinates, m; strings with a unit are accepted.
 
     Attributes:
-        what: what they are of.
-        one: each of them.
+        what: description of the point.
+        one: field of each coordinate.
     """
 
     what: str
@@ -186,8 +186,8 @@ class Different(Reader):
     """A list of different names.
 
     Attributes:
-        one: what each of them is.
-        least: so many at least.
+        one: field of each name.
+        least: minimum number of names.
     """
 
     one: Reader
@@ -268,7 +268,7 @@ class MatrixKinematics(Table):
     rotations: Annotated[list[str], Different(DIRECTION)] = Field(default_factory=list)
 
     def turns(self) -> list[bool]:
-        """Tell which directions are angles."""
+        """Return which directions are angles."""
         return [name in self.rotations for name in self.interface]
 
 
@@ -277,11 +277,11 @@ _AT = Range("m", -1000, 1000, "a coordinate")
 
 
 class PinKinematics(Table):
-    """Axes from bases to pins of a stiff coupler, in its plane: exact however far it moves.
+    """Axes from bases to pins of a rigid coupler, in its plane: exact for motions of any size.
 
-    Points are at rest, from the one whose motion the interface is. A base in ``directions`` is so
-    far away that the axis never turns: it has the direction from base to pin instead of a place.
-    Axes in ``pulls`` count their shortening as positive.
+    Points are given at rest, relative to the point whose motion is the interface. If an axis is in
+    ``directions``, its base is so far away that the axis never rotates; its direction from base to
+    pin is given instead of the base. For axes in ``pulls``, shortening is positive.
     """
 
     kind: Literal["pins"]
@@ -297,7 +297,7 @@ class PinKinematics(Table):
     pulls: Annotated[list[str], Different(AXIS_NAME)] = Field(default_factory=list)
 
     def turns(self) -> list[bool]:
-        """Tell which directions are angles."""
+        """Return which directions are angles."""
         return [name == "theta" for name in self.interface]
 
 
@@ -308,7 +308,7 @@ def core_kinematics(given: Kinematics, axes: Sequence[str]) -> CoreKinematics:
     """Return the kinematics of axes, in their order.
 
     Raises:
-        CoreError: they leave a direction of the interface free.
+        CoreError: a direction of the interface is not restrained by the axes.
     """
     from rthyb_rt.core.kinematics import Kinematics as CoreKinematics
     from rthyb_rt.core.kinematics import Pin
@@ -380,7 +380,7 @@ def _apart(a: Sequence[float], b: Sequence[float]) -> float:
 
 
 def _left_free(given: Kinematics, names: list[str]) -> str:
-    """Say why the axes do not hold the interface."""
+    """Return why the axes do not restrain the interface."""
     if isinstance(given, MatrixKinematics):
         rows = "; ".join(f"[{', '.join(f'{v:g}' for v in row)}]" for row in given.matrix)
         return (
@@ -466,8 +466,9 @@ class Along(Table):
 class JointSpecimen(Table):
     """The specimen by matrices along the interface, in SI units of its directions.
 
-    Force of a direction by displacement, velocity and acceleration of another: N/m, or N m/rad
-    where both turn; ``stiffness`` is the elastic one, which bounds the tangent stiffness.
+    They relate the force in one direction to displacement, velocity and acceleration in another:
+    N/m, or N m/rad if both are rotations. ``stiffness`` is the elastic stiffness, which bounds the
+    tangent stiffness.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -488,7 +489,7 @@ class Plant(Table):
     """Actuators and specimen as one linear plant, s' = a s + b u, x = c s.
 
     u are the commands and x the displacements of the axes, in their order, m; time in s. ``file``
-    (.npz or .mat with a, b, c) stands for the three; a file that was read is written out.
+    (.npz or .mat with a, b, c) can be given instead of the three; its content is then written out.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (Choice(("file", "a"), required=True),)
@@ -529,7 +530,8 @@ def _responses_fit(
 class JointIdentified(Table):
     """What `rthyb identify` measured of all axes: the matrix of their frequency responses.
 
-    Row: the axis that is read; column: the one that was moved. Reading over command.
+    Each entry is reading over command; the row is the axis that was read, the column the axis that
+    was moved.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -546,7 +548,7 @@ class JointIdentified(Table):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Take a date written as a TOML date."""
+        """Accept a date written as a TOML date."""
         if isinstance(data, dict) and isinstance(data.get("date"), datetime.date):
             return {**data, "date": data["date"].isoformat()}
         return data
@@ -556,9 +558,10 @@ class JointIdentified(Table):
 
 
 class AxesInfo(Table):
-    """Conventions of a rig of several axes, as of one.
+    """General properties of a rig with several axes, as for one axis.
 
-    ``elastic_stiffness`` along the interface is what was measured; absent: the specimen's.
+    ``elastic_stiffness`` is the measured stiffness along the interface; if it is missing, that of
+    the specimen is used.
     """
 
     name: Annotated[str, SLUG]
@@ -670,7 +673,7 @@ def _identified_fits(axes: list[Axis], identified: JointIdentified | None) -> st
 
 
 class AxesRig(WholeFile):
-    """A rig of several axes: virtual, or the model of a real one."""
+    """A rig with several axes: virtual, or the model of a real one."""
 
     checks: ClassVar[tuple[Check, ...]] = (
         Check("axis", ("axis",), _names_differ),
@@ -716,27 +719,27 @@ class AxesRig(WholeFile):
 
     @property
     def link(self) -> Link | None:
-        """The link of the first axis: all axes have one, or none, and go by one clock."""
+        """The link of the first axis: all axes have a link or none, and all use one clock."""
         return self.axis[0].link
 
     @property
     def rate(self) -> Rate:
-        """The rate of real time: that of all drives; without links as of a rig of one axis."""
+        """The rate in real time, which is that of all drives; without links, as for one axis."""
         return STANDARD if self.link is None else self.link.rate
 
     def without_links(self) -> AxesRig:
-        """Return it as a rig that nothing is connected to."""
+        """Return it as a rig without links."""
         axes = [axis.model_copy(update={"link": None}) for axis in self.axis]
         return self.model_copy(update={"axis": axes})
 
     def core_kinematics(self) -> CoreKinematics:
-        """Return the kinematics as the core has them."""
+        """Return the kinematics of the core."""
         return core_kinematics(self.kinematics, self.names)
 
     def of_axis(self, name: str) -> RigFile:
-        """Return one axis as a rig of its own, the others standing still.
+        """Return one axis as a rig with one axis, with the other axes at rest.
 
-        Its specimen is what the axis feels of the whole one at rest, elastic.
+        Its specimen has the elastic stiffness of the whole specimen as seen by this axis.
 
         Raises:
             InputError: there is no axis of that name.
@@ -776,7 +779,7 @@ class AxesRig(WholeFile):
         )
 
     def along_axes(self, given: Rows | None = None) -> Rows:
-        """Return a matrix of the interface as the axes feel it at rest, (n, n).
+        """Return a matrix of the interface in the coordinates of the axes at rest, (n, n).
 
         Args:
             given: stiffness, damping or mass along the directions, (n, n); None: the specimen's

@@ -1,6 +1,6 @@
-"""The baseline file of a diagnosis: the model that a lab has of a recording.
+"""The baseline file of a diagnosis: a laboratory's model for a recording.
 
-Its keys are short and in SI, as in the equation that they stand in; a text may carry another unit.
+Its keys are short and in SI, as in their equations; a string may have another unit.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _plc_stable(w1: float | None, w2: float | None) -> str | None:
 
 
 class Controller(Table):
-    """What compensated in a closed loop."""
+    """The compensation in a closed loop."""
 
     checks: ClassVar[tuple[Check, ...]] = (Check("plc_w1", ("plc_w1", "plc_w2"), _plc_stable),)
 
@@ -93,7 +93,7 @@ class Noise(Table):
 
 
 class BaselineFile(Table):
-    """The model of a recording. Without ``actuator``, ``x_meas`` is what drives the specimen."""
+    """The model of a recording. Without ``actuator``, the specimen is driven by ``x_meas``."""
 
     schema_: Literal["rthyb-baseline/1"] = Field(alias="schema")
     family: Literal["drive", "ground", "forced", "loop"]

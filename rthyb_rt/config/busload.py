@@ -1,7 +1,7 @@
-"""How much of a bus or a serial line the frames of a test take, before anything is opened.
+"""Load of a bus or a serial line by the frames of a test, computed before anything is opened.
 
-The frames that count are those of one sample: the command, the displacement, the force, as often as
-the drive is sampled. The share is that of the worst case, every stuff bit that data could ask for.
+The frames of one sample are counted: command, displacement and force, at the rate of the drive. The
+load is that of the worst case, with every stuff bit that the data could require.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from rthyb_rt.core.wire import Codec
 
 MAX_SHARE = 0.8
-"""What may be taken: beyond it a frame that had to wait for another comes a sample late."""
+"""Maximum load: above it, a frame that must wait for another arrives a sample late."""
 
 CAN_BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
-"""Bit rates that every adapter knows (CiA 102)."""
+"""Bit rates that every adapter supports (CiA 102)."""
 
 BAUD_RATES = (460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000, 1_500_000, 2_000_000,
               2_500_000, 3_000_000, 3_500_000, 4_000_000)  # fmt: skip
-"""Baud rates of Linux that can be enough."""
+"""Baud rates of Linux that can be sufficient."""
 
 COMMAND_BYTES = 12
 FEEDBACK_BYTES = 16
@@ -37,7 +37,7 @@ EXTRA_BYTES = 4
 
 @dataclass(frozen=True)
 class FrameSize:
-    """What the length of a frame on the bus depends on: data bytes, kind of identifier, CAN FD."""
+    """Properties that determine the length of a frame: data bytes, kind of identifier, CAN FD."""
 
     data_bytes: int
     extended: bool = False
@@ -49,7 +49,7 @@ OWN_FRAMES = (FrameSize(8), FrameSize(8), FrameSize(8))
 
 
 def can_bits(frame: FrameSize) -> int:
-    """Return the longest that a classic CAN frame can be, in bits, interframe space included.
+    """Return the maximum length of a classic CAN frame, in bits, including the interframe space.
 
     g + 8 s + 13 + floor((g + 8 s - 1) / 4) with s data bytes and g = 34, or 54 for a 29-bit
     identifier: Davis, Burns, Bril & Lukkien, *Controller Area Network (CAN) schedulability
@@ -60,7 +60,7 @@ def can_bits(frame: FrameSize) -> int:
 
 
 def can_fd_bits(frame: FrameSize) -> tuple[int, int]:
-    """Return the longest that a CAN FD frame can be, in bits: arbitration phase and data phase.
+    """Return the maximum length of a CAN FD frame, in bits: arbitration phase and data phase.
 
     Fields by ISO 11898-1:2015. Up to the bit-rate switch there are 17 bits, or 36 with a 29-bit
     identifier; then ESI, DLC and data, stuffed as in classic CAN; then stuff count and CRC of 17
@@ -83,14 +83,14 @@ def bus_load(
     *,
     rate_hz: float = STANDARD_HZ,
 ) -> float:
-    """Return the share of a CAN bus that one sample's frames take.
+    """Return the load of a CAN bus by the frames of every sample, as a fraction.
 
     Args:
-        frames: of one sample.
-        bitrate: of the bus, bit/s; of the arbitration phase with CAN FD.
-        data_bitrate: of the data phase of CAN FD frames that switch the bit rate, bit/s; the
-            command, which is the first of the frames, never does.
-        rate_hz: samples a second.
+        frames: frames of one sample.
+        bitrate: bit rate of the bus, bit/s; with CAN FD, of the arbitration phase.
+        data_bitrate: bit rate of the data phase of CAN FD frames that switch the bit rate, bit/s;
+            the command, which is the first of the frames, never does.
+        rate_hz: samples per second.
     """
     seconds = 0.0
     for index, frame in enumerate(frames):
@@ -110,7 +110,7 @@ def bus_fault(
     *,
     rate_hz: float = STANDARD_HZ,
 ) -> str | None:
-    """Return what is wrong with a bit rate that is too low for the frames, with one that is not."""
+    """Return the error for a bit rate that is too low for the frames, with a sufficient one."""
     load = bus_load(frames, bitrate, data_bitrate, rate_hz=rate_hz)
     if load <= MAX_SHARE:
         return None
@@ -136,29 +136,29 @@ def bus_fault(
 
 
 def most_hz(load: float, rate_hz: float) -> int:
-    """Return the highest sample rate that may be had where one at ``rate_hz`` takes a share."""
+    """Return the highest possible sample rate if ``rate_hz`` causes a given load."""
     return math.floor(rate_hz * MAX_SHARE / load)
 
 
 def serial_load(baud: int, extras: int = 0, *, rate_hz: float = STANDARD_HZ) -> float:
-    """Return the share of a serial line that command and feedback take.
+    """Return the load of a serial line by command and feedback, as a fraction.
 
     Args:
-        baud: of the line.
+        baud: baud rate of the line.
         extras: extra channels in the feedback.
-        rate_hz: samples a second.
+        rate_hz: samples per second.
     """
     return serial_bits_per_s(extras, rate_hz=rate_hz) / baud
 
 
 def serial_bits_per_s(extras: int = 0, *, rate_hz: float = STANDARD_HZ) -> int:
-    """Return the bits of command and feedback in a second."""
+    """Return the number of bits of command and feedback per second."""
     size = COMMAND_BYTES + FEEDBACK_BYTES + EXTRA_BYTES * extras
     return round(size * BITS_PER_BYTE * rate_hz)
 
 
 def serial_fault(baud: int, extras: int = 0, *, rate_hz: float = STANDARD_HZ) -> str | None:
-    """Return what is wrong with a baud rate that is too low, with one that is not."""
+    """Return the error for a baud rate that is too low, with a sufficient one."""
     load = serial_load(baud, extras, rate_hz=rate_hz)
     if load <= MAX_SHARE:
         return None

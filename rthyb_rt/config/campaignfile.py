@@ -1,4 +1,4 @@
-"""The campaign file: one test over lists, grids, seeds and drawn plants."""
+"""The campaign file: one test over lists, grids, seeds and randomly drawn plants."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Values = tuple[Scalar, ...]
 
 
 def _values(given: object) -> Values:
-    """Return the values of one key; raise the explained error for what is no list of them."""
+    """Return the values of one key; raise an explained error if it is not a list of values."""
     found = given if isinstance(given, list) else [given]
     if not found:
         raise explained("found an empty list; give at least one value")
@@ -46,7 +46,7 @@ Listed = Annotated[Values, PlainValidator(_values)]
 
 
 class What(Table):
-    """The test that the campaign varies, and what is kept of each run."""
+    """The test that the campaign varies, and the runs whose recordings are kept."""
 
     name: Annotated[str, SLUG]
     test: Annotated[str, SOME_TEXT] | None = None
@@ -55,7 +55,7 @@ class What(Table):
 
 
 class Spread(Table):
-    """How a drawn value scatters: factors on the file's own."""
+    """Distribution of a drawn value: factors by which the file's value is multiplied."""
 
     std: Annotated[float, Range("", 0.0, 1.0, "a standard deviation", open_low=True)] | None = None
     low: Annotated[float, Range("", 0.0, 1e3, "the smallest factor", open_low=True)] | None = None
@@ -76,12 +76,12 @@ class Spread(Table):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Take a plain number for the standard deviation."""
+        """Accept a plain number as the standard deviation."""
         return {"std": data} if isinstance(data, (int, float)) else data
 
 
 class Draws(Table):
-    """Plants drawn about the file's, all keys at once."""
+    """Plants drawn around that of the file, all keys at once."""
 
     count: Annotated[int, Count(1, 100_000, "the number of plants")]
     seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the draws")] = 0
@@ -90,7 +90,7 @@ class Draws(Table):
 
 
 class Benchmark(Table):
-    """A benchmark of the field instead of a test: it says itself what its tests and rigs are."""
+    """A published benchmark instead of a test: it determines its tests and rigs itself."""
 
     name: Literal["rths"]
     plants: Annotated[
@@ -106,7 +106,7 @@ is what the benchmark calls a case; in a campaign that word is taken."""
 
 
 class CampaignFile(Table):
-    """A campaign: what is varied, and over what."""
+    """A campaign: the keys that are varied, and their values."""
 
     schema_: Literal["rthyb-campaign/1"] = Field(alias="schema")
     campaign: What
@@ -120,7 +120,7 @@ class CampaignFile(Table):
     def further_faults(
         cls, keys: dict[str, Any]
     ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
-        """Refuse lists that do not go together, keys named twice, and what no benchmark has."""
+        """Reject lists of different length, keys named twice, and keys that no benchmark has."""
         if keys.get("benchmark") is not None:
             yield from _foreign_to_benchmark(keys)
         seen: dict[str, str] = {}
@@ -154,7 +154,7 @@ class CampaignFile(Table):
 def _foreign_to_benchmark(
     keys: dict[str, Any],
 ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
-    """Refuse what a campaign of a benchmark says of tests, rigs and plants of its own."""
+    """Reject tests, rigs and plants in a campaign of a benchmark, which has its own."""
     own = "a benchmark has its own tests, rigs and plants; leave this out, or leave out [benchmark]"
     for key in ("together", "draws"):
         if keys.get(key):
@@ -172,6 +172,6 @@ def _foreign_to_benchmark(
 
 
 def beside(path: Path, name: str) -> str:
-    """Return a file's name as a campaign file means it: from its own folder, if it is there."""
+    """Return the path of a file named in a campaign file: in the latter's folder, if it exists."""
     found = path.parent / name
     return str(found) if found.is_file() else name

@@ -1,4 +1,4 @@
-"""How messages call the changes of a file: as written after ``--set``, or in Python."""
+"""Wording of messages about changes of a file: as written after ``--set``, or in Python."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Wording:
         return self.where.format(key=key)
 
     def whole(self, key: str, values: Mapping[str, str]) -> str:
-        """Return how a whole table is changed to keys with values as TOML has them."""
+        """Return how to replace a whole table by keys with values in TOML notation."""
         inner = ", ".join(self.pair.format(key=k, value=v) for k, v in values.items())
         return self.table.format(key=key, inner=inner)
 

@@ -1,6 +1,6 @@
-"""Limits that no file states: what follows from the sensors' noise at rest and from the motion.
+"""Default limits, derived from the sensors' noise at rest and from the motion.
 
-A limit of a file, of the test or of the rig, always takes the place of one of these.
+A limit in the test file or in the rig file always replaces one of these.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import RigFile, ServoHydraulic
 
 LEAST_STUCK_S: Final = 20 / STANDARD_HZ
-"""As long as without any pair is a lost link: a reading that repeats itself says as little."""
+"""The same time as for a lost link: a reading that repeats itself carries no information."""
 STUCK_ODDS: Final = 1e-12
-"""By noise alone: once in thirty years of testing, 1024 samples a second."""
+"""Rate of false alarms due to noise alone: once in thirty years at 1024 samples per second."""
 MOST_LIKELY: Final = 0.7
-"""Odds of one repeated reading, with noise of half a step; a quieter sensor stands on its step."""
+"""Odds of a repeated reading with noise of half a step; a quieter sensor stays on one step."""
 JUMP_SIGMAS: Final = 20.0
 FASTER: Final = 2.0
-"""Times the command's velocity limit: what a drive that overshoots may reach."""
+"""Multiple of the command's velocity limit that a drive may reach when it overshoots."""
 FASTER_THAN_REFERENCE: Final = 8.0
-"""Times what the reference simulation reaches, where the command has no velocity limit."""
+"""Multiple of the reference simulation's velocity, if the command has no velocity limit."""
 STEEPER: Final = 4.0
-"""Times the steepest step of the force in the reference simulation."""
+"""Multiple of the largest change of force per sample in the reference simulation."""
 SHARE_OF_FORCE_LIMIT: Final = 0.1
-"""A jump that is smaller is none that the force limit could miss."""
+"""A smaller jump is not dangerous, because the force limit would detect it."""
 LOST_WARNING: Final = 0.01
 LOST: Final = 0.1
 SKIP_WARNING: Final = 0.01
@@ -48,14 +48,14 @@ def derived_limits(
     force_step_n: float,
     rate: Rate = STANDARD,
 ) -> dict[str, Limit]:
-    """Return every limit that can be derived, by key; what is of a sample is of one at the rate.
+    """Return every limit that can be derived, by key; those per sample are for the given rate.
 
     Args:
-        rig: its sensors and what was identified of it.
-        limits: of test and rig together, with the velocity limit that is derived if there is one.
-        peak_velocity_m_per_s, force_step_n: of the reference simulation, the second from sample to
-            sample; 0 where there is none.
-        rate: of the test.
+        rig: the rig, with its sensors and its identified properties.
+        limits: limits of test and rig together, with the derived velocity limit, if any.
+        peak_velocity_m_per_s, force_step_n: peak velocity, and largest change of force per sample,
+            of the reference simulation; 0 without one.
+        rate: rate of the test.
     """
     displacement, force = rig.sensors.displacement, rig.sensors.force
     identified = rig.identified
@@ -77,7 +77,7 @@ def derived_limits(
 
 
 def repeat_odds(sigma: float, step: float) -> float:
-    """Return the odds that a sensor of a step repeats a reading, at worst: from its middle."""
+    """Return the odds that a sensor repeats a reading, at worst, in the middle of a step."""
     return math.erf(step / (2.0 * math.sqrt(2.0) * sigma)) if sigma > 0 else 1.0
 
 

@@ -1,4 +1,4 @@
-"""What a test on a rig comes to: the figures that follow from both files together."""
+"""The figures that follow from a test file and a rig file together."""
 
 from __future__ import annotations
 
@@ -53,27 +53,28 @@ and valve changes with their number."""
 
 @dataclass(frozen=True)
 class Derived:
-    """Resolved figures of a test on a rig; nothing in it is absent.
+    """Resolved figures of a test on a rig; every value is present.
 
     Attributes:
         fs_hz: sample rate.
         k_e_n_per_m: elastic stiffness of the specimen, k_e.
         stiffness_n_per_m: k_e plus the computed stiffness.
-        mass_kg, period_s: with m = k (T / 2 pi)^2 of the whole stiffness; with a slow time scale
-            these and the damping are those of the laboratory's time.
+        mass_kg, period_s: with m = k (T / 2 pi)^2 for the whole stiffness; with a time scale,
+            these and the damping are in laboratory time.
         damping_n_s_per_m, damping_ratio: with c = 2 zeta sqrt(k m).
         window_samples: T0 of Eqn 3.3, samples at that rate.
         law_settings: every setting of the control law, by its key; samples are of 1/1024 s.
-        plc_enabled, estimator_enabled, rfc_enabled: what runs; nothing does for type "none".
+        plc_enabled, estimator_enabled, rfc_enabled: whether each is active; none is for type
+            "none".
         tangent: the tangent-stiffness formula.
-        rfc_cutoff_hz: of the low-pass on x_c - x_m, 0 for none.
-        force_lateness_s: of the force as the equation of motion uses it, behind x_m.
-        rest_noise_displacement_m, rest_noise_force_n: noise at rest behind the excitation gate.
-        limits: the limits of test and rig together, with where each comes from.
-        notes: what a user should know and need not act on.
-        structure: the numerical part where the test gives it by matrices; mass, period and damping
-            are then those of the joined structure's first mode, as the interface sees it. Or the
-            user's own, of which they are what the test says.
+        rfc_cutoff_hz: cut-off of the low-pass filter on x_c - x_m, 0 for none.
+        force_lateness_s: delay of the force behind x_m in the equation of motion.
+        rest_noise_displacement_m, rest_noise_force_n: noise at rest, for the excitation gate.
+        limits: the limits of test and rig together, with the origin of each.
+        notes: information for the user that requires no action.
+        structure: the numerical part if the test gives it by matrices; mass, period and damping
+            are then those of the first mode of the complete structure, as seen by the interface.
+            For a user-defined part they are those stated in the test.
     """
 
     fs_hz: float
@@ -113,7 +114,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     """Combine a test with a rig.
 
     Raises:
-        InputError: with everything that does not fit together.
+        InputError: with everything that is incompatible.
     """
     problems: list[Problem] = []
     notes: list[str] = []
@@ -183,7 +184,7 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
 
 
 def _check_one_axis(test: TestFile, rig: RigFile, problems: list[Problem]) -> None:
-    """Find what only a rig of several axes can have."""
+    """Find settings that are possible only on a rig with several axes."""
     alone = f'rig "{rig.rig.name}" has one axis; this is for rigs with several axes, [[axis]]'
     if test.controller.type == "matrix":
         problems.append(Problem("controller.type", f'found "matrix"; {alone}'))
@@ -194,9 +195,9 @@ def _check_one_axis(test: TestFile, rig: RigFile, problems: list[Problem]) -> No
 
 
 def resolve(test: TestFile, derived: Derived) -> TestFile:
-    """Return the test with every setting written out that came from the rig or from a default.
+    """Return the test with every setting from the rig or from a default written out.
 
-    It runs the same with another version's defaults.
+    It then runs identically with the defaults of another version.
     """
     controller = test.controller
     standard = derived.rate.pace == 1.0
@@ -220,7 +221,7 @@ def _given(value: float | None, default: float) -> float:
 
 
 def _check_own(test: TestFile, rig: RigFile) -> None:
-    """Refuse classes of the user's own that cannot be had, before anything is asked of them."""
+    """Reject user-defined classes that cannot be loaded, before they are used."""
     if test.controller.python is None and not any(isinstance(e, PythonClass) for e in rig.specimen):
         return
     from rthyb_rt.config.own_deriving import check_classes
@@ -245,13 +246,13 @@ def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> Spa
     """Return the structure of a test with storeys, or with matrices from a file.
 
     Args:
-        test: the test; what its file of matrices says has been read.
-        k_e: elastic stiffness of the rig's specimen, N/m; of several axes its rows, in the order
+        test: the test; its file of matrices has been read.
+        k_e: elastic stiffness of the rig's specimen, N/m; with several axes its rows, in the order
             of the interfaces.
-        period_s: of a sample.
+        period_s: sampling period.
 
     Raises:
-        InputError: with what does not fit together.
+        InputError: with everything that is incompatible.
     """
     from rthyb_rt.config import sparse_structure
 
@@ -268,7 +269,7 @@ def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> Spa
 def _of_many(
     test: TestFile, k_e: float, rate: Rate, problems: list[Problem], notes: list[str]
 ) -> tuple[SparseStructure | None, tuple[float, float, float, float]]:
-    """Return the part, and mass, period, damping and its ratio of the mode that moves most."""
+    """Return the part, and mass, period, damping and damping ratio of the dominant mode."""
     from rthyb_rt.core import CoreError
 
     try:
@@ -301,7 +302,7 @@ def _of_many(
 
 
 def oscillator(mode: Mode) -> tuple[float, float, float, float]:
-    """Return mass, period, damping and its ratio of a mode, as the interface feels it."""
+    """Return mass, period, damping and damping ratio of a mode, as seen by the interface."""
     omega = 2 * math.pi * mode.frequency_hz
     mass = 1.0 / max(mode.at_interface**2, 1e-12)
     return mass, 1.0 / mode.frequency_hz, 2 * mode.damping_ratio * omega * mass, mode.damping_ratio
@@ -310,7 +311,7 @@ def oscillator(mode: Mode) -> tuple[float, float, float, float]:
 def _by_matrices(
     given: Matrices, k_e: float, rate: Rate, problems: list[Problem], time_scale: float
 ) -> tuple[Structure, tuple[float, float, float, float]]:
-    """Return the part, and mass, period, damping and its ratio of the first mode."""
+    """Return the part, and mass, period, damping and damping ratio of the first mode."""
     # NumPy is slow to load, and most tests have no matrices.
     from rthyb_rt.config.numerical_structure import RADIUS_SLACK, structure_of
 
@@ -333,7 +334,7 @@ def _by_matrices(
 
 
 def _check_stability(structure: Structure, problems: list[Problem], most: float) -> None:
-    """Refuse a step that makes the joined structure grow by itself."""
+    """Reject a time step with which the complete structure is unstable."""
     modes, rate_hz = structure.modes(), 1.0 / structure.part.period_s
     fed = [mode for mode in modes if mode.damping_ratio < -1e-9]
     radius = structure.spectral_radius()
@@ -425,7 +426,7 @@ def _check_integration(
 
 
 def check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]) -> None:
-    """Find what cannot be had at a rate: part of a sample of a pure delay, too high a cut-off."""
+    """Find what is impossible at a rate: a pure delay of a fraction of a sample, a high cut-off."""
     actuator = rig.actuator
     key, delay = "", 0
     if isinstance(actuator, PureDelay):
@@ -449,7 +450,7 @@ def check_rate(test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
 def law_settings(
     test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
 ) -> dict[str, float]:
-    """Return every setting of the control law: the file's, else the rig's, else the default."""
+    """Return every setting of the control law: of the file, else of the rig, else the default."""
     controller, settings = test.controller, dict[str, float]()
     from_rig = rigsettings.law_settings_of_rig(test, rig, rate, problems)
     for parameter in controller.law.parameters:
@@ -465,7 +466,7 @@ def law_settings(
                     "`rthyb identify RIG`",
                 )
             )
-        # Nothing is led by it.
+        # It compensates nothing.
         settings[parameter.key] = max(parameter.low, 0.0) if value is None else value
     if any(math.isnan(value) for value in settings.values()):
         return settings  # said already
@@ -523,7 +524,7 @@ def rfc_cutoff(test: TestFile, by_rig_hz: float, rate: Rate, problems: list[Prob
 
 
 def rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, float]:
-    """Return measured noise, or what the sensors are said to have."""
+    """Return the measured noise, or else that stated for the sensors."""
     identified, sensors = rig.identified, rig.sensors
     noise_m = identified.rest_noise_displacement_m if identified else None
     noise_n = identified.rest_noise_force_n if identified else None
@@ -544,7 +545,7 @@ _YIELDING = (IwanElement, MenegottoPintoElement, ChabocheElement, RcColumnElemen
 
 
 def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
-    """Compare k_e with the initial stiffness that the elements of the specimen add up to."""
+    """Compare k_e with the total initial stiffness of the specimen's elements."""
     total = 0.0
     for element in rig.specimen:
         if isinstance(element, (StiffnessElement, *_YIELDING)):
@@ -565,7 +566,7 @@ def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
 
 
 def _note_slowness(test: TestFile, rig: RigFile, notes: list[str]) -> None:
-    """Say what a slow test leaves out of a specimen whose force depends on velocity."""
+    """Report what a slow test misses of a specimen whose force depends on velocity."""
     slow = test.test.time_scale
     if slow == 1.0 or test.history is not None:
         return
@@ -590,7 +591,7 @@ def _is_rate_dependent(item: SpecimenElement) -> bool:
 
 
 def _note_sensor_ranges(limits: limits_file.Limits, rig: RigFile, notes: list[str]) -> None:
-    """A limit beyond the sensor's range is never reached."""
+    """Report limits beyond the sensor's range, which can never be reached."""
     force_range, x_range = rig.sensors.force.range_n, rig.sensors.displacement.range_m
     force, position = limits.force_n, limits.command_position_m
     if force is not None and force_range is not None and force.value > force_range:
@@ -610,7 +611,7 @@ _Steep = tuple[str, float, float, float, float]
 
 
 def _steep(element: SpecimenElement) -> _Steep | None:
-    """Return what of an element grows from nothing within a width of velocity."""
+    """Return the forces of an element that develop within a width of velocity."""
     match element:
         case CoulombElement(fc_n=force, width_m_per_s=width):
             return "fc_n", force, 1.0, 0.0, width
@@ -624,7 +625,7 @@ def _steep(element: SpecimenElement) -> _Steep | None:
 
 
 def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes: list[str]) -> None:
-    """Name friction that changes sign faster than an explicit step can follow: F_c h > m w."""
+    """Report friction that changes sign faster than an explicit step can follow: F_c h > m w."""
     found = [(f"specimen.{i}", *steep) for i, e in enumerate(rig.specimen) if (steep := _steep(e))]
     moving = mass + sum(e.m_kg for e in rig.specimen if isinstance(e, InertiaElement))
     table = rig.actuator
@@ -646,7 +647,7 @@ def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes:
 
 
 def _note_omitted(rig: RigFile, notes: list[str]) -> None:
-    """Print what a servo-hydraulic actuator has only because its file does not say it."""
+    """Report values of a servo-hydraulic actuator that are only defaults."""
     actuator = rig.actuator
     if not isinstance(actuator, ServoHydraulic):
         return
@@ -661,7 +662,7 @@ def _note_omitted(rig: RigFile, notes: list[str]) -> None:
 
 
 def _note_substeps(rig: RigFile, notes: list[str]) -> None:
-    """Ask for substeps that resolve the table between oil column and specimen."""
+    """Request substeps that resolve the motion of the table between oil column and specimen."""
     actuator = rig.actuator
     if not isinstance(actuator, ServoHydraulic):
         return

@@ -1,4 +1,4 @@
-"""What a test on a rig of several axes comes to: each axis by itself, and what joins them."""
+"""The figures of a test on a rig with several axes: those of each axis, and the common ones."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class AxesDerived:
     Attributes:
         fs_hz: sample rate.
         structure: the numerical part, its interfaces in the order of the rig's directions.
-        axis: what the test comes to at each axis by itself, the others standing still: control law,
-            noise, limits, force compensation; its period is that of the structure.
+        axis: the figures of each axis with the others at rest: control law, noise, limits, force
+            compensation; its period is that of the structure.
         k_e: elastic stiffness of the specimen along the interface, (axes, axes).
-        notes: what a user should know and need not act on.
+        notes: information for the user that requires no action.
     """
 
     fs_hz: float
@@ -59,7 +59,7 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
     """Combine a test with a rig of several axes.
 
     Raises:
-        InputError: with everything that does not fit together.
+        InputError: with everything that is incompatible.
     """
     problems: list[Problem] = []
     test = in_order(test, rig)
@@ -98,7 +98,7 @@ def in_order(test: TestFile, rig: AxesRig) -> TestFile:
     """Return a test with its interfaces in the order of the rig's directions.
 
     Raises:
-        InputError: names or counts that do not fit, a numerical part without interfaces.
+        InputError: names or numbers are incompatible, or the numerical part has no interfaces.
     """
     if test.numerical.structure is None:
         raise InputError(
@@ -169,7 +169,7 @@ def _check_laws(test: TestFile, rig: AxesRig, problems: list[Problem]) -> None:
 
 
 def law_of_axis(test: TestFile, name: str) -> Controller:
-    """Return the compensation of one axis as that of a rig of one."""
+    """Return the compensation of one axis as for a rig with one axis."""
     controller = test.controller
     for law in controller.axis:
         if law.name == name:
@@ -182,7 +182,7 @@ def law_of_axis(test: TestFile, name: str) -> Controller:
 
 
 def of_axis(test: TestFile, name: str, first: Mode) -> TestFile:
-    """Return a test as one axis meets it: an oscillator of the structure's own period."""
+    """Return a test as seen by one axis: an oscillator with the period of the structure."""
     numerical = Numerical(
         period_s=min(max(1.0 / first.frequency_hz, 0.01), 100.0),
         damping_ratio=min(max(first.damping_ratio, 0.0), 2.0),
@@ -200,8 +200,8 @@ def of_axis(test: TestFile, name: str, first: Mode) -> TestFile:
 def resolve_axes(test: TestFile, rig: AxesRig, derived: AxesDerived) -> TestFile:
     """Return the test with every setting of its laws and limits written out.
 
-    Each axis gets a law of its own; limits of all axes stand in ``[limits]``, and those that differ
-    stay the rig's.
+    Each axis gets its own law; limits that are the same for all axes are in ``[limits]``, and those
+    that differ remain in the rig.
     """
     test = in_order(test, rig)
     first = derived.axis[0]

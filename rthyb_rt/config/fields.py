@@ -1,4 +1,4 @@
-"""Building blocks of the configuration models: ranges with units, texts, tables that explain.
+"""Building blocks of the configuration models: ranges with units, strings, and tables.
 
 Every message says what was found, what is allowed and, where it is not plain, what to do.
 """
@@ -43,7 +43,7 @@ _EXPLAINED = "explained"
 
 
 def written(value: object) -> str:
-    """Return a value the way a TOML file would have it, short enough for a message."""
+    """Return a value in TOML notation, short enough for a message."""
     if isinstance(value, str):
         return json.dumps(value if len(value) <= 60 else value[:57] + "...", ensure_ascii=False)
     if isinstance(value, bool):
@@ -69,17 +69,17 @@ def nearest(name: str, known: list[str]) -> str:
 def explained(text: str, involved: tuple[str, ...] = ()) -> PydanticCustomError:
     """Return the error of a message that is already complete.
 
-    ``involved`` names the keys of the same table, or of tables in it, that have a part in it.
+    ``involved`` names the keys of the same table, or of tables in it, that are involved.
     """
     return PydanticCustomError(_EXPLAINED, "{text}", {"text": text, "involved": involved})
 
 
 class Reader(ABC):
-    """What a field takes; pydantic validates with `read`."""
+    """The values that a field accepts; pydantic validates with `read`."""
 
     @abstractmethod
     def read(self, value: object) -> Any:
-        """Return the value as the field holds it; raise the explained error otherwise."""
+        """Return the value in the form of the field; raise an explained error if it is invalid."""
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
@@ -90,15 +90,15 @@ class Reader(ABC):
 
 @dataclass(frozen=True)
 class Range(Reader):
-    """A finite number in the field's own unit, or a text with a unit that is converted to it.
+    """A finite number in the field's own unit, or a string with a unit that is converted to it.
 
     Attributes:
         unit: the field's unit, the one in its name; empty for a ratio or a plain number.
         low: smallest value allowed.
         high: largest value allowed.
-        what: what the number is, in a few words.
-        remedy: what to do when it is missing or wrong, if the range does not say it.
-        open_low, open_high: the bound itself is not allowed.
+        what: description of the number, in a few words.
+        remedy: what to do if it is missing or wrong, unless the range says so.
+        open_low, open_high: whether the bound itself is excluded.
     """
 
     unit: str
@@ -110,7 +110,7 @@ class Range(Reader):
     open_high: bool = False
 
     def allowed(self, kind: str = "") -> str:
-        """Return what is allowed, in words; ``kind`` says what is measured (``"a length "``)."""
+        """Return what is allowed, in words; ``kind`` names the quantity (``"a length "``)."""
         low = "above" if self.open_low else "from"
         to = (", below" if self.open_high else ", up to") if self.open_low else " to"
         to = " to below" if self.open_high and not self.open_low else to
@@ -119,7 +119,7 @@ class Range(Reader):
         return f"{text}; {self.remedy}" if self.remedy else text
 
     def read(self, value: object) -> float:
-        """Return the number in the field's unit; raise the explained error otherwise."""
+        """Return the number in the field's unit; raise an explained error if it is invalid."""
         number = math.nan
         fault = ""
         if isinstance(value, str):
@@ -142,7 +142,7 @@ class Range(Reader):
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Describe the number, and the text with a unit that is taken as well."""
+        """Describe the number, and the string with a unit that is also accepted."""
         low = "exclusiveMinimum" if self.open_low else "minimum"
         high = "exclusiveMaximum" if self.open_high else "maximum"
         number = {"type": "number", low: self.low, high: self.high}
@@ -170,7 +170,7 @@ class Count(Reader):
         return f"{self.what} must be a whole number from {self.low} to {self.high}"
 
     def read(self, value: object) -> int:
-        """Return the number; raise the explained error otherwise."""
+        """Return the number; raise an explained error if it is invalid."""
         whole = isinstance(value, int) and not isinstance(value, bool)
         if isinstance(value, int) and whole and self.low <= value <= self.high:
             return value
@@ -190,11 +190,11 @@ class Count(Reader):
 
 @dataclass(frozen=True)
 class Text(Reader):
-    """A text of a given form.
+    """A string of a given form.
 
     Attributes:
-        what: what the text is.
-        pattern: regular expression of the whole text.
+        what: description of the string.
+        pattern: regular expression of the whole string.
         form: the form in words.
     """
 
@@ -207,7 +207,7 @@ class Text(Reader):
         return f"{self.what} must be {self.form}"
 
     def read(self, value: object) -> str:
-        """Return the text; raise the explained error otherwise."""
+        """Return the string; raise an explained error if it is invalid."""
         if isinstance(value, str) and re.fullmatch(self.pattern, value):
             try:
                 value.encode()
@@ -219,7 +219,7 @@ class Text(Reader):
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Describe the text."""
+        """Describe the string."""
         return {"type": "string", "pattern": f"^{self.pattern}$", "description": self.what}
 
 
@@ -247,7 +247,7 @@ class Sign(Reader):
         return f"{self.what} must be 1 or -1"
 
     def read(self, value: object) -> int:
-        """Return the sign; raise the explained error otherwise."""
+        """Return the sign; raise an explained error if it is invalid."""
         if isinstance(value, (int, float)) and not isinstance(value, bool) and value in (1, -1):
             return int(value)
         raise explained(f"found {written(value)}; {self.allowed()}")
@@ -261,7 +261,7 @@ class Sign(Reader):
 
 @dataclass(frozen=True)
 class OneOf(Reader):
-    """One of a few words, where these are keys of a table that may hold any of them.
+    """One of a few words, which are the keys of a table.
 
     Attributes:
         words: the words.
@@ -270,7 +270,7 @@ class OneOf(Reader):
     words: tuple[str, ...]
 
     def read(self, value: object) -> str:
-        """Return the word; raise the explained error otherwise."""
+        """Return the word; raise an explained error if it is invalid."""
         if isinstance(value, str) and value in self.words:
             return value
         raise explained(_one_of(value, list(self.words)))
@@ -284,11 +284,11 @@ class OneOf(Reader):
 
 @dataclass(frozen=True)
 class Names(Reader):
-    """A list of different texts.
+    """A list of different strings.
 
     Attributes:
-        what: what they are.
-        most: so many at most.
+        what: description of the strings.
+        most: maximum number of strings.
     """
 
     what: str
@@ -299,7 +299,7 @@ class Names(Reader):
         return f"{self.what} must be a list of up to {self.most} different strings"
 
     def read(self, value: object) -> list[str]:
-        """Return the texts; raise the explained error otherwise."""
+        """Return the strings; raise an explained error if they are invalid."""
         texts = isinstance(value, list) and all(isinstance(v, str) and v.strip() for v in value)
         if isinstance(value, list) and texts and len(value) <= self.most:
             if len(set(value)) == len(value):
@@ -318,7 +318,7 @@ class Names(Reader):
 
 @dataclass(frozen=True)
 class Choice:
-    """Keys of a table that stand for the same thing, so that only one may be given.
+    """Alternative keys of a table, of which only one may be given.
 
     Attributes:
         keys: the keys.
@@ -331,12 +331,12 @@ class Choice:
 
 @dataclass(frozen=True)
 class Check:
-    """A condition between several keys of a table, tried when all of them are valid.
+    """A condition on several keys of a table, checked if all of them are valid.
 
     Attributes:
-        key: the key that the message points at.
-        needs: the keys whose values the test takes, in this order.
-        test: returns the complaint, or nothing.
+        key: the key that the message names.
+        needs: the keys whose values are passed to the test, in this order.
+        test: returns the error message, or None.
     """
 
     key: str
@@ -345,7 +345,7 @@ class Check:
 
 
 class Table(BaseModel):
-    """A table of a configuration file: frozen, no unknown keys, every fault told at once."""
+    """A table of a configuration file: immutable, no unknown keys, all errors reported at once."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
@@ -354,19 +354,19 @@ class Table(BaseModel):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Return the full form of a table that may also be written in a short one."""
+        """Return the full form of a table that may also be written in a short form."""
         return data
 
     def settle(self) -> None:
-        """Replace alternative inputs by the one form the rest of the program reads."""
+        """Replace alternative inputs by the single form that the rest of the program reads."""
 
     @classmethod
     def further_faults(
         cls, keys: dict[str, Any]
     ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
-        """Yield what several keys do wrong together, beyond `checks`.
+        """Yield errors that involve several keys, in addition to `checks`.
 
-        Each is the place below this table, the complaint, and the keys of it that have a part.
+        Each consists of the place below this table, the message, and the keys that are involved.
         """
         yield from ()
 
@@ -396,7 +396,7 @@ class Table(BaseModel):
 
     @classmethod
     def _explained(cls, fault: ErrorDetails) -> InitErrorDetails:
-        """Return a fault with its final place and message; those of inner tables have theirs."""
+        """Return an error with its final place and message; those of inner tables have theirs."""
         if fault["type"] == _EXPLAINED:
             ctx = fault["ctx"]
             error_type = explained(ctx["text"], ctx["involved"])
@@ -410,7 +410,7 @@ class Table(BaseModel):
     def _explain(
         cls, kind: str, loc: tuple[int | str, ...], value: object, fault: ErrorDetails
     ) -> tuple[tuple[int | str, ...], str]:
-        """Return place and message of one fault that pydantic found."""
+        """Return place and message of an error found by pydantic."""
         key = str(loc[0]) if loc else ""
         fields = {info.alias or name: info for name, info in cls.model_fields.items()}
         if kind == "extra_forbidden":
@@ -467,17 +467,17 @@ class Table(BaseModel):
 
 
 class WholeFile(Table):
-    """A configuration file, which remembers the text that it was read from."""
+    """A configuration file, which remembers the text from which it was read."""
 
     _source: Source = PrivateAttr(default=NOWHERE)
 
     @property
     def source(self) -> Source:
-        """The text that the values come from."""
+        """The text from which the values come."""
         return self._source
 
     def read_from(self, source: Source) -> Self:
-        """Return the same, read from this text."""
+        """Return the same file with this text as its origin."""
         file = self.model_copy()
         file._source = source
         return file
@@ -507,14 +507,14 @@ def has_key(annotation: Any, path: KeyPath) -> bool:
 
 
 def _read_field(info: FieldInfo, keys: dict[str, Any], key: str) -> Any:
-    """Return the value of one valid field of a table that has faults elsewhere."""
+    """Return the value of a valid field of a table that has errors elsewhere."""
     if key not in keys:
         return info.get_default(call_default_factory=True)
     return TypeAdapter[Any](info.rebuild_annotation()).validate_python(keys[key])
 
 
 def _parts(annotation: Any) -> Iterator[Any]:
-    """Walk through Annotated, unions and lists down to their parts."""
+    """Yield the parts of Annotated, unions and lists."""
     if typing.get_origin(annotation) is Literal:
         yield annotation
         return
@@ -552,7 +552,7 @@ def _one_of(value: object, names: list[str]) -> str:
 
 
 def _allowed(info: FieldInfo, key: str) -> str:
-    """Say what a required field takes."""
+    """Return the values that a required field accepts, in words."""
     for limits in info.metadata:
         allowed = getattr(limits, "allowed", None)
         if allowed is not None:

@@ -1,6 +1,6 @@
 """Prescribed histories: `[history]` of the test file, instead of a ground motion and a structure.
 
-What their displacements are at every sample is worked out by `rthyb_rt.lab.histories`.
+`rthyb_rt.lab.histories` computes their displacements at every sample.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ MOST_CYCLES: Final = 100_000
 AISC_341: Final = (
     (0.00375, 6), (0.005, 6), (0.0075, 6), (0.01, 4), (0.015, 2), (0.02, 2), (0.03, 2), (0.04, 2),
 )  # fmt: skip
-"""Drift angle and cycles of the beam-to-column sequence, ANSI/AISC 341, section K2.4b; from there
-on `AISC_341_MORE` a step."""
+"""Drift angles and cycles of the beam-to-column sequence, ANSI/AISC 341, section K2.4b; after
+these, `AISC_341_MORE` per step."""
 AISC_341_MORE: Final = (0.01, 2)
 FEMA_461_RATIO: Final = 1.4
 FEMA_461_CYCLES: Final = 2
 FEMA_461_FURTHER: Final = 0.3
-"""FEMA 461 (2007), section 2.9.1: each amplitude over the one before, cycles at each, and what a
-step beyond the target adds, of the target."""
+"""FEMA 461 (2007), section 2.9.1: ratio of each amplitude to the previous one, cycles at each, and
+increment of a step beyond the target, relative to the target."""
 
 _Amplitude = Annotated[float, Range("m", 1e-6, 10, "the amplitude")]
 _Frequency = Annotated[float, Range("Hz", 1e-4, 500, "the frequency")]
@@ -59,7 +59,7 @@ class Step:
 
     Attributes:
         amplitude_m: the amplitude.
-        cycles: how many whole cycles it has.
+        cycles: number of whole cycles.
     """
 
     amplitude_m: float
@@ -75,7 +75,7 @@ class Amplitudes(Reader):
     what: str = "the amplitudes in order"
 
     def read(self, value: object) -> list[float]:
-        """Return the amplitudes; raise the explained error otherwise."""
+        """Return the amplitudes; raise an explained error if they are invalid."""
         if not isinstance(value, list) or not 1 <= len(value) <= MOST_STEPS:
             raise explained(
                 f"found {written(value)}; must be a list of 1 to {MOST_STEPS} amplitudes"
@@ -92,14 +92,14 @@ class Amplitudes(Reader):
 
 @dataclass(frozen=True)
 class CycleCounts(Reader):
-    """A number of cycles for every amplitude, or a list of one for each."""
+    """One number of cycles for all amplitudes, or a list with one for each."""
 
     one: ClassVar[Count] = Count(1, 10_000, "the number of cycles at an amplitude")
     form: ClassVar[str] = "whole, 1 to 10000, or a list"
     what: str = "cycles at each amplitude, one number for all or a list"
 
     def read(self, value: object) -> int | list[int]:
-        """Return the number or the numbers; raise the explained error otherwise."""
+        """Return the number or the list; raise an explained error if it is invalid."""
         if not isinstance(value, list):
             return self.one.read(value)
         if not 1 <= len(value) <= MOST_STEPS:
@@ -133,7 +133,7 @@ class SineHistory(Table):
 
     @property
     def title(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the history."""
         return f"sine of {self.amplitude_m * 1e3:g} mm at {self.frequency_hz:g} Hz"
 
 
@@ -147,7 +147,7 @@ def _within(duration_s: float, taper_s: float) -> str | None:
 
 
 class SweepHistory(Table):
-    """A sine whose frequency goes from one to another; fast ones may be kept below a velocity."""
+    """A sine sweep between two frequencies; its velocity may be limited."""
 
     checks: ClassVar[tuple[Check, ...]] = (Check("taper_s", ("duration_s", "taper_s"), _within),)
 
@@ -164,7 +164,7 @@ class SweepHistory(Table):
 
     @property
     def title(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the history."""
         return f"sweep of {self.amplitude_m * 1e3:g} mm from {self.from_hz:g} to {self.to_hz:g} Hz"
 
 
@@ -175,7 +175,7 @@ def _rising(from_hz: float, to_hz: float) -> str | None:
 
 
 class RandomHistory(Table):
-    """Noise of equal strength between two frequencies, the same for the same seed."""
+    """Noise with a flat spectrum between two frequencies, reproducible by its seed."""
 
     choices: ClassVar[tuple[Choice, ...]] = (Choice(("peak_m", "rms_m"), required=True),)
     checks: ClassVar[tuple[Check, ...]] = (
@@ -194,16 +194,16 @@ class RandomHistory(Table):
 
     @property
     def title(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the history."""
         return f"random motion from {self.from_hz:g} to {self.to_hz:g} Hz, seed {self.seed}"
 
 
 class CyclicHistory(Table):
     """Cycles step by step, from turning point to turning point along half a cosine.
 
-    With ``frequency_hz`` every such way takes half a period. With ``velocity_m_per_s`` it takes as
-    long as that velocity and ``acceleration_m_per_s2`` need; the latter absent: that of the paths
-    in the limits of test and rig.
+    With ``frequency_hz`` every stroke takes half a period. With ``velocity_m_per_s`` it takes as
+    long as this velocity and ``acceleration_m_per_s2`` require; if the latter is missing, that of
+    slow paths in the limits of test and rig is used.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (
@@ -226,7 +226,7 @@ class CyclicHistory(Table):
 
     @property
     def title(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the history."""
         raise NotImplementedError
 
     def _span(self) -> str:
@@ -244,7 +244,7 @@ def _as_many(amplitudes: list[float] | None, cycles: int | list[int]) -> str | N
 
 
 class CyclesHistory(CyclicHistory):
-    """Amplitudes and cycles of one's own, from the test file or a CSV file."""
+    """User-defined amplitudes and cycles, from the test file or a CSV file."""
 
     choices: ClassVar[tuple[Choice, ...]] = (
         *CyclicHistory.choices,
@@ -266,15 +266,15 @@ class CyclesHistory(CyclicHistory):
 
     @property
     def title(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the history."""
         return f"cycles, {self._span()}"
 
 
 class Fema461History(CyclicHistory):
     """Quasi-static cycles of FEMA 461 (2007), section 2.9.1.
 
-    Two cycles at each amplitude, each 1.4 times the one before, up to the target deformation; each
-    further step adds 0.3 of the target.
+    Two cycles at each amplitude, which increases by a factor of 1.4 up to the target deformation;
+    each further step adds 0.3 of the target.
     """
 
     kind: Literal["fema-461"]
@@ -291,7 +291,7 @@ class Fema461History(CyclicHistory):
 
     @property
     def title(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the history."""
         return f"FEMA 461, {self._span()}"
 
 
@@ -315,7 +315,7 @@ class Aisc341History(CyclicHistory):
 
     @property
     def title(self) -> str:
-        """What it is, in a few words."""
+        """Short description of the history."""
         return f"AISC 341, {self._span()}"
 
 
@@ -325,17 +325,17 @@ History = (
 
 
 def with_file(given: CyclesHistory, folder: Path) -> CyclesHistory:
-    """Return a history with what its CSV file says, so that it needs no file any more.
+    """Return a history with the content of its CSV file, so that the file is no longer needed.
 
     The file has a line ``amplitude_m, cycles`` (or ``amplitude_mm``, any unit of length, and
-    ``amplitude`` in m), then a line for each step; without ``cycles`` those of the test file hold.
+    ``amplitude`` in m), then a line for each step. Without ``cycles``, the test file gives them.
 
     Args:
-        given: of the test file, with a ``file``.
-        folder: in which it is looked for.
+        given: history of the test file, with a ``file``.
+        folder: folder to which its path is relative.
 
     Raises:
-        InputError: what is wrong in it, with its line.
+        InputError: the errors in the file, with their lines.
     """
     path = folder / str(given.file)
     try:

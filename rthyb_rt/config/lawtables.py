@@ -1,4 +1,4 @@
-"""The keys of ``[controller]`` that control laws ask for, made from the laws' own tables."""
+"""The keys of ``[controller]`` that control laws need, derived from the tables of the laws."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ DEFAULT_LAW: Final = "paper"
 
 
 TABLES: Final[dict[type[Table], str]] = {}
-"""The tables that `extended` has made, with what stands before the last point of their keys."""
+"""The tables created by `extended`, with the prefix of their keys up to the last dot."""
 
 
 def range_of(p: Parameter) -> Range:
-    """Return what the key of a parameter takes."""
+    """Return the field for the key of a parameter."""
     return Range(p.unit, p.low, p.high, p.meaning, open_low=p.open_low, open_high=p.open_high)
 
 
