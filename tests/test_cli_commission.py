@@ -231,7 +231,7 @@ def test_each_motion_is_asked_for(
     assert answer.code == 0
     assert len(asked) == 3
     assert "Move by 0.5 mm and back" in asked[1]
-    assert "polarity: left out" in answer.out
+    assert "polarity: skipped" in answer.out
     steps = json.loads((tmp_path / "rig.commissioned.json").read_text())["steps"]
     assert set(steps) == {"link", "trip"}
 

@@ -173,7 +173,9 @@ def test_table_without_units_is_refused_in_the_words_of_whoever_asks(
 ) -> None:
     path = tmp_path / "lab.csv"
     path.write_text("t,LVDT\n0,0\n0.1,1\n0.2,2\n")
-    with pytest.raises(rt.InputError, match=r'has no column for x_meas; name it, .*columns={"x_me'):
+    with pytest.raises(
+        rt.InputError, match=r'has no column for x_meas; assign one, .*columns={"x_me'
+    ):
         rt.compare(kept, path)
     with pytest.raises(rt.InputError, match=r'states no unit.*columns={"x_meas": "LVDT \[m'):
         rt.compare(kept, path, columns={"x_meas": "LVDT"})

@@ -69,5 +69,7 @@ def test_rthyb_compare_asks_for_an_axis_and_knows_their_names(
 
 def test_an_axis_of_nothing_that_has_several_is_refused() -> None:
     short = rt.Test("section5-T0.5", ground_motion={"duration_s": 1})
-    with pytest.raises(InputError, match="found upper, but nothing here has several axes"):
+    with pytest.raises(
+        InputError, match="found upper, but none of the recordings has several axes"
+    ):
         rt.compare(rt.run(short), axis="upper")

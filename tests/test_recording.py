@@ -234,7 +234,7 @@ def test_recording_of_a_later_version_is_refused_by_its_schema(path: Path) -> No
         file.attrs["schema"] = "rthyb-recording/4"
         file.attrs["rthyb_version"] = "0.4.0"
     assert refusal(path).endswith(
-        "schema 'rthyb-recording/4', this version reads rthyb-recording/1 to 3; "
+        "schema 'rthyb-recording/4', but this version reads rthyb-recording/1 to 3; "
         "pip install 'rthyb-rt>=0.4.0'"
     )
 
