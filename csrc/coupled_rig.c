@@ -292,8 +292,8 @@ static void resist(rig_t *r, const double *q, const double *v, const double *a, 
 }
 
 /* Load cells: at the actuator's end they measure the force of the oil column, otherwise the load of
- * the specimen on the axis. The substeps have already advanced the elements to t_n, hence dt =
- * 0. */
+ * the specimen on the axis. dt = 0, because the substeps have already advanced the elements to
+ * t_n. */
 static void latch_forces(rig_t *r)
 {
     const int n = r->cfg.size;

@@ -122,11 +122,13 @@ double rthyb_menegotto_pinto(const double *p, double *s, double x)
     return s[1];
 }
 
-/* A spring in series with a slider whose yield range moves and grows: its centre q by q' = H xp' -
- * gamma q |xp'| (Armstrong & Frederick, CEGB RD/B/N731, 1966), its half-width fy + r by r = Q (1 -
- * e^(-rate path)) (Voce 1948), combined as in Chaboche, Int. J. Plasticity 2, 1986. Both are exact
- * along the plastic path d; k (x - xp - d) = q + fy + r is convex in d, so that Newton's steps
- * approach from one side. state: plastic displacement, q, plastic path. */
+/* A spring in series with a slider whose yield range moves and grows: its centre q by
+ *   q' = H xp' - gamma q |xp'|   (Armstrong & Frederick, CEGB RD/B/N731, 1966),
+ * its half-width fy + r by
+ *   r = Q (1 - e^(-rate path))   (Voce 1948),
+ * combined as in Chaboche, Int. J. Plasticity 2, 1986. Both are exact along the plastic path d;
+ * k (x - xp - d) = q + fy + r is convex in d, so that Newton's steps approach from one side.
+ * state: plastic displacement, q, plastic path. */
 double rthyb_chaboche(const double *p, double *s, double x)
 {
     const double k = p[0], fy = p[1], h = p[2], gamma = p[3], growth = p[4], rate = p[5];

@@ -297,8 +297,8 @@ static braking longest(const path_limits *limits, const double from[][3], const 
 }
 
 /* Brakes from (x, v, a) in each direction to rest. A step of the acceleration would become a jump
- * behind the phase lead, so each change takes `turn` ticks, fewer for a motion that ends sooner: v
- * = (b - a / 2) turn. */
+ * behind the phase lead, so each change takes `turn` ticks, fewer for a motion that ends sooner:
+ * v = (b - a / 2) turn. */
 static void brakes(const path_limits *limits, const double from[][3], const double *a,
                    const braking *brake, rthyb_path *paths)
 {

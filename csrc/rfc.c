@@ -1,12 +1,14 @@
-/* Restoring-force compensator. The equation of motion uses, instead of the measured force, f +
- * k_exp (x_c - x_m) (Eqn 3.2), with the tangent stiffness k_exp of the last T0 samples (Eqn 3.3)
- * limited to 0 ... k_e. The window is summed anew in every sample: a running sum would keep the
- * trace of a single implausible sample for ever.
+/* Restoring-force compensator. Instead of the measured force, the equation of motion uses
+ *   f + k_exp (x_c - x_m)   (Eqn 3.2),
+ * with the tangent stiffness k_exp of the last T0 samples (Eqn 3.3) limited to 0 ... k_e. The window
+ * is summed anew in every sample: a running sum would keep the trace of a single implausible sample
+ * for ever.
  *
- * Beyond the paper, if the settings ask for it: f + k_exp (LP(x_c - x_m) + tau v_c).
- * LP, a low-pass: the part of x_m above its cut-off (noise, a resonance of actuator and specimen)
- * is not an error that the structure should feel. If that part were included, f - k_e x_m would
- * remain in the loop, the inertia force of the specimen alone, which grows with the square of the
+ * Beyond the paper, if the settings ask for it:
+ *   f + k_exp (LP(x_c - x_m) + tau v_c).
+ * LP, a low-pass: the part of x_m above its cut-off (noise, a resonance of actuator and specimen) is
+ * not an error that the structure should feel. If that part were included, f - k_e x_m would remain
+ * in the loop, the inertia force of the specimen alone, which grows with the square of the
  * frequency.
  * tau: f is the force at x_m(t - tau), so the force at x_c(t) is
  *   f + k (x_c(t) - x_m(t - tau)) = f + k (x_c - x_m)(t) + k (x_m(t) - x_m(t - tau)),

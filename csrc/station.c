@@ -587,7 +587,7 @@ static int longest_missing(const rthyb_station *s)
     return of_axis(longest);
 }
 
-/* A reading arrives, but it has leapt and is not accepted; *found says which. */
+/* Whether a reading arrives but is rejected because it has jumped; *found says which one. */
 static int has_leapt(const rthyb_axis *a, finding *found)
 {
     if (!a->has_reading || a->off_scale || (a->leaps_x.count == 0 && a->leaps_f.count == 0))
@@ -598,8 +598,8 @@ static int has_leapt(const rthyb_axis *a, finding *found)
     return 1;
 }
 
-/* Why no pair was accepted for so long: an axis has none, or its readings have leapt, or those of all axes
- * correspond to no pose. */
+/* Why no pair was accepted for so long: an axis has none, its readings have jumped, or those of all
+ * axes correspond to no pose. */
 static finding not_taken(const rthyb_station *s)
 {
     const int axis = longest_missing(s);
