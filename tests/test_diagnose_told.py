@@ -218,13 +218,13 @@ def test_the_ledger_says_what_noise_was_believed_and_how_far_numbers_moved():
     told = dict(why.facts(diagnosed()))
     believed, stated = (
         float(part)
-        for part in re.findall(r"([\d.]+) N (?:believed|stated)", told["noise of the force"])
+        for part in re.findall(r"([\d.]+) N (?:assumed|stated)", told["noise of the force"])
     )
     assert believed == pytest.approx(cases.F_STD, rel=0.1)
     assert stated == cases.F_STD
     # The specimen of the cases is 0.4 % stiffer than the model says.
     told = dict(why.facts(diagnosed(friction)))
-    moved = re.match(r"moved by ([\d.]+) %; 1.00 % stated", told["tolerance, stiffness"])
+    moved = re.match(r"adjusted by ([\d.]+) %; 1.00 % stated", told["tolerance, stiffness"])
     assert moved is not None
     assert float(moved[1]) == pytest.approx(0.4, abs=0.1)
 
