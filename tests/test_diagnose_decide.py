@@ -93,11 +93,6 @@ def the_cells_own_noise() -> Evidence:
     )
 
 
-def a_filter_of_its_noise() -> Evidence:
-    """Noise alone is left; a late cell does better, with an offset that nearly undoes it."""
-    return evidence(of("time_skew", chi2=900.0, offset_sd=5.9), null=990.0)
-
-
 def a_zero() -> Evidence:
     """A body that moves freely rests beside its zero by as much as its sensor's noise."""
     return evidence(of("bias", chi2=1000.0), null=2000.0, judged="motion")
@@ -142,7 +137,6 @@ def a_form_of_one() -> Evidence:
 
 RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
     "needed": (not_needed(), {}, ("coulomb",), ("coulomb", "cubic")),
-    "in time": (a_filter_of_its_noise(), {}, (), ("time_skew",)),
     "off zero": (a_zero(), {"zero": 1.0}, (), ("bias",)),
     "drift goes on": (a_drift(), {"drift": Drift(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
     "driven": (the_cells_own_noise(), {"driven": (10.0,)}, (), ("viscous",)),
@@ -310,22 +304,6 @@ def test_set_that_is_no_physical_law_without_one_effect_needs_that() -> None:
     assert decided(evidence(pair), part=None).best is pair
 
 
-@pytest.mark.parametrize(
-    "change",
-    [{"naive": True}, {"null": 3000.0}, {"offset_sd": 3.0}, {"null_offset_sd": 5.0}],
-    ids=[
-        "a naive model has no tolerance", "without it more than noise is left",
-        "the offset is within tolerance", "without it the offset is no smaller",
-    ],
-)  # fmt: skip
-def test_a_late_cell_is_named_all_the_same_where(change: dict[str, Any]) -> None:
-    given = {"null": 990.0, "offset_sd": 5.9, "null_offset_sd": 0.4, "naive": False, **change}
-    late = of("time_skew", chi2=900.0, offset_sd=given["offset_sd"])
-    null = of(chi2=given["null"], offset_sd=given["null_offset_sd"])
-    seen = Evidence(Setting(LAWS, ROWS, naive=given["naive"]), null, (late,))
-    assert decided(seen).best.names == ("time_skew",)
-
-
 def test_a_late_cell_has_to_show_in_the_motion_of_the_test_in_any_recording() -> None:
     seen = evidence(
         of("time_skew", "viscous", chi2=1000.0), of("viscous", chi2=1100.0),
@@ -336,15 +314,6 @@ def test_a_late_cell_has_to_show_in_the_motion_of_the_test_in_any_recording() ->
     for change in ({"naive": True}, {"witnessed": True}):
         other = replace(seen, setting=replace(seen.setting, **change))
         assert decided(other, driven=(-2.0, 60.0)).best.names == ("time_skew", "viscous")
-
-
-def test_the_effect_beside_such_a_filter_is_named_alone() -> None:
-    seen = evidence(
-        of("bias", chi2=990.0, offset_sd=0.4), of("time_skew", chi2=9000.0),
-        of("bias", "time_skew", chi2=900.0, offset_sd=5.9),
-    )  # fmt: skip
-    assert decided(seen).best.names == ("bias",)
-    assert decided(seen, ("in time",)).best.names == ("bias", "time_skew")
 
 
 def test_a_weight_that_moves_a_body_far_off_its_zero_is_named() -> None:

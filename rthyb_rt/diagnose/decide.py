@@ -447,25 +447,6 @@ def goes_on(court: Court, of: Hypothesis) -> bool:
     return court.refuse("drift goes on", of, found=within, wanted=wanted)
 
 
-def in_time(court: Court, of: Hypothesis) -> bool:
-    """An offset in time beyond its tolerance is no way to be better than noise.
-
-    A late load cell and an offset of its channel against the motion that nearly undo one another
-    are a filter of the recorded force. Its noise, which is in both of them, gets less by that, and
-    the more of it the slower it is. So where without one of its effects nothing but noise is left,
-    and the offset is within tolerance, that effect is not there.
-    """
-    setting, most = court.setting, court.policy.within_tolerance
-    if setting.naive or of.offset_sd <= most:
-        return True
-    at_noise = (1.0 + court.policy.excess_as_noise) * setting.rows
-    for i, part in enumerate(of.parts):
-        less = court.less(of, i)
-        if less is not None and less.offset_sd <= most and less.chi2 < at_noise:
-            return court.refuse("in time", of, part=part.name, found=of.offset_sd, wanted=most)
-    return True
-
-
 def off_zero(court: Court, of: Hypothesis) -> bool:
     """A constant force on a free body has to move it by more than its sensor's zero may be off.
 
@@ -645,7 +626,6 @@ def each(rule: Callable[[Court, Hypothesis], bool]) -> Callable[[Court, Sets], S
 
 RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
     "needed": each(needed),
-    "in time": each(in_time),
     "off zero": each(off_zero),
     "drift goes on": each(goes_on),
     "driven": each(driven),

@@ -270,8 +270,6 @@ DROPPED = {
     "by {wanted}",
     "share": "{part}, added to the others, improves chi-squared by {found}; up to {wanted} may "
     "be due to the form of the laws",
-    "in time": "needs a time offset between the channels beyond its tolerance, while without "
-    "{part} only noise remains",
     "off zero": "moves the body by no more than the possible zero error of the displacement sensor",
     "driven": "{part} improves chi-squared by {found} through the motion that the test imposes, "
     "without the noise that the load cell feeds back, but must improve it by {wanted}",
