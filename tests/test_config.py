@@ -145,6 +145,24 @@ def test_rigs_and_examples_of_an_installed_wheel_are_found_in_the_package(
     assert config.builtin_test_path().parent == tmp_path / "_hw" / "examples"
 
 
+def test_shipped_test_is_found_by_its_name_and_a_misspelt_one_is_answered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    by_name, rig = config.load_both("section5-T0.5", None, [])
+    assert by_name == config.load_test(config.shipped_test("section5-T0.5"))
+    assert rig.rig.name == by_name.rig
+    with pytest.raises(InputError, match=r'did you mean "section5-T0.5"\?'):
+        config.load_both("section5-T05", None, [])
+    with pytest.raises(InputError, match="own: no such file") as error:
+        config.load_test(tmp_path / "own")
+    assert str(tmp_path) in str(error.value)
+    # A file of that name is the user's.
+    (tmp_path / "section5-T0.5").write_text("no TOML at all")
+    with pytest.raises(InputError, match=r"section5-T0\.5:1"):
+        config.load_test("section5-T0.5")
+
+
 def test_unknown_rig_name_lists_the_rigs_there_are() -> None:
     with pytest.raises(InputError) as caught:
         config.find_rig("shaking-table-portal-fram")

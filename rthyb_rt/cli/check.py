@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 def check(
     test: Annotated[
-        Path, typer.Argument(metavar="TEST.toml", help="Test file.", show_default=False)
+        Path,
+        typer.Argument(
+            metavar="TEST.toml", help="Test file, or name of a shipped test.", show_default=False
+        ),
     ],
     rig: RigOption = None,
     settings: SetOption = None,

@@ -279,7 +279,7 @@ def load(
         Path | None,
         typer.Argument(
             metavar="TEST.toml",
-            help="Test file. Default: the built-in test.",
+            help="Test file, or name of a shipped test. Default: the built-in test.",
             show_default=False,
         ),
     ] = None,

@@ -34,7 +34,8 @@ def run(
         Path | None,
         typer.Argument(
             metavar="TEST.toml",
-            help="Test file. Default: the built-in test (Section 5, T = 0.5 s, El Centro).",
+            help="Test file, or name of a shipped test. Default: the built-in test (Section 5, "
+            "T = 0.5 s, El Centro).",
             show_default=False,
         ),
     ] = None,

@@ -40,7 +40,9 @@ def sweep(
     test: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[TEST.toml]", help="Test file. Default: the built-in test.", show_default=False
+            metavar="[TEST.toml]",
+            help="Test file, or name of a shipped test. Default: the built-in test.",
+            show_default=False,
         ),
     ] = None,
     rig: RigOption = None,

@@ -56,14 +56,14 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
     from an override, in the working directory) is returned as an absolute path.
 
     Args:
-        path: the TOML file.
+        path: the TOML file, or the name of a test that comes with the program.
         overrides: dotted key -> value as typed after ``--set``, for this file alone
             (see `split_overrides`).
 
     Raises:
         InputError: with every fault of the file and the overrides.
     """
-    overrides = overrides or {}
+    overrides, path = overrides or {}, find_test(path)
     test = parse_test(read_text(path, "test"), str(path), overrides)
 
     def found(value: str | None, key: str) -> str | None:
@@ -322,7 +322,7 @@ def _load_both(
     problems: list[Problem] = []
     test: TestFile | None = None
     rig_file: _Rig | None = None
-    test_path = test_path or builtin_test_path()
+    test_path = find_test(test_path) if test_path else builtin_test_path()
     try:
         test = load_test(test_path, test_settings)
     except InputError as error:
@@ -623,6 +623,18 @@ def _named(kind: Literal["rig", "test"], name: str) -> Path:
         f"give the path of a {kind} file, or one that comes with the program: {known}",
         where=kind,
     )
+
+
+def find_test(name_or_path: str | Path) -> Path:
+    """Return the file of a test given by path or by the name of a shipped one.
+
+    Raises:
+        InputError: a name that none has; a path is returned whether its file exists or not.
+    """
+    path = Path(name_or_path)
+    if path.suffix == ".toml" or len(path.parts) != 1 or path.exists():
+        return path
+    return shipped_test(str(name_or_path))
 
 
 def find_rig(name_or_path: str | None) -> Path:
