@@ -192,11 +192,11 @@ def told(change: dict[str, Any]) -> str:
 def test_a_class_that_is_not_there_is_refused_with_its_place() -> None:
     name = "with_: controller.python.class"
     found = told({"controller.type": "python", "controller.python": {"class": "own_parts:Nobody"}})
-    assert found.startswith(f'{name}: "own_parts:Nobody": own_parts has no Nobody')
+    assert found.startswith(f'{name}: "own_parts:Nobody": module own_parts has no Nobody')
     found = told({"controller.type": "python", "controller.python": {"class": "no_such:Law"}})
     assert "cannot be imported (No module named 'no_such')" in found
     found = told({"controller.type": "python", "controller.python": {"class": "own_parts:Spring"}})
-    assert '"own_parts:Spring" is no ControlLaw' in found
+    assert '"own_parts:Spring" is not a ControlLaw' in found
     found = told({"controller.type": "python", "controller.python": {"class": "my laws"}})
     assert 'the class must be the name of a module and of a class in it, "my_parts:Osc' in found
     found = told({"controller.type": "python"})
