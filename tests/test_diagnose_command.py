@@ -274,7 +274,7 @@ def test_without_a_force_the_specimen_is_not_said_to_lack_nothing(tmp_path, caps
 def test_a_slip_of_the_pen_in_a_model_is_said(tmp_path):
     text = cases.baseline().replace("moving_mass", "mass")
     d = diagnosed(tmp_path, cases.channels(), text)
-    assert any("specimen.mass (is moving_mass meant?)" in note for note in d.notes)
+    assert any("specimen.mass (did you mean moving_mass?)" in note for note in d.notes)
 
 
 def test_the_verdict_of_a_stop_is_a_sentence_of_the_laboratory(tmp_path, capsys):

@@ -251,7 +251,7 @@ def test_an_accelerometer_at_fault_is_said_and_no_witness_against_the_cell(tmp_p
     paths = on_ground(SEEDS[1], tmp_path, felt=lambda a, fs: 1.06 * late(a, 0.003, fs))
     d = diagnosed(paths)
     (note,) = [n for n in d.notes if n.startswith("a_meas ")]
-    told = re.fullmatch(r"a_meas is \+(.*) % larger and comes \+(.*) ms later than .*", note)
+    told = re.fullmatch(r"a_meas is \+(.*) % larger and is \+(.*) ms later than .*", note)
     assert told is not None
     assert float(told[1]) == pytest.approx(6.0, abs=0.5)
     assert float(told[2]) == pytest.approx(3.0, abs=0.15)

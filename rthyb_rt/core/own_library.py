@@ -354,6 +354,10 @@ class Trial:
     ill: bool
 
 
+class _RejectedError(CoreError):
+    """The part does not accept its settings."""
+
+
 def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_STEPS) -> Trial:
     """Run the trial of a ``rthyb_numerical``; arguments and errors as for `tried`."""
     found = ffi.new("rthyb_trial *")
@@ -364,7 +368,7 @@ def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_
             "could not be tried out: the operating system did not start a second process"
         )
     if found.ended == lib.RTHYB_TRIAL_REFUSED:
-        raise CoreError(f"rejected its settings (its init returned {found.number})")
+        raise _RejectedError(f"rejected its settings (its init returned {found.number})")
     if found.ended == lib.RTHYB_TRIAL_CRASHED:
         name = signal.Signals(found.number).name
         raise CoreError(
@@ -401,7 +405,7 @@ def tried(part: Any, steps: int = TRIAL_STEPS) -> Trial:
     try:
         return _try_out(slot, part.k_e_n_per_m, part.period_s, steps)
     except CoreError as error:
-        said = part.complaint() if "refuses" in str(error) and part.kind == "fmu" else ""
+        said = part.complaint() if isinstance(error, _RejectedError) and part.kind == "fmu" else ""
         said = f': it says "{said}"' if said else ""
         raise CoreError(f"{Path(part.path).name} {error}{said}") from error
     finally:
