@@ -255,7 +255,9 @@ def test_beginning_at_the_drives_samples_it_locks_within_a_second(
 @pytest.mark.parametrize(("rate_hz", "lead_us"), [(4096, 123.0), (2048, 245.0), (256, 1954.0)])
 def test_a_lead_of_more_than_half_a_period_is_refused(rate_hz: int, lead_us: float) -> None:
     loop.Phase(lead_us - 1.0, rate_hz)
-    with pytest.raises(core.CoreError, match=f"at {rate_hz} Hz; at this rate 10 to {5e5 / rate_hz:.1f} us"):
+    with pytest.raises(
+        core.CoreError, match=f"at {rate_hz} Hz; at this rate 10 to {5e5 / rate_hz:.1f} us"
+    ):
         loop.Phase(lead_us, rate_hz)
 
 
