@@ -151,7 +151,7 @@ def test_history_keeps_the_newest_rows_however_they_come() -> None:
     np.testing.assert_array_equal(at, np.arange(9000, 10000))
     np.testing.assert_array_equal(values, made[:, 9000:])
     assert history.size <= 2000
-    with pytest.raises(ValueError, match="rise"):
+    with pytest.raises(ValueError, match="positions must increase"):
         history.append(np.array([9999]), made[:, :1], states[:1])
 
 
