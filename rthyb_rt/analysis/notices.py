@@ -75,8 +75,7 @@ def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding])
         all_found: of the same test: one may be the cause of another.
     """
     beside: set[str] = {other.kind for other in all_found if other.meets(one)}
-    span = f"from {one.from_s:.1f} to {one.to_s:.1f} s"
-    allowed = f"at most {100.0 * one.allowed:g} % is allowed"
+    span, allowed = _span(one), _allowed(one)
     if one.kind == "response":
         return f"{_departed('The response', one)}; {_remedy_of_response(given, beside)}."
     if one.kind == "delay":
@@ -117,10 +116,17 @@ def axis_attention_in_words(axis: str, one: Finding, controller: str) -> str:
 
 def _departed(what: str, one: Finding) -> str:
     return (
-        f"{what} departed from the reference simulation: from {one.from_s:.1f} to "
-        f"{one.to_s:.1f} s the rms difference was {percent(one.value)} of the reference, at most "
-        f"{100.0 * one.allowed:g} % is allowed"
+        f"{what} departed from the reference simulation: {_span(one)} the rms difference was "
+        f"{percent(one.value)} of the reference, {_allowed(one)}"
     )
+
+
+def _span(one: Finding) -> str:
+    return f"from {one.from_s:.1f} to {one.to_s:.1f} s"
+
+
+def _allowed(one: Finding) -> str:
+    return f"at most {100.0 * one.allowed:g} % is allowed"
 
 
 def _remedy_of_response(given: Setup, beside: set[str]) -> str:

@@ -190,7 +190,7 @@ def summarize(rec: Recording) -> AxesSummary:
         samples.size,
         int(np.count_nonzero(samples["flags"] & FLAGS["lost"])),
         {name: int(np.count_nonzero(samples["flags"] & bit)) for name, bit in FLAGS.items()},
-        int(np.sum(rec.replay.skips[:, 1])) if rec.replay.skips.size else 0,
+        rec.replay.skipped_ticks,
         _not_finite_rows(rec, len(rig.axis)),
         tuple(judge.findings()),
         rec.fs_hz,

@@ -584,7 +584,7 @@ def summarize(rec: Recording) -> Summary:
         input_energy_j=None if input_j is None else float(np.max(input_j, initial=0.0)),
         clamped_rows=_clamped_rows(samples),
         flags={name: int(np.count_nonzero(flagged & bit)) for name, bit in FLAGS.items()},
-        skipped_ticks=int(np.sum(rec.replay.skips[:, 1])) if rec.replay.skips.size else 0,
+        skipped_ticks=rec.replay.skipped_ticks,
         not_finite_rows=int(np.count_nonzero(~np.isfinite(signals).all(axis=0))),
         attention=tuple(judge.findings()),
         ended_by=trips.found(rec, given),

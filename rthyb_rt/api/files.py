@@ -220,12 +220,7 @@ def _source(kind: Literal["test", "rig"], given: object) -> Path:
             "name of one that comes with the program; give tables as keyword arguments",
             kind.capitalize(),
         )
-    if kind == "test":
-        return config.find_test(Path(given))
-    path = Path(given)
-    if path.is_file() or path.suffix == ".toml" or len(path.parts) > 1:
-        return path
-    return config.shipped_rig(str(given))
+    return config.find(kind, given)
 
 
 def _nothing(kind: Literal["test", "rig"], example: str) -> InputError:

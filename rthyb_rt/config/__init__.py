@@ -11,6 +11,7 @@ from rthyb_rt.config.limits import Limit, Limits
 from rthyb_rt.config.loading import (
     builtin_test_path,
     check_values,
+    find,
     find_rig,
     find_test,
     frames_of_link,
@@ -64,6 +65,7 @@ __all__ = [
     "derived_limits",
     "dump",
     "dump_values",
+    "find",
     "find_rig",
     "find_test",
     "frames_of_link",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import stat
 import tomllib
@@ -631,10 +632,15 @@ def find_test(name_or_path: str | Path) -> Path:
     Raises:
         InputError: a name that none has; a path is returned whether its file exists or not.
     """
+    return find("test", name_or_path)
+
+
+def find(kind: Literal["rig", "test"], name_or_path: str | os.PathLike[str]) -> Path:
+    """Return a file given by path, or by the name of a shipped one; errors as for `find_test`."""
     path = Path(name_or_path)
-    if path.suffix == ".toml" or len(path.parts) != 1 or path.exists():
+    if path.is_file() or path.suffix == ".toml" or len(path.parts) > 1:
         return path
-    return shipped_test(str(name_or_path))
+    return _named(kind, str(name_or_path))
 
 
 def find_rig(name_or_path: str | None) -> Path:

@@ -13,7 +13,7 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import config, core, numbers
+from rthyb_rt import core, numbers
 from rthyb_rt.analysis import several, summary
 from rthyb_rt.analysis.attention import WINDOW_S, AxesJudge, Judge
 from rthyb_rt.analysis.notices import attention_in_words, axis_attention_in_words
@@ -140,7 +140,7 @@ class _Jury(Protocol):
     def add(self, rows: NDArray[np.void], reference: NDArray[np.float64] | None) -> None:
         """Take rows of the test proper, in order, with the reference simulation there."""
 
-    def told(self, *, over: bool) -> list[str]:
+    def in_words(self, *, over: bool) -> list[str]:
         """Return what is wrong so far, in sentences."""
 
 
@@ -151,7 +151,7 @@ class _OfOne:
         self._given, self._judge = given, Judge(summary.subject(given, fs_hz))
         self.add = self._judge.add
 
-    def told(self, *, over: bool) -> list[str]:
+    def in_words(self, *, over: bool) -> list[str]:
         found = self._judge.findings(over=over)
         return [attention_in_words(one, self._given, found) for one in found]
 
@@ -163,7 +163,7 @@ class _OfSeveral:
         self._judge, self._controller = judge, controller
         self.add = judge.add
 
-    def told(self, *, over: bool) -> list[str]:
+    def in_words(self, *, over: bool) -> list[str]:
         found = self._judge.findings(over=over)
         return [axis_attention_in_words(axis, one, self._controller) for axis, one in found]
 
@@ -468,7 +468,7 @@ class LiveSource:
         # Figures that change four times a second nobody can read, or have read out.
         now, (since, told) = time.monotonic(), self._attended
         if now - since >= WINDOW_S:
-            told = jury.told(over=self.state in ("IDLE", "TRIPPED"))
+            told = jury.in_words(over=self.state in ("IDLE", "TRIPPED"))
             self._attended = (now, told)
         return told
 
@@ -585,12 +585,6 @@ def _plain(values: NDArray[np.float32]) -> list[float | None]:
     return [None if np.isnan(value) else float(value) for value in values]
 
 
-def _tie_of(rec: Recording) -> Kinematics | None:
-    """Return what leads from the interface to several axes; None of one."""
-    rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
-    return rig.core_kinematics() if isinstance(rig, config.AxesRig) else None
-
-
 def _counter(label: str, value: object, alarm: bool = False) -> dict[str, Any]:
     return {"label": label, "value": str(value), "alarm": alarm}
 
@@ -678,7 +672,7 @@ class PastSource:
         self.fs_hz = rec.fs_hz
         self.history = History(samples.size)
         at = _positions(samples["tick"])
-        tie = _tie_of(rec) if rec.axis_names else None
+        tie = several.files(rec)[0].core_kinematics() if rec.axis_names else None
         self.history.append(at, channels(samples, tie), samples["state"].astype(np.uint8))
         self.zero = int(at[np.argmax(rec.running())])
         self._tally = Tally()

@@ -214,6 +214,11 @@ class ReplayData:
     tares: dict[str, float] = field(default_factory=dict)
     codec: bytes = b""
 
+    @property
+    def skipped_ticks(self) -> int:
+        """Ticks without a row."""
+        return int(np.sum(self.skips[:, 1])) if self.skips.size else 0
+
 
 @dataclass
 class Recording:
