@@ -11,7 +11,11 @@ import subprocess
 import sys
 import time
 import tomllib
+from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -297,6 +301,28 @@ def test_process_that_dies_loses_no_run_and_doubles_none(
     pools.locally(deadly([0] * 9 + [1] + [0] * 20), 2, "nothing", str(tmp_path), rows.append)
     assert sorted(row["case"] for row in rows) == list(range(30))
     assert {row["ending"] for row in rows} == {"completed"}
+
+
+def test_process_that_dies_while_the_next_run_is_handed_over_costs_no_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The pool learns of the death between two runs, and refuses the second one."""
+    handed: list[int] = []
+
+    class Dies(Executor):
+        def submit(self, function: Any, case: Case, *_: Any) -> Future[Row]:  # type: ignore[override]
+            handed.append(case.number)
+            if len(handed) == 4:
+                raise BrokenProcessPool
+            future: Future[Row] = Future()
+            future.set_result(case.identity() | {"ending": "completed", "cause": ""})
+            return future
+
+    monkeypatch.setattr(pools, "workers", lambda jobs: nullcontext(Dies()))
+    rows: list[Row] = []
+    pools.locally(deadly([0] * 6), 2, "nothing", "", rows.append)
+    assert sorted(row["case"] for row in rows) == list(range(6))
+    assert handed.count(3) == 2
 
 
 def test_run_that_kills_each_process_is_told_and_the_others_go_on(

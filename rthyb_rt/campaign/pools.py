@@ -117,8 +117,9 @@ def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) ->
             try:
                 while waiting or under_way:
                     while waiting and len(under_way) < AHEAD * jobs:
-                        case = waiting.pop()
-                        under_way[pool.submit(carry_out, case, keep, folder, program())] = case
+                        # A pool whose process has died refuses: the run stays in the queue.
+                        future = pool.submit(carry_out, waiting[-1], keep, folder, program())
+                        under_way[future] = waiting.pop()
                     ready, _ = wait(under_way, return_when=FIRST_COMPLETED)
                     for future in ready:
                         done(future.result())
