@@ -1,7 +1,7 @@
-"""The thin face of the C core: ndarrays and dataclasses in, ndarrays out.
+"""Python interface of the C core: ndarrays and dataclasses in, ndarrays out.
 
-Only this package and `rthyb_rt.record.ring` touch cffi. SI units throughout. What most of the
-program needs has its name here; ticker, loop, wire, signal tables and the numerical parts are
+Only this package and `rthyb_rt.record.ring` use cffi. SI units throughout. The names that most of
+the program needs are collected here; ticker, loop, wire, signal tables and the numerical parts are
 modules of their own.
 """
 
@@ -237,9 +237,9 @@ _MODULES = (
 
 
 def __getattr__(name: str) -> Any:
-    """Return what a module of the package calls so, which is loaded when it is first asked for.
+    """Return a public name of one of the modules, which is imported on first use.
 
-    A configuration is read without arrays: it needs `laws` and nothing else of the core.
+    Reading a configuration then needs only `laws`, without NumPy.
     """
     if name in __all__:
         for module in _MODULES:

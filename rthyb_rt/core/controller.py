@@ -76,12 +76,12 @@ class Controller:
 
     @property
     def x_cmd_m(self) -> float:
-        """Command for the next sample."""
+        """Compensated command for the next sample."""
         return float(self._c.axis[0].x_cmd)
 
     @property
     def commands_m(self) -> tuple[float, ...]:
-        """The same of every axis."""
+        """Compensated command of every axis for the next sample."""
         return tuple(self._c.axis[k].x_cmd for k in range(self.config.axis_count))
 
     @property
@@ -94,7 +94,7 @@ class Controller:
     ) -> tuple[int, int]:
         """Fill ``records`` with the next ticks against ``rig``.
 
-        ``excitation`` is the whole test's, (n_total,). Returns how many records were written
+        ``excitation`` covers the whole test, (n_total,). Returns how many records were written
         (fewer when a value was not finite) and the status bits seen.
         """
         if self.config.axis_count != 1:

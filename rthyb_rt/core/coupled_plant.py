@@ -1,4 +1,4 @@
-"""A virtual rig of several axes that feel one another (``csrc/coupled_plant.c``)."""
+"""A virtual rig of several coupled axes (``csrc/coupled_plant.c``)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def run_rows(
         Readings, (n, axes), and forces, (n, forces).
 
     Raises:
-        CoreError: the commands have another shape.
+        CoreError: the commands have the wrong shape.
     """
     given = doubles(x_p_m)
     if given.ndim != 2 or given.shape[1] != axes:
@@ -53,15 +53,15 @@ class CoupledPlantConfig:
     """Plant, sensors and specimen of a `CoupledPlant`.
 
     Attributes:
-        a, b, c: s[n+1] = a s[n] + b u[n], x[n] = c s[n], u the commands held from t_n on, m;
+        a, b, c: s[n+1] = a s[n] + b u[n], x[n] = c s[n], with u the commands held from t_n on, m;
             (states, states), (states, axes), (axes, states).
-        kinematics: of the axes; its settings are copied.
-        stroke_m: how far a command goes either way, one an axis.
-        noise_m: standard deviation of a reading, white, one an axis.
-        stiffness, damping, mass: forces of the specimen by the pose that is read, its velocity and
-            its acceleration, both by backward differences, (forces, axes) each.
-        seed: of the noise.
-        period_s: of a sample.
+        kinematics: kinematics of the axes; the settings are copied.
+        stroke_m: largest command in either direction, one per axis.
+        noise_m: standard deviation of the white noise of a reading, one per axis.
+        stiffness, damping, mass: factors from the measured pose, its velocity and its acceleration,
+            both by backward differences, to the specimen's forces, (forces, axes) each.
+        seed: seed of the noise.
+        period_s: sampling period.
     """
 
     a: FloatArray
@@ -77,7 +77,7 @@ class CoupledPlantConfig:
     period_s: float = PERIOD_S
 
     def struct(self) -> Any:
-        """Return the C struct; raises ``CoreError`` for shapes that do not go together."""
+        """Return the C struct; raises ``CoreError`` for inconsistent shapes."""
         axes, states, forces = len(self.noise_m), len(self.a), len(self.stiffness)
         shapes = {
             "a": (states, states),
@@ -124,7 +124,7 @@ class CoupledPlant:
         check(lib.rthyb_coupled_plant_init(self._c, config.struct()))
 
     def latch(self) -> tuple[FloatArray, FloatArray, int]:
-        """Return readings, m, (axes,), and forces, (forces,), of this instant; status bits."""
+        """Return readings, m, (axes,), forces, (forces,), of this instant and the status bits."""
         x, f = np.empty(self.axes), np.empty(self.forces)
         code = lib.rthyb_coupled_plant_latch(self._c, writing(x), writing(f))
         return x, f, int(code)
@@ -145,10 +145,10 @@ class CoupledPlant:
 
     @property
     def true_m(self) -> FloatArray:
-        """Displacements at the last latch without the sensors' noise, (axes,)."""
+        """Displacements at the last latch without sensor noise, (axes,)."""
         return np.array(list(self._c.true_m[0 : self.axes]))
 
     @property
     def pose(self) -> FloatArray:
-        """Interface coordinates at the last latch, as they were read, (axes,)."""
+        """Interface coordinates computed from the readings at the last latch, (axes,)."""
         return np.array(list(self._c.pose[0 : self.axes]))

@@ -34,7 +34,7 @@ class StateSpace:
 
     Attributes:
         a, b, c: (states, states), (states, axes), (axes, states); time in s, u and x in m.
-        stroke_m: how far a command goes either way, one an axis.
+        stroke_m: largest command in either direction, one per axis.
     """
 
     a: FloatArray
@@ -46,8 +46,8 @@ class StateSpace:
         """Return the members of the C struct, with u held over a period, s.
 
         Raises:
-            CoreError: shapes that do not go together, too many states, a plant that jumps with its
-                command.
+            CoreError: the shapes are inconsistent, there are too many states, or the plant has
+                direct feedthrough.
         """
         states, axes = len(self.a), len(self.stroke_m)
         shapes = {"a": (states, states), "b": (states, axes), "c": (axes, states)}
@@ -73,10 +73,10 @@ class StateSpace:
 
 
 def held_step(a: FloatArray, b: FloatArray, period_s: float) -> FloatArray:
-    """Return exp of [[a, b], [0, 0]] times a period: the step with the input held; square.
+    """Return exp of [[a, b], [0, 0]] times a period: the step with a held input; square.
 
     Raises:
-        CoreError: a number of it is not finite.
+        CoreError: a number in it is not finite.
     """
     n, width = b.shape
     z = np.zeros((n + width, n + width))
@@ -84,7 +84,7 @@ def held_step(a: FloatArray, b: FloatArray, period_s: float) -> FloatArray:
     if not np.isfinite(z).all():
         raise CoreError("the matrices of the plant contain a number that is not finite")
     z = z * 0.5**_HALVINGS
-    # exp - 1 is what is squared up: the 1 would swallow the digits of a small part.
+    # exp - 1 is squared repeatedly: adding the 1 would lose the digits of a small part.
     less = np.zeros_like(z)
     for term in range(_TERMS, 0, -1):
         less = z @ (np.eye(n + width) + less) / term
@@ -103,16 +103,16 @@ class CoupledRigConfig:
     """A virtual rig of several axes: actuators or a plant, specimen, sensors.
 
     Attributes:
-        kinematics: of the axes; its settings are copied.
+        kinematics: kinematics of the axes; the settings are copied.
         stiffness, damping, mass: of the specimen along the interface, symmetric, (axes, axes); in
-            N/m, N s/m and kg where a direction is in m, with moments and angles where it turns.
-        servos: one an axis, of any kind but servo-valve; none where there is a plant.
-        plant: instead of the servos.
-        elements: of the specimen, each with the number of the direction that it is in.
-        displacement, force: sensors, one an axis.
-        load_cell: where it is; a plant knows only the specimen.
-        seed: of the noise.
-        period_s: of a sample.
+            N/m, N s/m and kg for directions in m, with moments and angles for rotations.
+        servos: one per axis, of any kind but servo-valve; none if there is a plant.
+        plant: replaces the servos.
+        elements: elements of the specimen, each with the number of its direction.
+        displacement, force: sensors, one per axis.
+        load_cell: position of the load cells; a plant has only the specimen's forces.
+        seed: seed of the noise.
+        period_s: sampling period.
     """
 
     kinematics: Kinematics
@@ -130,11 +130,11 @@ class CoupledRigConfig:
 
     @property
     def axes(self) -> int:
-        """How many."""
+        """Number of axes."""
         return self.kinematics.size
 
     def struct(self) -> Any:
-        """Return the C struct; raises ``CoreError`` for shapes and counts that do not fit."""
+        """Return the C struct; raises ``CoreError`` for inconsistent shapes or counts."""
         n = self.axes
         self._check_counts()
         struct = ffi.new("rthyb_coupled_rig_config *")
@@ -192,7 +192,7 @@ class CoupledRig:
     def step(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray, int]:
         """Latch displacements, m, and forces, N, (axes,) each, then apply commands, (axes,).
 
-        The third is the status bits.
+        The third value is the status bits.
         """
         given, x, f = doubles(x_p_m), np.empty(self.axes), np.empty(self.axes)
         if given.shape != (self.axes,):
@@ -208,7 +208,7 @@ class CoupledRig:
         return run_rows(lib.rthyb_coupled_rig_run, self._c, x_p_m, self.axes, self.axes)
 
     def reseed(self) -> None:
-        """Begin the noise of the sensors anew, from the seed."""
+        """Restart the noise of the sensors from the seed."""
         lib.rthyb_coupled_rig_reseed(self._c)
 
     @property

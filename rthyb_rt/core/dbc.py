@@ -1,7 +1,7 @@
-"""The C core's table of a DBC file, for a drive that does not speak the frames of `hw/rthyb.dbc`.
+"""The C core's signal table from a DBC file, for a drive that does not use `hw/rthyb.dbc`.
 
-cantools reads the file, once; packing and unpacking are the core's. Signals are found by name; what
-each has to be like is in `ROLES`, and `docs/wire.md` tells how to bring a file into shape.
+cantools reads the file once; the core does the packing and unpacking. Signals are found by name;
+`ROLES` states the requirements on each, and `docs/wire.md` explains how to adapt a DBC file.
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ if TYPE_CHECKING:
     from cantools.database.can.signal import Signal
 
 NONE_NAME: Final = "not_a_number"
-"""In a signal's value table: the raw value by which a device says that it has no number."""
+"""Name, in a signal's value table, of the raw value that means "no number"."""
 
 RESET_NAME: Final = "reset"
 LEAVING_NAME: Final = "leaving"
-"""In the value table of ``state``: what a drive is told beside the controller's own states."""
+"""Names, in the value table of ``state``, of notices to the drive beyond the states."""
 
 OWN_STATES: Final = 8
-"""Raw values of ``state`` below this are the controller's own states."""
+"""Raw values of ``state`` below this one are the controller's own states."""
 
 EXACT_BITS: Final = 53
-"""Bits of a whole number that a double still holds."""
+"""Largest number of bits of an integer that a double represents exactly."""
 
 
 @dataclass(frozen=True)
 class Role:
-    """What the controller needs a signal for.
+    """The controller's use of a signal.
 
     Attributes:
-        field: its place in the table.
-        unit: SI unit of a value; ``None`` for a whole number without unit.
-        least_bits: fewest bits of a whole number; 0: the signal may be missing.
-        meaning: in words, for messages.
+        field: its field in the table.
+        unit: SI unit of its value; ``None`` for a dimensionless whole number.
+        least_bits: least number of bits of a whole number; 0: the signal may be missing.
+        meaning: description for messages.
     """
 
     field: int
@@ -79,31 +79,31 @@ def load(
 
     Args:
         path: the DBC file.
-        names: what a signal is called in the file where it is not the name in `ROLES`, as
-            ``{"x_cmd": "SetPos"}`` or, where several frames have it, ``{"x_cmd": "DRIVE.SetPos"}``.
-        reset_state: raw value of ``state`` by which the drive is reset after a stop of its own;
-            None: what the file's value table calls `RESET_NAME`, if anything.
+        names: names of signals that differ from those in `ROLES`: ``{"x_cmd": "SetPos"}`` or, if
+            several frames contain the signal, ``{"x_cmd": "DRIVE.SetPos"}``.
+        reset_state: raw value of ``state`` that resets the drive after a stop of its own; None: the
+            one that the file's value table calls `RESET_NAME`, if any.
 
     Raises:
-        InputError: with every fault at once: cantools missing, no such file, not a DBC, a signal
-            missing or ambiguous, of the wrong unit, kind or size, or multiplexed.
+        InputError: with all errors at once: cantools is missing, the file does not exist or is not
+            a DBC, a signal is missing or ambiguous, multiplexed, or has a wrong unit, type or size.
     """
     return _Reader(Path(path), names or {}, reset_state).codec()
 
 
 def extra(path: str | Path, codec: Codec, name: str) -> tuple[Any, bool]:
-    """Return where an extra channel is in the frames of a DBC file.
+    """Return where an extra channel is located in the frames of a DBC file.
 
     Args:
         path: the DBC file.
-        codec: that `load` has made of it.
+        codec: the codec that `load` returned for it.
         name: the signal, as ``Signal`` or ``FRAME.Signal``.
 
     Returns:
         Its ``rthyb_signal``, in the unit of the file, and whether it is in the force frame.
 
     Raises:
-        InputError: there is no such signal in a feedback frame, or it is of no use.
+        InputError: no feedback frame contains such a signal, or it cannot be used.
     """
     reader = _Reader(Path(path), {}, None)
     frame, _, wanted = name.rpartition(".")
@@ -141,7 +141,7 @@ class _Reader:
         self.found: set[str] = set()
 
     def codec(self) -> Codec:
-        """Build the table, or raise with all that is wrong."""
+        """Build the table, or raise an error that lists everything wrong."""
         for role in self.names:
             if role not in ROLES:
                 allowed = ", ".join(ROLES)
@@ -176,14 +176,14 @@ class _Reader:
         return Codec(struct)
 
     def fault(self, where: str, message: str) -> None:
-        """Note a fault of the file, or of the signal or frame ``where``."""
+        """Record an error of the file, or of the signal or frame ``where``."""
         place = f"{self.path.name}: {where}" if where else self.path.name
         problem = Problem(place, message)
         if problem not in self.problems:
             self.problems.append(problem)
 
     def name(self, role: str) -> tuple[str, str]:
-        """Return frame name, or "", and signal name of a role."""
+        """Return frame name, or "", and signal name for a role."""
         frame, _, signal = self.names.get(role, role).rpartition(".")
         return frame, signal
 
@@ -254,17 +254,17 @@ class _Reader:
             self.fill_value(c.field[needed.field], signal, needed, where)
 
     def fill_rest(self, c: Any, message: Message) -> None:
-        """Give signals that the controller does not know their start values."""
+        """Set signals that the controller does not use to their start values."""
         start = {s.name: s.raw_initial or 0 for s in message.signals}
         try:
             data = message.encode(start, scaling=False, strict=False)
-        except Exception as error:  # whatever packs the bits has errors of its own
+        except Exception as error:  # the packing library raises errors of its own
             self.fault(message.name, f"a start value does not fit its signal: {error}")
             return
         ffi.memmove(c.fill, data, len(data))
 
     def fill_notices(self, struct: Any, message: Message) -> None:
-        """Note by which raw states the drive is reset, and left."""
+        """Set the raw states for resetting and leaving the drive."""
         signal = next((s for s in message.signals if s.name == self.name("state")[1]), None)
         if signal is None:
             return
@@ -308,7 +308,7 @@ class _Reader:
         self.fill_number(c, signal, self.unit_factor(signal, role, where), where)
 
     def fill_number(self, c: Any, signal: Signal, factor: float, where: str) -> None:
-        """Give a number its place, range and scale, factor times that of the file."""
+        """Set position, range and scale of a number; ``factor`` multiplies the file's scale."""
         bits = (32, 64) if signal.is_float else range(1, EXACT_BITS + 1)
         if signal.length not in bits:
             allowed = "32 or 64 as a float" if signal.is_float else f"1 to {EXACT_BITS}"
@@ -358,10 +358,10 @@ def _parse(path: Path) -> Database:
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError:
-        text = content.decode("cp1252", errors="replace")  # as most tools write it
+        text = content.decode("cp1252", errors="replace")  # the encoding of most tools
     try:
         return cantools.database.load_string(text, database_format="dbc")
-    except Exception as error:  # cantools has no common base for what a damaged file raises
+    except Exception as error:  # cantools has no common base class for errors in damaged files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(
             f"is not a DBC file that cantools can read: {reason}", str(path)
@@ -377,7 +377,7 @@ def _fill_place(c: Any, signal: Signal) -> None:
 
 
 def _width(signal: Signal) -> tuple[float, float]:
-    """Return the least and greatest raw value that the signal's bits can hold."""
+    """Return the smallest and largest raw value that the signal's bits can hold."""
     if signal.is_float:
         return -float("inf"), float("inf")
     if signal.is_signed:
@@ -386,7 +386,7 @@ def _width(signal: Signal) -> tuple[float, float]:
 
 
 def _raw_range(signal: Signal) -> tuple[float, float]:
-    """Return the range of a signal as raw values; a missing end is infinite."""
+    """Return the range of a signal as raw values; a missing bound is infinite."""
     ends = [-float("inf"), float("inf")]
     for i, end in enumerate((signal.minimum, signal.maximum)):
         if end is not None:

@@ -1,4 +1,4 @@
-"""The compiled simulators of the diagnosis: an actuator along its command, a body under a force."""
+"""The diagnosis' compiled simulators: an actuator along its command, a body under a force."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ Hold = Literal["zoh", "foh"]
 
 
 class SimulationError(RthybError, ValueError):
-    """A simulator refused its settings, or ran off."""
+    """A simulator rejected its settings, or its motion diverged."""
 
 
 @dataclass(frozen=True)
 class ActuatorModel:
-    """``gain exp(-delay s) w^2 / (s^2 + 2 zeta w s + w^2)``, and what may be wrong with it.
+    """``gain exp(-delay s) w^2 / (s^2 + 2 zeta w s + w^2)``, with imperfections.
 
     Attributes:
         delay_s, f_hz, zeta, gain: the linear part.
-        shift_s: of the command against the rows, beside the delay.
-        kappa_s2_m: delay that comes with each m/s; of the command's velocity, or the actuator's.
-        vmax_m_s: 0 for none; of the command, or of the actuator itself.
-        jumps: it jumps from row to row and has the velocity of its last step, as the virtual rig's
-            pure delay.
-        delay_tol_s: one standard deviation of the delay, s; None: not stated, free to refit.
+        shift_s: shift of the command relative to the rows, in addition to the delay.
+        kappa_s2_m: additional delay per m/s; of the command's velocity, or the actuator's.
+        vmax_m_s: velocity limit of the command, or of the actuator itself; 0 for none.
+        jumps: whether it moves in steps from row to row and has the velocity of its last step, like
+            the virtual rig's pure delay.
+        delay_tol_s: standard deviation of the delay, s; None: not stated, so it is fitted freely.
         f_tol, zeta_tol, gain_tol: of the others, relative to the value; None as above.
     """
 
@@ -81,13 +81,13 @@ def actuator(
     fs_hz: float,
     before: tuple[float, ActuatorModel] | None = None,
 ) -> Motion:
-    """Return the motion of an actuator along commands of shape (n,), m, from rest at the first.
+    """Return an actuator's motion along commands of shape (n,), m, starting at rest at the first.
 
     Args:
         model: the actuator.
         x_cmd_m: command, (n,), m.
         fs_hz: rows per second.
-        before: what it was up to a row, which need not be whole; place and velocity go on there.
+        before: actuator up to a row, which may be fractional; displacement and velocity continue.
 
     Raises:
         SimulationError: a setting is out of range, or the motion diverged.
@@ -140,7 +140,7 @@ def body(
     """Return the motion of ``mass a + elements = force`` under a force of shape (n,), N.
 
     Raises:
-        SimulationError: no mass, or the motion diverged.
+        SimulationError: the mass is not positive, or the motion diverged.
         core.CoreError: an element's parameter is out of range.
     """
     model = ffi.new(
@@ -170,7 +170,7 @@ def body(
 
 
 def play(half_m: float, x_m: Floats) -> Floats:
-    """Return what follows ``x_m`` of shape (n,) behind a play of ±``half_m``, m."""
+    """Return the motion behind a backlash of ±``half_m`` driven by ``x_m`` of shape (n,), m."""
     x = np.ascontiguousarray(x_m, dtype=np.float64)
     y = np.empty_like(x)
     if lib.rthyb_simulate_play(half_m, _in(x), x.size, _out(y)):
@@ -179,7 +179,7 @@ def play(half_m: float, x_m: Floats) -> Floats:
 
 
 def iwan(yield_m: Floats, share: Floats, x_m: Floats) -> Floats:
-    """Return the plastic displacement of parallel springs that yield one by one, (n,), m."""
+    """Return the plastic displacement of parallel springs that yield in turn, (n,), m."""
     x = np.ascontiguousarray(x_m, dtype=np.float64)
     f = np.empty_like(x)
     y = np.ascontiguousarray(yield_m, dtype=np.float64)

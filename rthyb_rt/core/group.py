@@ -218,7 +218,7 @@ def axis_channels(config: ControllerConfig) -> tuple[Channel, ...]:
     return tuple(found)
 
 
-# ---- written down, and back ----------------------------------------------------------------------
+# ---- saved and restored --------------------------------------------------------------------------
 
 GROUP: Final = ("axes", "interfaces", "kinematics", "matrix_lead", "matrix_rfc")
 

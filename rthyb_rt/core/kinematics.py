@@ -1,7 +1,7 @@
 """Displacements of several actuators from those of the interface, and back.
 
-Up to `AXES_MAX` axes act on one specimen, whose motion is told in interface coordinates: as many as
-axes. They are tied by a constant matrix, or by pins on a stiff coupler and bases, exactly.
+Up to `AXES_MAX` axes act on one specimen, whose motion is described by as many interface
+coordinates. A constant matrix relates them, or, exactly, pins on a rigid coupler and its bases.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rthyb_rt.core.library import (
 )
 
 AXES_MAX: Final = int(lib.RTHYB_COUPLED_MAX)
-"""Axes at one specimen."""
+"""Largest number of axes at one specimen."""
 
 Coordinate = Literal["x", "y", "theta"]
 COORDINATES: Final = words("rthyb_coordinate", "RTHYB_COORDINATE_")
@@ -37,11 +37,11 @@ class Pin:
     """One axis between its base and its pin on the coupler.
 
     Attributes:
-        pin_m: where its pin is at rest, x and y from the point whose motion the interface is, m.
-        base_m: where its base is, likewise; ``far``: the direction from base to pin instead, of any
+        pin_m: position of its pin at rest, x and y from the interface's reference point, m.
+        base_m: position of its base, likewise; with ``far``, the direction from base to pin, of any
             length.
         far: the base is so far away that the axis never turns.
-        pulls: the axis counts its shortening as positive.
+        pulls: the axis counts shortening as positive.
     """
 
     pin_m: tuple[float, float]
@@ -51,16 +51,16 @@ class Pin:
 
 
 class Kinematics:
-    """Interface coordinates and axes of one specimen; a pose is found from the last one.
+    """Interface coordinates and axes of one specimen; each pose is found from the previous one.
 
     Args:
-        matrix: axes = matrix times pose, square, one row an axis.
-        pins: instead of it, one for each axis.
-        coordinates: with pins, the coordinates of the interface; those not named stay 0.
+        matrix: axes = matrix times pose, square, one row per axis.
+        pins: alternative to ``matrix``, one per axis.
+        coordinates: with pins, the coordinates of the interface; all others stay 0.
 
     Raises:
-        CoreError: axes that leave a coordinate free, a pin in its own base, a coordinate twice,
-            not as many coordinates as axes, or more than `AXES_MAX` of them.
+        CoreError: the axes leave a coordinate undetermined, a pin is at its own base, a coordinate
+            is repeated, or there are not as many coordinates as axes, or more than `AXES_MAX`.
     """
 
     def __init__(
@@ -83,12 +83,12 @@ class Kinematics:
         check(lib.rthyb_kinematics_init(self._c, ffi.new("rthyb_kinematics_config *", settings)))
 
     def plain(self) -> dict[str, Any]:
-        """Return what it was made of as plain values, for a recording: `of` takes them back."""
+        """Return the settings as plain values for a recording; `of` restores them."""
         return dict(self._given_as)
 
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Kinematics:
-        """Return the kinematics that `plain` has written down; raises ``CoreError``."""
+        """Return the kinematics that `plain` described; raises ``CoreError``."""
         pins = [
             Pin(tuple(pin["pin_m"]), tuple(pin["base_m"]), bool(pin["far"]), bool(pin["pulls"]))
             for pin in plain["pins"]
@@ -97,28 +97,28 @@ class Kinematics:
 
     @property
     def struct(self) -> Any:
-        """The C struct, for other faces of the core."""
+        """The C struct, for other interfaces of the core."""
         return self._c
 
     def axes(self, pose: npt.ArrayLike) -> tuple[FloatArray, int]:
-        """Return axis displacements, m, of the shape of ``pose``, (size,) or (n, size).
+        """Return axis displacements, m, with the shape of ``pose``, (size,) or (n, size).
 
-        The second is the status bits: a value that is not a number or implausible is replaced by
-        the last good one.
+        The second value is the status bits: a value that is not a number or implausible is replaced
+        by the last good one.
         """
         return self._run(lib.rthyb_kinematics_axes_run, pose)
 
     def pose(self, axis_m: npt.ArrayLike) -> tuple[FloatArray, int]:
-        """Return interface coordinates of the shape of ``axis_m``, (size,) or (n, size); status.
+        """Return interface coordinates with the shape of ``axis_m``, (size,) or (n, size); status.
 
-        Two steps of Newton a row, each from the pose of the row before.
+        Two Newton steps per row, each starting at the pose of the previous row.
         """
         return self._run(lib.rthyb_kinematics_pose_run, axis_m)
 
     def forces(self, axis_n: npt.ArrayLike) -> tuple[FloatArray, int]:
         """Return forces, N, and moments, N m, along the coordinates, (size,); status bits.
 
-        Transposed Jacobian at the last pose that was found, by forces of the axes, (size,).
+        Uses the transposed Jacobian at the last pose and the forces of the axes, (size,).
         """
         force, out = self._given(axis_n), np.empty(self.size)
         if force.shape != (self.size,):
@@ -130,7 +130,7 @@ class Kinematics:
         return out, int(code)
 
     def jacobian(self) -> FloatArray:
-        """Return d axis / d pose at the last pose that was found, (size, size)."""
+        """Return d axis / d pose at the last pose, (size, size)."""
         out = np.empty(self.size**2)
         lib.rthyb_kinematics_jacobian(self._c, writing(out))
         return out.reshape(self.size, self.size)

@@ -1,7 +1,7 @@
-"""The control laws that the core has, as their own tables describe them.
+"""The control laws of the core, as described by their own tables.
 
-A law is a file ``csrc/law_NAME.c``; what it is called, what it can be told and what it reports
-stand there alone. Settings, messages, documentation and figures take their words from here.
+Each law is a file ``csrc/law_NAME.c``, the only place that defines its name, its settings and the
+values that it reports. Settings, messages, documentation and figures take their texts from there.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ class Parameter:
     """One setting of a control law.
 
     Attributes:
-        key: of a test file, below ``[controller]``; a point stands between table and key.
-        unit: SI; "" of a plain number.
-        low, high: what is allowed, without the bound itself where ``open_low``, ``open_high``.
-        default: without a word in the file; None: the file or the rig must say it.
-        meaning: what it is, as the beginning of a sentence.
-        rig_key: of a rig file, which has it when the test does not.
-        words: how a summary says it, ``{}`` for the number.
+        key: key in a test file below ``[controller]``, with a point between table and key.
+        unit: SI unit; "" for a dimensionless number.
+        low, high: allowed range; ``open_low`` and ``open_high`` exclude the bound itself.
+        default: value if the file gives none; None: the test file or the rig file must give it.
+        meaning: description, worded as the beginning of a sentence.
+        rig_key: key in a rig file, which applies if the test file does not give the value.
+        words: text for summaries, with ``{}`` for the number.
     """
 
     key: str
@@ -54,15 +54,15 @@ class Law:
     """A control law.
 
     Attributes:
-        name: ``controller.type``.
-        meaning: in one line.
-        calmer: what to do when it learns wrongly; None: it does not learn.
-        parameters: in the order that the core wants them.
-        values: what it reports; alpha and beta go into the record.
-        uses_rest_noise: it must know the noise at rest.
-        with_rfc: it is made to run with the restoring-force compensator; laws of others were
-            published without.
-        kind: its place in this program's list, and in no other's.
+        name: value of ``controller.type``.
+        meaning: description in one line.
+        calmer: what to change when it learns wrongly; None: it does not learn.
+        parameters: settings in the order of the core.
+        values: values that it reports; alpha and beta are stored in the record.
+        uses_rest_noise: whether it needs the noise at rest.
+        with_rfc: whether it is designed for use with the restoring-force compensator; other laws
+            were published without one.
+        kind: its number in this version of the program only.
         state_bytes: size of its state.
     """
 
@@ -78,27 +78,27 @@ class Law:
 
     @property
     def learns(self) -> bool:
-        """Whether anything in it changes while a test runs."""
+        """Whether the law changes while a test runs."""
         return self.calmer is not None
 
     def parameter(self, key: str) -> Parameter | None:
-        """Return the setting of that key, if it has one."""
+        """Return the setting with this key, or None."""
         return next((p for p in self.parameters if p.key == key), None)
 
     def value(self, name: str) -> Value | None:
-        """Return what it reports by that name, if it does."""
+        """Return the reported value with this name, or None."""
         return next((v for v in self.values if v.name == name), None)
 
     @property
     def beside(self) -> tuple[Value, ...]:
-        """What it reports beside alpha and beta, which have their places in the record."""
+        """Values reported in addition to alpha and beta, which have fields in the record."""
         return tuple(value for value in self.values if value.name not in ("alpha", "beta"))
 
     def ordered(self, given: Mapping[str, float]) -> list[float]:
-        """Return all settings in the core's order, defaults where nothing is given.
+        """Return all settings in the core's order, with defaults for those not given.
 
         Raises:
-            ValueError: it has no such setting, or there is none by default.
+            ValueError: a setting is unknown, or one without a default is missing.
         """
         unknown = sorted(set(given) - {p.key for p in self.parameters})
         if unknown:
@@ -113,14 +113,14 @@ class Law:
         return [float(value) for value in values if value is not None]
 
     def complaint(self, values: Sequence[float], period_s: float) -> tuple[str, str] | None:
-        """Return what settings, each within its range, do wrong together.
+        """Return what is wrong with a combination of settings that are each within range.
 
         Args:
-            values: in the core's order.
+            values: settings in the core's order.
             period_s: sampling period.
 
         Returns:
-            The key to blame and the reason, or None.
+            The key to report and the reason, or None.
         """
         why = ffi.new("rthyb_law_complaint *")
         at = lib.rthyb_law_check(self.kind, ffi.new("double[]", list(values)), period_s, why)
@@ -176,7 +176,7 @@ LAWS: Final[dict[str, Law]] = {
 
 
 def law_value(law: str | None, name: str) -> Value | None:
-    """Return what a law reports by a name; for a law that this version has not, what others do."""
+    """Return a value by name; for a law unknown to this version, as other laws define it."""
     known = LAWS.get(law or "")
     if known is not None:
         return known.value(name)
@@ -184,7 +184,7 @@ def law_value(law: str | None, name: str) -> Value | None:
 
 
 def parameters() -> dict[str, list[tuple[Law, Parameter]]]:
-    """Return every setting that some law takes, by its key, with the laws that take it."""
+    """Return every setting of all laws by key, with the laws that have it."""
     found: dict[str, list[tuple[Law, Parameter]]] = {}
     for law in LAWS.values():
         for parameter in law.parameters:

@@ -1,4 +1,4 @@
-"""What all Python interfaces of the core need: enumerations, error messages, passing of arrays."""
+"""Shared helpers of all Python interfaces of the core: enumerations, error messages, arrays."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def members(enum: str, prefix: str) -> dict[str, int]:
 
 
 def words(enum: str, prefix: str) -> dict[str, int]:
-    """Return the same in lower case, without the member that counts the others."""
+    """Return the same in lower case, without the member that gives the count."""
     own = {name.lower(): value for name, value in members(enum, prefix).items()}
     return {name: value for name, value in own.items() if name not in ("count", "kinds")}
 
 
 def options(enum: str, prefix: str) -> dict[str, int]:
-    """Return the same as files write them, with hyphens."""
+    """Return the same as written in files, with hyphens."""
     return {name.replace("_", "-"): value for name, value in words(enum, prefix).items()}
 
 
@@ -64,11 +64,11 @@ _REFUSED: Final[dict[int, str]] = {
 
 
 class CoreError(RthybError, ValueError):
-    """The core rejected a setting; the message says which kind."""
+    """The core rejected a setting; the message says which."""
 
 
 class LibraryMissing(CoreError):
-    """A package that the structure needs is not installed; the message says how to get it."""
+    """A package that the structure needs is not installed; the message says how to install it."""
 
 
 def status_names(code: int) -> list[str]:
@@ -82,7 +82,7 @@ def version() -> str:
 
 
 def build_facts() -> dict[str, str]:
-    """Return what bit-identical replay depends on: the core's sources, compiler, architecture."""
+    """Return what bit-identical replay depends on: source hash, compiler, architecture."""
     return {
         "core_version": version(),
         "core_sources": text_of(lib.rthyb_source_hash()),
@@ -91,7 +91,7 @@ def build_facts() -> dict[str, str]:
     }
 
 
-# ---- crossing the boundary ----------------------------------------------------------------------
+# ---- conversions -------------------------------------------------------------------------------
 
 
 def text_of(c_string: Any) -> str:
@@ -131,7 +131,7 @@ def writing(array: FloatArray) -> Any:
 
 
 def numbers_of(struct: Any, skip: tuple[str, ...] = ()) -> dict[str, float | int]:
-    """Return the scalar fields of a struct, arrays spread over indexed names."""
+    """Return the scalar fields of a struct; each array element gets an indexed name."""
     numbers: dict[str, float | int] = {}
     for name, description in ffi.typeof(struct[0]).fields:
         if name in skip:

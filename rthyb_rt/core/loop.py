@@ -712,7 +712,7 @@ class Drive:
 
     @property
     def latched(self) -> bool:
-        """Whether it has stopped by itself and needs a reset to follow; readable at any time."""
+        """Whether it has stopped on its own and needs a reset to follow; readable at any time."""
         return bool(self._c.latched)
 
     @property

@@ -1,5 +1,5 @@
-"""Compensation of several actuators that feel one another: matrices of gain, delay and curvature
-before an inverse of the axes as they were identified (``csrc/matrix_lead.c``)."""
+"""Compensation of several coupled actuators: matrices of gain, delay and curvature, followed by
+an inverse of the identified axes (``csrc/matrix_lead.c``)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Complexes = npt.NDArray[np.complex128]
 
 TERMS: Final = ("gain", "delay", "curvature")
 POLES_MAX: Final = int(lib.RTHYB_MATRIX_POLES)
-"""Of the inverse."""
+"""Largest number of poles of the inverse."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class MatrixInverse:
     """C(z) = C_0 + sum of C_k (1 - 1/z) / (1 - rho_k / z), rho_k = exp(-2 pi f_k h).
 
     Attributes:
-        pole_hz: f_k.
-        coefficients: C_0, then C_k, (1 + poles, axes, axes); rows are commands.
+        pole_hz: the frequencies f_k.
+        coefficients: C_0, then all C_k, (1 + poles, axes, axes); rows are commands.
     """
 
     pole_hz: tuple[float, ...]
@@ -43,7 +43,7 @@ class MatrixInverse:
     def shapes(
         f_hz: npt.ArrayLike, pole_hz: Sequence[float], period_s: float = PERIOD_S
     ) -> Complexes:
-        """Return what the coefficients are multiplied by at frequencies, (n, 1 + poles)."""
+        """Return the factors of the coefficients at frequencies, (n, 1 + poles)."""
         back = np.exp(-2j * np.pi * np.atleast_1d(np.asarray(f_hz, np.float64)) * period_s)
         rho = np.exp(-2.0 * np.pi * np.asarray(pole_hz, np.float64) * period_s)
         moving = (1.0 - back[:, None]) / (1.0 - back[:, None] * rho)
@@ -55,17 +55,17 @@ class MatrixLeadConfig:
     """Settings of a `MatrixLead`.
 
     Attributes:
-        rest_noise_m: standard deviation of each axis at rest, one an axis: their number.
-        inverse: of the axes; None: there is none, C = 1.
-        coupled: the matrices have numbers beside the diagonal.
-        roll_off_hz: of the lead behind gain, delay and curvature.
-        cutoff_hz: of the filter pair that learning sees the signals through.
-        gate_factor: learn only while an axis moves with so many times the power of its noise.
-        memory_s: a sample's weight falls to 1/e in this time.
-        gain_sigma, delay_sigma_s, curvature_sigma_s2: standard deviation of where a term begins.
-        gain_most, delay_most_s: bounds of every number of the matrices, either way.
-        first: gain less 1, delay (s) and curvature (s^2) at the beginning, (3, axes, axes); None: 0
-        period_s: of a sample.
+        rest_noise_m: standard deviation of each axis at rest; its length is the number of axes.
+        inverse: inverse of the axes; None: C = 1.
+        coupled: whether the matrices have off-diagonal terms.
+        roll_off_hz: roll-off of the lead behind gain, delay and curvature.
+        cutoff_hz: cut-off of the filter pair through which learning sees the signals.
+        gate_factor: learn only while an axis moves with this many times the power of its noise.
+        memory_s: time in which a sample's weight falls to 1/e.
+        gain_sigma, delay_sigma_s, curvature_sigma_s2: standard deviation of a term's initial value.
+        gain_most, delay_most_s: largest magnitude of every entry of the matrices.
+        first: initial gain less 1, delay (s) and curvature (s^2), (3, axes, axes); None: 0.
+        period_s: sampling period.
     """
 
     rest_noise_m: tuple[float, ...]
@@ -85,11 +85,11 @@ class MatrixLeadConfig:
 
     @property
     def size(self) -> int:
-        """How many axes."""
+        """Number of axes."""
         return len(self.rest_noise_m)
 
     def struct(self) -> Any:
-        """Return the C struct; raises ``CoreError`` for shapes that do not go together."""
+        """Return the C struct; raises ``CoreError`` for inconsistent shapes."""
         n = self.size
         if not 1 <= n <= AXES_MAX:
             raise CoreError(
@@ -128,15 +128,15 @@ class MatrixLeadConfig:
 
 
 class MatrixLead:
-    """A compensation of several axes at work.
+    """A running compensation of several axes.
 
     Args:
         config: its settings.
-        x0_m: where each axis is at rest; None: at 0.
+        x0_m: initial displacement of each axis at rest; None: 0.
 
     Raises:
-        CoreError: a setting out of range, or an inverse of which the axes as they were fitted
-            would be unstable.
+        CoreError: a setting is out of range, or the inverse would make the axes, as identified,
+            unstable.
     """
 
     def __init__(self, config: MatrixLeadConfig, x0_m: npt.ArrayLike | None = None) -> None:
@@ -146,18 +146,19 @@ class MatrixLead:
         check(lib.rthyb_matrix_lead_init(self._c, config.struct(), reading(at)))
 
     def rest(self, x_m: npt.ArrayLike) -> None:
-        """Stand still at a place, (axes,); what has been learnt stays."""
+        """Come to rest at displacements, (axes,); what has been learnt is kept."""
         lib.rthyb_matrix_lead_rest(self._c, reading(self._row(x_m)))
 
     def observe(self, x_p_m: npt.ArrayLike, x_m_m: npt.ArrayLike, frozen: bool = False) -> int:
-        """Take the newest commands and readings in, (axes,) each; return the status bits."""
+        """Process the newest commands and readings, (axes,) each; return the status bits."""
         p, m = self._row(x_p_m), self._row(x_m_m)
         return int(lib.rthyb_matrix_lead_observe(self._c, reading(p), reading(m), frozen))
 
     def lead(self, x_c_m: npt.ArrayLike, allowed_m: float = float("inf")) -> tuple[FloatArray, int]:
         """Return x_p, (axes,), for the same instant as ``x_c_m``, (axes,), and the status bits.
 
-        ``allowed_m``: as far as what was learnt since the last call may move a command.
+        ``allowed_m``: largest change of a command that may result from learning since the last
+        call.
         """
         out = np.empty(self.config.size)
         code = lib.rthyb_matrix_lead_lead(
@@ -166,7 +167,7 @@ class MatrixLead:
         return out, int(code)
 
     def run(self, x_c_m: npt.ArrayLike) -> FloatArray:
-        """Return x_p along commands, (n, axes) both, without learning."""
+        """Return x_p along commands, both (n, axes), without learning."""
         given = doubles(x_c_m)
         if given.ndim != 2 or given.shape[1] != self.config.size:
             raise CoreError(
@@ -181,17 +182,17 @@ class MatrixLead:
 
     @property
     def matrices(self) -> FloatArray:
-        """Gain, delay (s) and curvature (s^2) as the command has them, (3, axes, axes)."""
+        """Gain, delay (s) and curvature (s^2) that the command uses, (3, axes, axes)."""
         return self._terms(self._c.used) + np.eye(self.config.size) * [[[1.0]], [[0.0]], [[0.0]]]
 
     @property
     def learnt(self) -> FloatArray:
-        """The same as they were learnt last, (3, axes, axes)."""
+        """Gain, delay (s) and curvature (s^2) as last learnt, (3, axes, axes)."""
         return self._terms(self._c.learnt) + np.eye(self.config.size) * [[[1.0]], [[0.0]], [[0.0]]]
 
     @property
     def learning(self) -> bool:
-        """Whether the last pair was learnt from."""
+        """Whether the law learnt from the last pair."""
         return bool(self._c.open)
 
     def _terms(self, struct: Any) -> FloatArray:

@@ -20,13 +20,13 @@ class MatrixRfcConfig:
 
     Attributes:
         k_e: elastic stiffness, symmetric and positive definite, (size, size).
-        rest_noise: standard deviation of each coordinate at rest, (size,): while it has moved by no
-            more than four times that within the memory, its stiffness is the elastic one.
-        memory_s: a sample's weight falls to 1/e in this time.
-        cutoff_hz: of the low-pass on x_c - x_m; 0 for none.
-        lateness_s: of the forces behind x_m.
+        rest_noise: standard deviation of each coordinate at rest, (size,): while a coordinate has
+            moved by at most four times that within the memory, its stiffness is the elastic one.
+        memory_s: time in which a sample's weight falls to 1/e.
+        cutoff_hz: cut-off of the low-pass filter on x_c - x_m; 0 for none.
+        lateness_s: delay of the forces behind x_m.
         enabled: whether forces are changed at all.
-        period_s: of a sample.
+        period_s: sampling period.
     """
 
     k_e: FloatArray
@@ -39,11 +39,11 @@ class MatrixRfcConfig:
 
     @property
     def size(self) -> int:
-        """How many coordinates."""
+        """Number of coordinates."""
         return len(self.rest_noise)
 
     def struct(self) -> Any:
-        """Return the C struct; raises ``CoreError`` for shapes that do not go together."""
+        """Return the C struct; raises ``CoreError`` for inconsistent shapes."""
         given = np.asarray(self.k_e, np.float64)
         if not 1 <= self.size <= AXES_MAX or given.shape != (self.size, self.size):
             raise CoreError(
@@ -64,15 +64,15 @@ class MatrixRfcConfig:
 
 
 class MatrixRfc:
-    """A restoring-force compensator of several coordinates at work.
+    """A running restoring-force compensator of several coordinates.
 
     Args:
         config: its settings.
-        x0: where the coordinates are at rest, (size,); None: at 0.
-        f0: with which forces, likewise.
+        x0: initial coordinates at rest, (size,); None: 0.
+        f0: forces at rest, likewise.
 
     Raises:
-        CoreError: a setting out of range, or an elastic stiffness that is none.
+        CoreError: a setting is out of range, or ``k_e`` is not a valid stiffness matrix.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class MatrixRfc:
 
     @property
     def k(self) -> FloatArray:
-        """Present tangent stiffness, (size, size): symmetric, between 0 and k_e."""
+        """Current tangent stiffness, (size, size): symmetric, between 0 and k_e."""
         rows = range(self.size)
         return np.array([[self._c.k[i][j] for j in rows] for i in rows])
 
@@ -117,7 +117,7 @@ class MatrixRfc:
         f: npt.ArrayLike,
         v_c: npt.ArrayLike | None = None,
     ) -> tuple[FloatArray, FloatArray]:
-        """Return forces, (n, size), and tangent stiffness, (n, size, size), along rows of all."""
+        """Return forces, (n, size), and tangent stiffness, (n, size, size), for each row."""
         c, m, own = doubles(x_c), doubles(x_m), doubles(f)
         v = np.zeros_like(c) if v_c is None else doubles(v_c)
         if c.ndim != 2 or c.shape[1] != self.size or not c.shape == m.shape == own.shape == v.shape:

@@ -1,4 +1,4 @@
-"""Numerical parts of several degrees of freedom, outside a controller: for tests and references."""
+"""Numerical parts of several degrees of freedom without a controller: for tests and references."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Part:
         self._out = ffi.new("double[]", self._interfaces)
 
     def answer(self, ag_mps2: float, force_n: float) -> tuple[float, int]:
-        """Return x[n+1] of the interface from ground acceleration and force at t_n; status bits."""
+        """Return the interface's x[n+1] from ground acceleration and force at t_n; status bits."""
         x, code = self.answer_all(ag_mps2, [force_n])
         return float(x[0]), code
 
@@ -70,13 +70,13 @@ class Part:
         return x, code | self.advance()
 
     def look(self) -> Any:
-        """Return the first interface at t_n as the core's ``rthyb_interface``."""
+        """Return the state of the first interface at t_n as ``rthyb_interface``."""
         all_of_them = ffi.new("rthyb_interface[]", self._interfaces)
         lib.rthyb_numerical_look(self._c, all_of_them)
         return all_of_them[0]
 
     def freeze(self, force_n: float) -> None:
-        """Handle a tick in which the interface follows a path, with this force."""
+        """Handle a tick in which the interface, under this force, follows a path."""
         self._forces[0] = force_n
         lib.rthyb_numerical_freeze(self._c, self._forces)
         raise_pending()
@@ -102,7 +102,7 @@ class Part:
         lib.rthyb_numerical_restore(self._c, ffi.from_buffer(state))
 
     def reported(self, most: int) -> FloatArray:
-        """Return the values that the part reports, at most ``most``."""
+        """Return the values that the part reports, at most ``most`` of them."""
         values = np.zeros(most)
         out = ffi.from_buffer("double[]", values, require_writable=True)
         count = lib.rthyb_numerical_report(self._c, out, most)
@@ -112,20 +112,20 @@ class Part:
     def joined(
         self, elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike, reports: int
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Run the part with elements at its interface and nothing between them.
+        """Run the part with elements attached directly to its interface.
 
         Args:
-            elements: what resists there.
+            elements: elements at the interface.
             ag_mps2: ground acceleration at every sample, (n,).
-            reports: so many values are reported at each.
+            reports: number of reported values per sample.
 
         Returns:
-            Displacement, velocity and force at the interface, (n,) each; what was reported,
+            Displacement, velocity and force at the interface, (n,) each; reported values,
             (n, reports).
 
         Raises:
-            CoreError: too many elements, more than one interface, or a ground motion that is not
-                finite.
+            CoreError: there are too many elements or more than one interface, or the ground motion
+                is not finite.
         """
         ag = core.finite_motion(elements, ag_mps2)
         if self._interfaces != 1:
@@ -174,7 +174,7 @@ class DensePart(Part):
     def force_for(self, ag_mps2: float, x_next_m: FloatArray) -> FloatArray:
         """Return the force at t_n that moves the interface to its displacement at t_n+1, N, (1,).
 
-        Only for a part whose force is not delayed.
+        Only for a part that uses the force without delay.
         """
         state = ffi.cast("rthyb_dense *", self._c.state)
         at = self.config.at
@@ -186,7 +186,7 @@ class DensePart(Part):
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return displacement, velocity and specimen force at the interface, each (n,).
 
-        Then the displacement of every degree of freedom, (n, degrees of freedom); see `joined`.
+        The fourth value is the displacement of every degree of freedom, (n, dofs); see `joined`.
         """
         return self.joined(elements, ag_mps2, len(self.config.load_kg))
 
@@ -232,5 +232,5 @@ class SparsePart(Part):
         return float(np.median(taken)) * 1e-9
 
     def responses(self) -> FloatArray:
-        """Return the responses: of this sample between `answer` and `advance`, (count,)."""
+        """Return the responses of this sample, (count,); call between `answer` and `advance`."""
         return self.reported(len(self.config.responses))

@@ -112,7 +112,7 @@ def opened(path: Path) -> ctypes.CDLL:
 
 
 def address(library: ctypes.CDLL, name: str) -> int:
-    """Return the address of a function, 0 if there is none of that name."""
+    """Return the address of a function, 0 if the library does not have it."""
     try:
         return ctypes.cast(getattr(library, name), ctypes.c_void_p).value or 0
     except AttributeError:

@@ -1,4 +1,4 @@
-"""Numerical parts of the user's own, whatever they are made of."""
+"""User-defined numerical parts of every kind."""
 
 from __future__ import annotations
 
@@ -17,5 +17,5 @@ KINDS: Final[dict[str, type[LibraryConfig | FmuConfig | PythonPartConfig]]] = {
 
 
 def of_plain(plain: Mapping[str, Any]) -> OwnPartConfig:
-    """Return the settings of a part from a recording; raises ``KeyError`` and its like."""
+    """Return the settings of a part from a recording; raises ``KeyError`` or similar."""
     return KINDS[plain["kind"]].of_plain(plain)

@@ -1,4 +1,4 @@
-"""What code of the user's own raises while C calls it: kept, and raised when C has come back."""
+"""Exceptions of user code that C calls: stored, and raised once C has returned."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ _PACKAGE: Final = f"{Path(__file__).resolve().parents[1]}/"
 
 
 class OwnCodeError(RthybError):
-    """An error raised by code of the user's own; the message says which, and where it stands.
+    """An error raised by user code; the message names the error and its location.
 
     Attributes:
-        original: the error itself, with its traceback.
+        original: the original exception with its traceback.
     """
 
     def __init__(self, original: BaseException, doing: str) -> None:
@@ -43,11 +43,11 @@ _PENDING: Final = _Pending()
 
 
 def raise_pending() -> None:
-    """Raise what code of the user's own has raised while C called it, if it did.
+    """Raise the exception that user code raised while C called it, if any.
 
     Raises:
-        OwnCodeError: it did.
-        KeyboardInterrupt: it was interrupted meanwhile.
+        OwnCodeError: user code raised an exception.
+        KeyboardInterrupt: the call was interrupted.
     """
     error = _PENDING.error
     if error is None:
@@ -59,12 +59,12 @@ def raise_pending() -> None:
 
 
 def guarded(does: Callable[..., Any], doing: str, failed: Any) -> Callable[..., Any]:
-    """Return what C may call: it raises nothing, and does nothing once something was raised.
+    """Wrap a function for C: it raises nothing, and does nothing after a first exception.
 
     Args:
-        does: the function of the user's own.
-        doing: what it is, for the message.
-        failed: what is returned then.
+        does: the user's function.
+        doing: description of the call for the message.
+        failed: return value after an exception.
     """
 
     def called(*args: Any) -> Any:
@@ -72,7 +72,7 @@ def guarded(does: Callable[..., Any], doing: str, failed: Any) -> Callable[..., 
             return failed
         try:
             return does(*args)
-        except BaseException as error:  # is raised again as soon as C has come back
+        except BaseException as error:  # raised again as soon as C has returned
             _PENDING.error = (
                 error if isinstance(error, OwnCodeError) else OwnCodeError(error, doing)
             )

@@ -1,4 +1,4 @@
-"""A row of a recording: the record of the core, and the named channels beside it."""
+"""A row of a recording: the record of the core, followed by named channels."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ operator's command of that tick, 0 for none."""
 FLAG_NAMES: Final = tuple(FLAGS)
 COMMAND_BIT: Final[int] = lib.RTHYB_F_COMMAND_BIT
 UNSENT_BIT: Final[int] = lib.RTHYB_F_UNSENT_BIT
-"""Of several axes: this bit and those above it say of which the command did not leave."""
+"""Several axes: this bit and those above it mark the axes whose command was not sent."""
 STOPPED_BIT: Final[int] = lib.RTHYB_F_STOPPED_BIT
-"""Of several axes: this bit and those above it say of which the drive has stopped by itself."""
+"""Several axes: this bit and those above it mark the axes whose drive stopped on its own."""
 
 
 def placed_cause(cause: int) -> tuple[int, int | None, int | None]:
-    """Return the number of a row's ``cause``, its axis and its interface direction."""
+    """Return the number of a row's ``cause``, its axis and its interface."""
     number = cause >> lib.RTHYB_PLACE_BIT & 7
     place = number - 1 if number else None
     interface = bool(cause & lib.RTHYB_PLACE_INTERFACE)
@@ -51,7 +51,7 @@ _NUMPY_NAME: Final[dict[str, str]] = {
 
 
 def _flat(ctype: Any, offset: int = 0, suffix: str = "") -> list[tuple[str, str, int]]:
-    """Return name, type and place of every number in a struct; those of axis 1 are "x_cmd_m.1"."""
+    """Return name, type and offset of every number in a struct; axis 1 has "x_cmd_m.1" etc."""
     found = []
     for name, f in ctype.fields:
         at = offset + f.offset
@@ -65,7 +65,7 @@ def _flat(ctype: Any, offset: int = 0, suffix: str = "") -> list[tuple[str, str,
 
 
 def dtype_of(struct: str, size: int | None = None) -> np.dtype[np.void]:
-    """Return the type of a struct of the core, or of its first ``size`` bytes."""
+    """Return the dtype of a struct of the core, or of its first ``size`` bytes."""
     size = ffi.sizeof(struct) if size is None else size
     numbers = [one for one in _flat(ffi.typeof(struct)) if one[2] < size]
     return np.dtype(
@@ -80,25 +80,25 @@ def dtype_of(struct: str, size: int | None = None) -> np.dtype[np.void]:
 
 @cache
 def record_dtype(axis_count: int = 1) -> np.dtype[np.void]:
-    """Return the type of the record of so many axes; fields of axis 1 on are "x_cmd_m.1" ..."""
+    """Return the dtype of a record with this number of axes; axis 1 has "x_cmd_m.1" etc."""
     return dtype_of("rthyb_record", int(lib.rthyb_record_bytes(axis_count)))
 
 
 RECORD_DTYPE: Final = record_dtype(1)
 CHANNELS_MAX: Final[int] = lib.RTHYB_CHANNELS_MAX
-"""Named values that a row may have beside its record."""
+"""Largest number of named values in a row in addition to its record."""
 
 _CHANNEL_NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A named value that rows have beside the fields of the record.
+    """A named value that rows contain in addition to the fields of the record.
 
     Attributes:
-        name: of its field in the samples.
-        unit: of the value.
-        scale: what the stored number is to be multiplied by to be in that unit.
+        name: name of its field in the samples.
+        unit: unit of the value.
+        scale: factor from the stored number to this unit.
     """
 
     name: str
@@ -107,10 +107,10 @@ class Channel:
 
 
 def check_channels(channels: Sequence[Channel]) -> None:
-    """Refuse channels that no row can have.
+    """Check that a row can contain these channels.
 
     Raises:
-        ValueError: with the first fault.
+        ValueError: naming the first error found.
     """
     if len(channels) > CHANNELS_MAX:
         raise ValueError(f"found {len(channels)} channels; a row has room for {CHANNELS_MAX}")
@@ -132,10 +132,10 @@ def check_channels(channels: Sequence[Channel]) -> None:
 
 
 def row_dtype(channels: Sequence[Channel], axis_count: int = 1) -> np.dtype[np.void]:
-    """Return the type of a row of a recording, and of a ring: a record and its channels.
+    """Return the dtype of a row of a recording or a ring: a record and its channels.
 
     Raises:
-        CoreError: the channels are too many, or not to be told apart.
+        CoreError: there are too many channels, or two have the same name.
     """
     try:
         check_channels(channels)
@@ -157,7 +157,7 @@ def row_dtype(channels: Sequence[Channel], axis_count: int = 1) -> np.dtype[np.v
 
 
 def rows_of(records: RecordArray, channels: Sequence[Channel], values: FloatArray) -> RecordArray:
-    """Return rows, (n,), of records, (n,), and the values of their channels, (n, count)."""
+    """Return rows, (n,), from records, (n,), and the values of their channels, (n, count)."""
     rows = np.zeros(records.shape, dtype=row_dtype(channels, axes_in(records.dtype)))
     for name in records.dtype.names or ():
         rows[name] = records[name]
@@ -167,7 +167,7 @@ def rows_of(records: RecordArray, channels: Sequence[Channel], values: FloatArra
 
 
 def as_records(rows: RecordArray) -> RecordArray:
-    """Return rows of a recording, whose fields may be more and in another order, as the core's."""
+    """Return the core's records from rows whose fields may be more, or in another order."""
     dtype = record_dtype(axes_in(rows.dtype))
     if rows.dtype == dtype:
         return np.ascontiguousarray(rows)
@@ -178,12 +178,12 @@ def as_records(rows: RecordArray) -> RecordArray:
 
 
 def axes_in(dtype: np.dtype[Any]) -> int:
-    """Return of how many axes rows of a type are."""
+    """Return the number of axes in rows of this dtype."""
     return sum(name.partition(".")[0] == "x_cmd_m" for name in dtype.names or ()) or 1
 
 
 def copy_records(records: Any, count: int, axis_count: int) -> RecordArray:
-    """Return a copy of the first records of an array of the core, as rows of so many axes."""
+    """Return a copy of the first records of a C array as rows with this number of axes."""
     dtype = record_dtype(axis_count)
     size = ffi.sizeof("rthyb_record")
     raw = np.frombuffer(bytes(ffi.buffer(records, count * size)), np.uint8).reshape(count, size)
@@ -197,7 +197,7 @@ def records_pointer(array: RecordArray, axis_count: int = 1) -> Any:
 
 
 class RingMemory(Protocol):
-    """What a thread of the core needs of a telemetry ring: where it is."""
+    """The part of a telemetry ring that a thread of the core needs: its memory."""
 
     @property
     def pointer(self) -> Any:

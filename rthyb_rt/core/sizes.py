@@ -1,4 +1,4 @@
-"""The rate of the core, and what it has room for; known without arrays."""
+"""Default rate and sizes of the core, available without NumPy."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from typing import Final
 from rthyb_rt._core import lib
 
 FS_HZ: Final = 1024.0
-"""The rate of a test that states none; that of one that does is its own: `Setup.rate`."""
+"""Rate of a test that gives none; the rate of a particular test is `Setup.rate`."""
 PERIOD_S: Final = 1.0 / FS_HZ
 STANDARD_RATE_HZ: Final = 1024
-"""The same as ticks a second, which are whole ones."""
+"""The same as a whole number of ticks per second."""
 WINDOW_MAX: Final[int] = lib.RTHYB_WINDOW_MAX
 DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
 ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
 DENSE_MAX: Final[int] = lib.RTHYB_DENSE_MAX
 IWAN_SLIDERS: Final[int] = lib.RTHYB_IWAN_SLIDERS
 COUPLED_MAX: Final[int] = lib.RTHYB_COUPLED_MAX
-"""Axes at one specimen."""
+"""Largest number of axes at one specimen."""

@@ -1,7 +1,7 @@
 """A numerical part of any size: its settings, factored and laid out for ``numerical_sparse.c``.
 
-SciPy and qdldl do what is done once: the product of matrices, the order of elimination (AMD), the
-factor L D L'. What runs in a test is C.
+SciPy and qdldl do what is needed once: the matrix products, the elimination order (AMD) and the
+factorisation L D L'. Everything that runs during a test is C.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SparseIntegrator = Literal["kr-alpha", "cr", "central-difference"]
 Floats = NDArray[np.float64]
 Whole = NDArray[np.int32]
 Term = tuple[int, float]
-"""Number of a degree of freedom, from 0, and its weight."""
+"""Index of a degree of freedom, from 0, and its weight."""
 
 SPARSE_MAX: Final[int] = lib.RTHYB_SPARSE_MAX
 INTERFACES_MAX: Final[int] = lib.RTHYB_INTERFACES_MAX
@@ -37,12 +37,12 @@ GROUND: Final = -1
 
 @dataclass(frozen=True, eq=False)
 class Symmetric:
-    """A symmetric sparse matrix: the entries on and above its diagonal, each once.
+    """A symmetric sparse matrix: the entries on and above its diagonal, each stored once.
 
     Attributes:
-        size: n, rows and columns.
-        row, column: of the entries, row <= column, (count,).
-        value: of the entries, (count,).
+        size: n, number of rows and columns.
+        row, column: indices of the entries, row <= column, (count,).
+        value: values of the entries, (count,).
     """
 
     size: int
@@ -52,7 +52,7 @@ class Symmetric:
 
     @classmethod
     def of(cls, matrix: Any) -> Symmetric:
-        """Return it from an array or a SciPy matrix, whose lower triangle is not looked at."""
+        """Return the matrix from an array or a SciPy matrix, whose lower triangle is ignored."""
         sparse = _scipy_sparse()
         upper = sparse.triu(sparse.csc_matrix(matrix, dtype=np.float64), format="coo")
         upper.sum_duplicates()
@@ -66,18 +66,18 @@ class Symmetric:
 
     @classmethod
     def of_entries(cls, size: int, row: Any, column: Any, value: Any) -> Symmetric:
-        """Return it from entries on and above its diagonal; those of one place are added."""
+        """Return the matrix from entries on and above its diagonal; duplicates are summed."""
         sparse = _scipy_sparse()
         return cls.of(sparse.coo_matrix((value, (row, column)), shape=(size, size)))
 
     @classmethod
     def zero(cls, size: int) -> Symmetric:
-        """Return the matrix without entries."""
+        """Return the zero matrix."""
         none = np.zeros(0, np.int32)
         return cls(size, none, none, np.zeros(0))
 
     def matrix(self) -> Any:
-        """Return it as a ``scipy.sparse.csc_matrix``, both triangles, (n, n)."""
+        """Return both triangles as a ``scipy.sparse.csc_matrix``, (n, n)."""
         sparse = _scipy_sparse()
         shape = (self.size, self.size)
         upper = sparse.coo_matrix((self.value, (self.row, self.column)), shape=shape)
@@ -86,10 +86,10 @@ class Symmetric:
 
 @dataclass(frozen=True)
 class Joint:
-    """An element of the catalogue between two degrees of freedom, `GROUND` for the ground.
+    """An element of the catalogue between two degrees of freedom, or a degree and the `GROUND`.
 
-    It sees x[above] - x[below] and resists. ``stiffness_n_per_m``: its initial stiffness, which the
-    integrator has to know.
+    Its deformation is x[above] - x[below]. ``stiffness_n_per_m`` is its initial stiffness, which
+    the integrator needs.
     """
 
     below: int
@@ -111,10 +111,11 @@ class Response:
 
 @dataclass(frozen=True)
 class Weights:
-    """What makes an integrator: Kolay & Ricles (2014), by ``rho_inf``.
+    """The weights of an integrator: Kolay & Ricles (2014), by ``rho_inf``.
 
-    With ``rho_inf`` 1 their method averages the equation of Chen & Ricles (2008) over two samples;
-    begun in equilibrium it is theirs, and without the average nothing can swing at half the rate.
+    With ``rho_inf`` 1 their method averages the equation of Chen & Ricles (2008) over two samples.
+    Started in equilibrium the two agree; without the average nothing can oscillate at half the
+    rate.
     """
 
     alpha_m: float
@@ -124,7 +125,7 @@ class Weights:
 
     @classmethod
     def of(cls, integrator: SparseIntegrator, rho_inf: float) -> Weights:
-        """Return them; the central difference has no stiffness in its step."""
+        """Return the weights; those of the central difference put no stiffness into the step."""
         if integrator == "central-difference":
             return cls(0.0, 0.0, 0.5, 0.0)
         rho = 1.0 if integrator == "cr" else rho_inf
@@ -140,21 +141,21 @@ class SparseConfig:
     """Settings of a numerical part, ``M a + C v + K x + joints + B f = -load ag``.
 
     Attributes:
-        mass_kg, stiffness_n_per_m: of the part alone, without joints; mass may be singular.
-        load_kg: force of a ground acceleration of -1 m/s^2, (n,).
-        interfaces: what of the structure each actuator moves: weighted degrees of freedom. A force
-            f acts on them by the same weights.
+        mass_kg, stiffness_n_per_m: of the part alone, without joints; the mass may be singular.
+        load_kg: force for a ground acceleration of -1 m/s^2, (n,).
+        interfaces: weighted degrees of freedom that each actuator moves; its force acts on them
+            with the same weights.
         k_e_n_per_m: elastic stiffness of the specimen at each interface.
-        k_e_between: and between them, rows of the symmetric matrix with 0 on its diagonal; empty:
-            none.
-        damping_n_s_per_m: damping beside the two forms below; None: none.
-        by_mass_per_s, by_stiffness_s: Rayleigh damping a M + b K, K with the initial stiffness of
-            joints and specimen.
+        k_e_between: elastic stiffness between interfaces: rows of a symmetric matrix with zero
+            diagonal; empty: none.
+        damping_n_s_per_m: damping in addition to the two forms below; None: none.
+        by_mass_per_s, by_stiffness_s: Rayleigh damping a M + b K, where K includes the initial
+            stiffness of joints and specimen.
         modal: U of modal damping U U', (n, r).
-        joints: the nonlinear elements.
-        responses: the quantities to record.
-        integrator, rho_inf: ``rho_inf`` is read by ``kr-alpha`` alone.
-        first_x_m, first_v_m_per_s: where it begins, (n,); None: at rest at 0.
+        joints: nonlinear elements.
+        responses: quantities to record.
+        integrator, rho_inf: ``rho_inf`` is used by ``kr-alpha`` only.
+        first_x_m, first_v_m_per_s: initial state, (n,); None: at rest at 0.
     """
 
     mass_kg: Symmetric
@@ -183,7 +184,7 @@ class SparseConfig:
         return self.mass_kg.size
 
     def whole_stiffness(self) -> Any:
-        """Return K with the initial stiffness of joints and specimen in it, csc (n, n)."""
+        """Return K including the initial stiffness of joints and specimen, csc (n, n)."""
         sparse = _scipy_sparse()
         rows = [self._between(j.below, j.above) for j in self.joints]
         values = [j.stiffness_n_per_m for j in self.joints]
@@ -205,10 +206,10 @@ class SparseConfig:
         return np.asarray(_terms_matrix(self.interfaces, self.size).toarray())
 
     def stiffness_solver(self) -> Any:
-        """Return ``qdldl.Solver`` of K with the initial stiffness of joints and specimen in it.
+        """Return ``qdldl.Solver`` of K including the initial stiffness of joints and specimen.
 
         Raises:
-            CoreError: it is not positive definite: nothing holds some motion.
+            CoreError: K is not positive definite: some motion is unrestrained.
         """
         return factored(self.whole_stiffness(), "the stiffness of the whole structure")
 
@@ -223,11 +224,11 @@ class SparseConfig:
         return np.asarray(total)
 
     def struct(self) -> tuple[Any, Layout]:
-        """Return the ``rthyb_sparse_config`` of the C core, and what must stay alive with it.
+        """Return the ``rthyb_sparse_config`` of the C core, and the objects that must outlive it.
 
         Raises:
-            CoreError: a matrix is singular where it must not be, or nothing to factor with is
-                installed.
+            CoreError: a matrix is singular where it must not be.
+            LibraryMissing: qdldl or SciPy is not installed.
         """
         if not self._laid_out:
             self._laid_out.append(Layout(self).struct())
@@ -236,7 +237,7 @@ class SparseConfig:
     # ---- in recordings -----------------------------------------------------------------------
 
     def plain(self) -> dict[str, Any]:
-        """Return all of it as plain values, for a recording: `of_plain` takes them back."""
+        """Return everything as plain values for a recording; `of_plain` restores it."""
         arrays: dict[str, NDArray[Any]] = {}
         values: dict[str, Any] = {}
         for one in fields(self):
@@ -262,7 +263,7 @@ class SparseConfig:
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> SparseConfig:
-        """Return the settings that `plain` has written down; raises ``KeyError`` and its like."""
+        """Return the settings that `plain` described; raises ``KeyError`` or similar."""
         values = {k: v for k, v in plain.items() if k not in ("kind", "size", "arrays")}
         held = io.BytesIO(zlib.decompress(base64.b64decode(plain["arrays"])))
         with np.load(held, allow_pickle=False) as stored:
@@ -298,7 +299,7 @@ def _scipy_sparse() -> Any:
 
 
 def missing_library(name: str) -> LibraryMissing:
-    """Return the error of a structure that needs more than is installed."""
+    """Return the error for a structure that needs a package that is not installed."""
     return LibraryMissing(
         f"{name} is not installed, but structures with many degrees of freedom need it: pip "
         'install "rthyb-rt[structures]"'
@@ -313,10 +314,10 @@ def _terms_matrix(rows: Sequence[tuple[Term, ...]], n: int) -> Any:
 
 
 def _panels(lower: Any) -> NDArray[np.int32]:
-    """Return where runs of columns begin that have the same rows below them, and their number.
+    """Return where runs of columns with the same rows below them begin, and their number.
 
     Args:
-        lower: a factor, (n, n), by columns with sorted rows.
+        lower: a factor, (n, n), stored by columns with sorted rows.
     """
     start, at = lower.indptr, lower.indices
     n = lower.shape[0]
@@ -332,7 +333,7 @@ def factored(matrix: Any, what: str) -> Any:
     """Return ``qdldl.Solver`` of a symmetric matrix that must be positive definite.
 
     Raises:
-        CoreError: it is not.
+        CoreError: the matrix is not positive definite.
         LibraryMissing: qdldl or SciPy is not installed.
     """
     try:
@@ -352,17 +353,17 @@ def factored(matrix: Any, what: str) -> Any:
 
 
 def lowest_modes(config: SparseConfig, count: int) -> tuple[Floats, Floats]:
-    """Return the lowest modes of the joined structure, its specimen elastic.
+    """Return the lowest modes of the complete structure with an elastic specimen.
 
     Args:
         config: the part.
-        count: so many, or as many as have mass.
+        count: number of modes; fewer are returned if fewer degrees of freedom have mass.
 
     Returns:
-        omega^2, ascending, (r,), and shapes with phi' M phi = 1 as columns, (n, r).
+        omega^2, ascending, (r,), and mode shapes with phi' M phi = 1 as columns, (n, r).
 
     Raises:
-        CoreError: nothing holds some motion of the structure, or the modes cannot be had.
+        CoreError: some motion is unrestrained, or the modes cannot be computed.
     """
     k, m = config.whole_stiffness(), config.mass_kg.matrix()
     solver = config.stiffness_solver()
@@ -371,7 +372,7 @@ def lowest_modes(config: SparseConfig, count: int) -> tuple[Floats, Floats]:
         return _modes_by_flexibility(solver, m, moving, min(count, moving.size))
     from scipy.sparse.linalg import ArpackError, LinearOperator, eigsh
 
-    # The largest of K^-1 M, symmetric in the product by M, which may be singular: shift and invert.
+    # Largest eigenvalues of K^-1 M, which is symmetric in the M inner product; M may be singular.
     inverse = LinearOperator(k.shape, matvec=solver.solve, dtype=np.float64)
     start = m @ np.ones(config.size) + 1e-3 * np.sin(np.arange(config.size))
     try:
@@ -385,13 +386,13 @@ def lowest_modes(config: SparseConfig, count: int) -> tuple[Floats, Floats]:
 
 
 _DENSE_MODES: Final = 200
-"""Degrees of freedom with mass up to which all modes are found at once."""
+"""Number of degrees of freedom with mass up to which all modes are found at once."""
 
 
 def _modes_by_flexibility(
     solver: Any, m: Any, moving: NDArray[np.intp], count: int
 ) -> tuple[Floats, Floats]:
-    """Return the modes from the flexibility of what has mass.
+    """Return the modes from the flexibility of the degrees of freedom that have mass.
 
     1 / omega^2 are the eigenvalues of M^1/2 K^-1 M^1/2.
     """
@@ -416,13 +417,13 @@ def _unit(n: int, at: int) -> Floats:
 
 
 class Layout:
-    """A part's arrays in the order of the elimination.
+    """A part's arrays in elimination order.
 
     Attributes:
-        order: which degree of freedom stands at each place, (n,).
-        place: where each degree of freedom stands, (n,).
-        solver: of S without modal damping.
-        kept: the arrays that the core's pointers lead to.
+        order: index of the degree of freedom at each place, (n,).
+        place: place of each degree of freedom, (n,).
+        solver: factor of S without modal damping.
+        kept: arrays that the core's pointers refer to.
     """
 
     def __init__(self, config: SparseConfig) -> None:
@@ -450,7 +451,7 @@ class Layout:
     def _with_modes(
         self, solve: Callable[[Floats], Floats], gain: float
     ) -> Callable[[Floats], Floats]:
-        """Return the solve of S + gain U U', by Sherman, Morrison & Woodbury."""
+        """Return the solution with S + gain U U', by Sherman, Morrison & Woodbury."""
         if not self.modal.shape[1]:
             return solve
         z, inner = self._modal_of(solve, gain)
@@ -565,7 +566,7 @@ class Layout:
                 rhs[at] -= by * force
         start = factored(self.m + w.beta * h * h * self.k, "the matrix of the start")
         q = start.solve(np.asarray(rhs, dtype=np.float64))
-        # C meets v + gamma h q, so that the integrator's own v is that much older.
+        # C uses v + gamma h q, so the integrator's own v is one update older.
         cfg.first_x, cfg.first_v = self._in_order(x), self._in_order(v - w.gamma * h * q)
         cfg.first_q = self._in_order(q)
 
@@ -605,7 +606,7 @@ class Layout:
 
 
 def initial_stiffness(element: ElementConfig) -> float:
-    """Return the slope of an element's force at rest, N/m, by a step too small to matter."""
+    """Return the initial slope of an element's force, N/m, from a negligibly small step."""
     slot = ffi.new("rthyb_element *")
     init_element(slot, element)
     force = lib.rthyb_element_force(slot, 1e-9, 0.0, 0.0, PERIOD_S)

@@ -1,7 +1,7 @@
-"""The thin face of the core's clock: latency histograms, the ticker, real-time threads.
+"""Python interface of the core's clock: latency histograms, the ticker, real-time threads.
 
-Names follow ``csrc/rthyb.h``, where the contract stands. Times are whole nanoseconds. Whatever
-waits does so without the GIL, and may be stopped, granted ticks or read from another thread.
+Names follow ``csrc/rthyb.h``, which states the contract. Times are whole nanoseconds. Calls that
+wait release the GIL; they may be stopped, granted ticks or read from another thread.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ Clock = Literal["host", "stepped"]
 Payload = Literal["none", "sample", "exchange"]
 
 PERIOD_NS: Final = 1e9 / core.FS_HZ
-"""Of a ticker that is given no rate."""
+"""Rate of a ticker for which none is given."""
 PRIORITY: Final = 80
-"""Of the tick thread: above interrupt threads, which have 50, below the kernel's own, 99."""
+"""Priority of the tick thread: above interrupt threads (50), below the kernel's own (99)."""
 TRIM_MAX_NS: Final[int] = lib.rthyb_ticker_trim_max_ns(core.STANDARD_RATE_HZ)
-"""Likewise: 200 ppm of a period."""
+"""Largest correction per call, 200 ppm of a period, at the default rate."""
 RATES_HZ: Final[tuple[int, int]] = (lib.RTHYB_RATE_LEAST_HZ, lib.RTHYB_RATE_MOST_HZ)
-"""Ticks a second that a ticker can have."""
+"""Allowed rates of a ticker, ticks per second."""
 LATENCY_DEVICE: Final = "/dev/cpu_dma_latency"
 
 _CLOCKS: Final = options("rthyb_clock", "RTHYB_CLOCK_")
@@ -45,33 +45,33 @@ PRIVILEGES: Final[dict[str, int]] = {
 
 
 class Latency:
-    """Histogram of times: exact below 32 ns, then in steps of 3 %; 69 s and more in one bucket.
+    """Histogram of times: exact below 32 ns, then in steps of 3 %; one bucket from 69 s on.
 
     It can be read while another thread records.
     """
 
     def __init__(self, c: Any = None, owner: Any = None) -> None:
         self._c = ffi.new("rthyb_latency *") if c is None else c
-        self._owner = owner  # of the memory behind a given pointer
+        self._owner = owner  # keeps the memory behind a given pointer alive
 
     def record(self, ns: int) -> None:
-        """Take one time in; less than zero counts as zero."""
+        """Record one time; negative times count as zero."""
         lib.rthyb_latency_record(self._c, ns)
 
     def merge(self, other: Latency) -> None:
-        """Add what ``other`` has seen."""
+        """Add the times that ``other`` has recorded."""
         lib.rthyb_latency_merge(self._c, other._c)
 
     def copy(self) -> Latency:
-        """Return what was seen up to now, in memory of its own."""
+        """Return an independent copy."""
         result = Latency()
         result.merge(self)
         return result
 
     def since(self, earlier: Latency) -> Latency:
-        """Return what was seen after ``earlier``, a copy of this one, was made.
+        """Return the times recorded after ``earlier``, a copy of this histogram, was made.
 
-        The longest time is exact if it is a new record, else the end of its bucket.
+        The longest time is exact if it is a new maximum, otherwise the upper end of its bucket.
         """
         result = self.copy()
         c, before = result._c, earlier._c
@@ -86,38 +86,38 @@ class Latency:
         return result
 
     def percentile_ns(self, percent: float) -> int:
-        """Return what so many per cent of the times did not exceed, at most 3 % too high."""
+        """Return the time that this percentage of times did not exceed, at most 3 % too high."""
         return int(lib.rthyb_latency_percentile(self._c, percent / 100.0))
 
     @property
     def count(self) -> int:
-        """How many times were recorded."""
+        """Number of recorded times."""
         return int(self._c.count)
 
     @property
     def max_ns(self) -> int:
-        """The longest time, exactly."""
+        """The longest time, exact."""
         return int(self._c.max_ns)
 
     @property
     def mean_ns(self) -> float:
-        """The mean time, exactly; 0 without any."""
+        """The mean time, exact; 0 if none was recorded."""
         return self._c.sum_ns / self._c.count if self._c.count else 0.0
 
     def buckets(self) -> npt.NDArray[np.uint64]:
-        """Return how many times lie in each bucket, (1025,); the last one has no upper end."""
+        """Return the number of times in each bucket, (1025,); the last one has no upper end."""
         raw = ffi.buffer(ffi.addressof(self._c, "bucket"), ffi.sizeof(self._c.bucket))
         return np.frombuffer(raw, np.uint64).copy()
 
     @staticmethod
     def edges_ns() -> npt.NDArray[np.uint64]:
-        """Return where the buckets begin, (1025,)."""
+        """Return the lower ends of the buckets, (1025,)."""
         count = lib.RTHYB_LATENCY_BUCKETS + 1
         return np.array([lib.rthyb_latency_edge_ns(i) for i in range(count)], np.uint64)
 
 
 class Tick(NamedTuple):
-    """One tick that is to be executed; ``skipped`` ticks just before it were not."""
+    """One tick to execute; the ``skipped`` ticks just before it were not executed."""
 
     k: int
     skipped: int
@@ -126,7 +126,7 @@ class Tick(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """What a ticker has been through: executed + skipped == elapsed."""
+    """Numbers of ticks of a ticker: executed + skipped == elapsed."""
 
     elapsed: int
     executed: int
@@ -135,15 +135,15 @@ class Counts(NamedTuple):
 
 
 class Ticker:
-    """Due times t0 + k 1e9/rate ns, and what to do when one was slept through.
+    """Due times t0 + k 1e9/rate ns, and which ticks to skip after oversleeping.
 
     Args:
-        clock: "host": CLOCK_MONOTONIC; "stepped": each tick on the caller's word.
-        t0_ns: when the first tick is due.
-        rate_hz: ticks a second, 256 to 4096.
+        clock: "host": CLOCK_MONOTONIC; "stepped": each tick is granted by the caller.
+        t0_ns: due time of the first tick.
+        rate_hz: ticks per second, 256 to 4096.
 
     Raises:
-        core.CoreError: a ``t0_ns`` before the clock's own zero, or a rate out of range.
+        core.CoreError: ``t0_ns`` is negative, or the rate is out of range.
     """
 
     def __init__(
@@ -159,11 +159,11 @@ class Ticker:
 
     @property
     def rate_hz(self) -> int:
-        """Ticks a second."""
+        """Ticks per second."""
         return int(self._c.rate_hz)
 
     def due_ns(self, k: int) -> int:
-        """Return when tick ``k`` is due, rounded down to a whole ns."""
+        """Return the due time of tick ``k``, rounded down to a whole ns."""
         return int(lib.rthyb_ticker_due_ns(self._c, k))
 
     def wait(self) -> Tick | None:
@@ -171,7 +171,7 @@ class Ticker:
         return self._taken() if lib.rthyb_ticker_wait(self._c, self._tick) else None
 
     def woken(self, now_ns: int) -> Tick:
-        """Return the tick that a thread woken at ``now_ns`` has to execute."""
+        """Return the tick that a thread woken at ``now_ns`` must execute."""
         lib.rthyb_ticker_woken(self._c, now_ns, self._tick)
         return self._taken()
 
@@ -181,19 +181,19 @@ class Ticker:
         return self._taken()
 
     def trim(self, ns: int) -> None:
-        """Move all later due times, by 200 ppm of a period at most: 195 ns at 1024 Hz."""
+        """Shift all later due times, by at most 200 ppm of a period: 195 ns at 1024 Hz."""
         lib.rthyb_ticker_trim(self._c, ns)
 
     def grant(self, ticks: int) -> None:
-        """Stepped clock: let so many more ticks run."""
+        """Stepped clock: grant this many further ticks."""
         lib.rthyb_ticker_grant(self._c, ticks)
 
     def miss(self, ticks: int) -> None:
-        """Stepped clock: have the next tick skip so many first."""
+        """Stepped clock: let the next tick be preceded by this many skipped ticks."""
         lib.rthyb_ticker_miss(self._c, ticks)
 
     def stop(self) -> None:
-        """Have `wait` return None, now and for ever."""
+        """Make `wait` return None from now on."""
         lib.rthyb_ticker_stop(self._c)
 
     @property
@@ -203,7 +203,7 @@ class Ticker:
 
     @property
     def wake(self) -> Latency:
-        """Histogram of the wake-up latency: woken after the due time that was waited for."""
+        """Histogram of the wake-up latency: time of waking after the due time."""
         return Latency(ffi.addressof(self._c, "wake"), self._c)
 
     def _taken(self) -> Tick:
@@ -222,16 +222,16 @@ def now_ns() -> int:
 def become_real_time(
     priority: int = PRIORITY, cpu: int = -1, latency_fd: int = -1, stack_bytes: int = 1 << 16
 ) -> list[str]:
-    """Make the calling thread, and no other, as punctual as the system lets it.
+    """Make the calling thread, and only it, as punctual as the system permits.
 
     Args:
-        priority: of SCHED_FIFO, 1 to 99; 0 leaves the scheduling alone.
-        cpu: the processor to stay on; -1 leaves the choice to the kernel.
-        latency_fd: of an open `AwakeProcessors`; -1 without.
-        stack_bytes: stack to touch beforehand; it must be there.
+        priority: priority under SCHED_FIFO, 1 to 99; 0 leaves the scheduling policy unchanged.
+        cpu: processor to which the thread is pinned; -1 leaves the choice to the kernel.
+        latency_fd: descriptor of an open `AwakeProcessors`; -1 for none.
+        stack_bytes: size of the stack to touch in advance; it must be available.
 
     Returns:
-        what was obtained, each looked up afterwards: names of `PRIVILEGES`.
+        What was obtained, each verified afterwards: names of `PRIVILEGES`.
     """
     return privilege_names(
         lib.rthyb_thread_become_real_time(priority, cpu, latency_fd, stack_bytes)
@@ -244,7 +244,7 @@ def privilege_names(bits: int) -> list[str]:
 
 
 def unlock_memory() -> None:
-    """Give back what real-time threads locked for the whole process."""
+    """Release the memory that real-time threads locked for the whole process."""
     lib.rthyb_memory_unlock()
 
 
@@ -281,18 +281,18 @@ class AwakeProcessors:
 
 @dataclass(frozen=True)
 class Timing:
-    """What one thread went through.
+    """Timing of one thread.
 
     Attributes:
-        wake: from the due time to being awake.
-        sent: from being awake to the command being sent; empty without payload.
+        wake: time from the due time to waking.
+        sent: time from waking to the command being sent; empty without payload.
         privileges: names of `PRIVILEGES` that the thread had.
         lost: ticks without a fresh pair from the rig's thread.
-        not_sent: commands for which the socket had no room.
-        major_faults: pages that were read from disk.
-        minor_faults: pages that were found in memory.
-        blocked: times it gave the processor away other than by waiting for its tick.
-        preempted: times the processor was taken away.
+        not_sent: commands for which the socket had no space.
+        major_faults: page faults that needed the disk.
+        minor_faults: page faults served from memory.
+        blocked: voluntary context switches other than waiting for the tick.
+        preempted: involuntary context switches.
     """
 
     counts: Counts
@@ -314,10 +314,10 @@ class JitterRun:
         ticks: length of the run.
         payload: "none"; "sample": one sample of controller and virtual rig; "exchange": the rig in
             a thread of its own behind an AF_UNIX socket pair.
-        controller, rig, excitation: of the payload.
-        ring: takes the record of every sample.
+        controller, rig, excitation: parts of the payload.
+        ring: receives the record of every sample.
         priority, cpu, latency_fd: as in `become_real_time`.
-        rate_hz: ticks a second; the payload's own period is the caller's.
+        rate_hz: ticks per second; the caller must give the payload a matching period.
     """
 
     def __init__(
@@ -349,7 +349,7 @@ class JitterRun:
             self._c.excitation_count = self._excitation.size
 
     def run(self) -> None:
-        """Start the threads and wait for their end, without the GIL.
+        """Start the threads and wait for them to end, without the GIL.
 
         Raises:
             RthybError: the system refused a thread or a socket.
@@ -359,12 +359,12 @@ class JitterRun:
             raise RthybError(f"the threads to be timed could not be started: {os.strerror(error)}")
 
     def stop(self) -> None:
-        """End the run early; from any thread."""
+        """End the run early; may be called from any thread."""
         lib.rthyb_jitter_stop(self._c)
 
     @property
     def elapsed(self) -> int:
-        """Ticks so far; while it runs, too."""
+        """Ticks so far; readable during the run."""
         return _counts(ffi.addressof(self._c.measured, "ticker")).elapsed
 
     @property

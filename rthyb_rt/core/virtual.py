@@ -24,16 +24,16 @@ class Virtual:
 
     Args:
         station: states, limits, controller, ground motion.
-        rig: what moves and measures; the drives have the station's zero for their own.
-        stop_decel_m_per_s2: how a drive brakes by itself after a trip.
-        truth: the first channels are what the sensors saw, without their errors: m and N of each
-            axis in turn.
-        freedoms: so many channels, behind those, say where the numerical part's degrees of freedom
-            are, m.
+        rig: the virtual rig; its drives share the station's zero.
+        stop_decel_m_per_s2: deceleration of a drive's own stop after a trip.
+        truth: the first channels are the sensors' inputs without their errors: m and N of each axis
+            in turn.
+        freedoms: number of channels, after those, with displacements of the numerical part's
+            degrees of freedom, m.
 
     Raises:
         CoreError: the deceleration is not positive, there are more degrees of freedom than a part
-            can have, or station and rig are not of one rate or have not the same axes.
+            can have, or station and rig differ in rate or number of axes.
     """
 
     def __init__(
@@ -73,19 +73,19 @@ class Virtual:
     def run(
         self, records: RecordArray, command: Command = "none", channels: FloatArray | None = None
     ) -> int:
-        """Fill ``records``, one a tick, the first tick with an operator's command.
+        """Fill ``records``, one per tick; the operator's command applies to the first tick.
 
         Args:
-            records: takes them, of the station's axes, (n,).
-            command: of the first tick.
-            channels: takes as many of each row's channels as it has columns, (n, count).
+            records: output, with the station's axes, (n,).
+            command: command for the first tick.
+            channels: output; its columns receive the first channels of each row, (n, count).
 
         Returns:
-            how many were written: fewer where the state has become another, or a tare has failed.
+            Number of records written; fewer than n if the state changed or a tare failed.
 
         Raises:
-            CoreError: ``channels`` has other rows than ``records``, or too many columns.
-            OwnCodeError: code of the user's own has raised an error.
+            CoreError: ``channels`` differs from ``records`` in length, or has too many columns.
+            OwnCodeError: user code raised an exception.
         """
         number, values, count = COMMANDS.index(command), ffi.NULL, 0
         if channels is not None:

@@ -1,8 +1,8 @@
-"""The thin face of the wire: numbers to frames and back, framing, bookkeeping.
+"""Python interface of the wire: numbers to frames and back, framing, bookkeeping.
 
-Every function and class is named after its counterpart in ``csrc/rthyb.h``, where the contract
-stands; `docs/wire.md` has the frames byte by byte. SI units: m, N. Nothing here does I/O: a link in
-C calls the same functions on the struct of `Wire`, a link in Python calls the methods.
+Every function and class is named after its counterpart in ``csrc/rthyb.h``, which states the
+contract; `docs/wire.md` describes the frames byte by byte. SI units: m, N. Nothing here does I/O: a
+C link uses the same functions on the struct of `Wire`, a Python link uses the methods.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ ID_EXTENDED: Final[int] = lib.RTHYB_ID_EXTENDED
 FRAME_MAX: Final[int] = lib.RTHYB_FRAME_MAX
 PACKET_MAX: Final[int] = lib.RTHYB_PACKET_MAX
 COBS_MAX: Final = 253
-"""Bytes that `cobs_encode` takes."""
+"""Largest number of bytes that `cobs_encode` accepts."""
 
 DEVICE_STOPPED: Final[int] = lib.RTHYB_DEVICE_STOPPED
 DEVICE_INVALID: Final[int] = lib.RTHYB_DEVICE_INVALID
@@ -31,7 +31,7 @@ NOTICES: Final[dict[int, str]] = {
     lib.RTHYB_NOTICE_RESET: "RESET",
     lib.RTHYB_NOTICE_LEAVING: "LEAVING",
 }
-"""What a command may say in the place of the controller's state, by its number."""
+"""Notices that a command may carry in place of the controller's state, by number."""
 
 LOST: Final[int] = lib.RTHYB_LOST
 _NOT_FINITE: Final[int] = lib.RTHYB_S_NOT_FINITE
@@ -66,7 +66,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Setpoint:
-    """A command: displacement, sequence number, state of the controller or key of `NOTICES`."""
+    """A command: displacement, sequence number, controller state or key of `NOTICES`."""
 
     x_m: float
     seq: int = 0
@@ -75,7 +75,7 @@ class Setpoint:
 
 @dataclass(frozen=True)
 class Reading:
-    """A sample of the drive, or the half of it that one frame holds (the other is ``None``)."""
+    """A sample from the drive, or the half that one frame holds (the other is ``None``)."""
 
     x_m: float | None
     f_n: float | None
@@ -91,9 +91,9 @@ class Extra:
 
     Attributes:
         scale, offset: value = scale * wire + offset.
-        step: of the wire where it has 32 bits of its own.
-        signal: its place in the frame of a DBC file (``rthyb_signal``); None: one of its own.
-        in_force: that is the force frame, not the displacement frame.
+        step: resolution on the wire, for a 32-bit field of its own.
+        signal: its position in a frame of a DBC file (``rthyb_signal``); None: a field of its own.
+        in_force: whether that is the force frame rather than the displacement frame.
     """
 
     scale: float = 1.0
@@ -105,16 +105,16 @@ class Extra:
 
 @dataclass(frozen=True)
 class Feedback:
-    """What one tick has: the newest pair, fresh or not.
+    """The feedback available in one tick: the newest pair, fresh or not.
 
     Attributes:
-        lost: 0 for a fresh pair, else `LOST` with the ``core.STATUS`` bits that refused a reading.
+        lost: 0 for a fresh pair, else `LOST` with the ``core.STATUS`` bits that rejected a reading.
         x_m, f_n: newest pair, 0 before the first.
         echo, count, status: as the drive sent them.
-        delay: samples between the command for this tick and the one that the drive had applied at
-            the instant of the pair; ``None`` while that is not known.
-        age: ticks since the pair came.
-        samples: the drive's count, unwrapped.
+        delay: samples between this tick's command and the command that the drive had applied at the
+            instant of the pair; ``None`` while unknown.
+        age: ticks since the pair arrived.
+        samples: the drive's sample count, unwrapped.
     """
 
     lost: int
@@ -147,7 +147,7 @@ def cobs_encode(data: bytes) -> bytes:
 
 
 def _spell_out(struct: Any, extras: int) -> None:
-    """Make the table of the program's own frames, with room behind the force for extra channels."""
+    """Return the table of the program's own frames, with space after the force for extras."""
     needed = _OWN_LENGTH + 4 * extras
     length = next(n for n in (12, 16, 20, 24, 32, 48, 64) if n >= needed)
     struct.format = lib.RTHYB_WIRE_TABLE
@@ -173,10 +173,10 @@ def _spell_out(struct: Any, extras: int) -> None:
 
 
 class Codec:
-    """Numbers to frames and back: `CAN` (``hw/rthyb.dbc``), `SERIAL`, or a DBC's table.
+    """Numbers to frames and back: `CAN` (``hw/rthyb.dbc``), `SERIAL`, or the table of a DBC file.
 
-    A table comes from `rthyb_rt.core.dbc.load`. Raises ``CoreError`` for one that does not fit its
-    frames.
+    `rthyb_rt.core.dbc.load` returns a codec for a DBC file. Raises ``CoreError`` for a table that
+    does not fit its frames.
 
     Attributes:
         struct: the ``rthyb_codec`` of the C core.
@@ -193,9 +193,10 @@ class Codec:
 
     @classmethod
     def of(cls, table: bytes) -> Codec:
-        """Return the codec that `table` is of; raises ``CoreError`` if it is of none."""
+        """Return the codec from its `table`; raises ``CoreError`` if the table is not valid."""
         struct = ffi.new("rthyb_codec *")
-        # Without extra channels, as recordings of before have it, it is the beginning of this one.
+        # Recordings of earlier versions have no extra channels: their table is the first part of
+        # this one.
         if len(table) not in (ffi.sizeof(struct[0]), _WITHOUT_EXTRAS):
             raise CoreError("the table of signals was not written by this version")
         ffi.memmove(struct, table, len(table))
@@ -203,7 +204,7 @@ class Codec:
 
     @property
     def table(self) -> bytes:
-        """All that it knows, for a recording."""
+        """The complete table as bytes, for a recording."""
         return bytes(ffi.buffer(self.struct))
 
     @property
@@ -218,27 +219,27 @@ class Codec:
 
     @property
     def feedback_ids(self) -> tuple[int, ...]:
-        """Identifiers that a receive filter has to let through: one, or displacement and force."""
+        """Identifiers that a receive filter must pass: one, or displacement and force."""
         if not self._by_table:
             return (ACT_FB, LC_FB)
         return tuple(dict.fromkeys((self.struct.displacement.id, self.struct.force.id)))
 
     @property
     def is_fd(self) -> bool:
-        """Whether the bus has to be opened for CAN FD."""
+        """Whether the bus must be opened for CAN FD."""
         messages = (self.struct.command, self.struct.displacement, self.struct.force)
         return self._by_table and any(message.fd for message in messages)
 
     @property
     def has_status(self) -> bool:
-        """Whether a drive can say in its frames that it has stopped by itself."""
+        """Whether the frames can report that a drive has stopped on its own."""
         feedback = (self.struct.displacement, self.struct.force)
         status = lib.RTHYB_FIELD_STATUS
         return not self._by_table or any(part.field[status].length for part in feedback)
 
     @property
     def has_reset(self) -> bool:
-        """Whether a drive that has stopped by itself can be told to follow again."""
+        """Whether the frames can reset a drive that has stopped on its own."""
         return not self._by_table or bool(self.struct.reset)
 
     @property
@@ -248,9 +249,9 @@ class Codec:
     def with_extras(self, extras: Sequence[Extra]) -> Codec:
         """Return the codec with extra channels, in their order.
 
-        A serial packet has them behind its status byte, 32 bits each; `Extra.signal` says where
-        they are in the frames of a DBC file. The frames of ``hw/rthyb.dbc`` are full: on a link
-        without a bus they get a table whose force frame is longer.
+        A serial packet has them after its status byte, 32 bits each; `Extra.signal` gives their
+        position in the frames of a DBC file. The frames of ``hw/rthyb.dbc`` are full: on a link
+        without a bus, a table with a longer force frame is used instead.
 
         Raises:
             CoreError: there are more than `EXTRAS_MAX`, or one does not fit its frame.
@@ -277,16 +278,16 @@ class Codec:
                 ffi.memmove(ffi.addressof(slot, "signal"), one.signal, ffi.sizeof("rthyb_signal"))
             else:
                 slot.signal = ffi.new("rthyb_signal *", signal)[0]
-            # What the wire says, calibrated: the drive's end has the same table, and takes it back.
+            # The calibrated wire value: the drive's end has the same table and applies the inverse.
             slot.signal.offset = one.scale * slot.signal.offset + one.offset
             slot.signal.scale *= one.scale
         return Codec(struct)
 
     def encode_setpoint(self, setpoint: Setpoint) -> tuple[Frame, float]:
-        """Return a command's frame and the displacement as the drive will read it, m.
+        """Return a command's frame and the displacement that the drive will decode, m.
 
-        A displacement beyond what the frame holds becomes the nearest that it can. Raises
-        ``CoreError`` for one that is not finite: there is no such frame.
+        A displacement beyond the range of the frame is limited to that range. Raises ``CoreError``
+        for one that is not finite, which no frame can represent.
         """
         c = self._setpoint
         c.x_m, c.seq, c.state = setpoint.x_m, setpoint.seq & _WORD, setpoint.state
@@ -295,10 +296,10 @@ class Codec:
         return _frame(self._frames[0]), self._sent[0]
 
     def encode_feedback(self, reading: Reading) -> list[Frame]:
-        """Return the frames of one sample of the drive; both values are needed.
+        """Return the frames of one sample of the drive; both values are required.
 
-        A value that is not finite is sent as "no number". Raises ``CoreError`` if the table cannot
-        say that.
+        A value that is not finite is sent as "no number". Raises ``CoreError`` if the table has no
+        such raw value.
         """
         if reading.x_m is None or reading.f_n is None:
             raise CoreError("a sample from the drive must have a displacement and a force")
@@ -314,13 +315,13 @@ class Codec:
         return [_frame(self._frames[i]) for i in range(n)]
 
     def decode_setpoint(self, frame: Frame) -> tuple[int, Setpoint]:
-        """Return the verdict on a frame (0: good) and the command in it."""
+        """Return the verdict on a frame (0: good) and the command that it contains."""
         c = self._setpoint
         verdict = lib.rthyb_decode_setpoint(self.struct, _fill(self._frames, frame), c)
         return verdict, Setpoint(c.x_m, c.seq, c.state)
 
     def decode_feedback(self, frame: Frame) -> tuple[int, Reading]:
-        """Return the verdict on a frame (0: good) and the reading in it."""
+        """Return the verdict on a frame (0: good) and the reading that it contains."""
         c = self._reading
         verdict = lib.rthyb_decode_feedback(self.struct, _fill(self._frames, frame), c)
         x_m = c.x_m if c.has & lib.RTHYB_HAS_X else None
@@ -340,10 +341,10 @@ def serial() -> Codec:
 
 
 class Deframer:
-    """Finds packets in the bytes of a serial line: the drive's side, and listeners.
+    """Finds packets in the bytes of a serial line, on the drive's side or for a listener.
 
     Args:
-        extras: extra channels in a packet of feedback.
+        extras: number of extra channels in a feedback packet.
     """
 
     def __init__(self, extras: int = 0) -> None:
@@ -351,10 +352,9 @@ class Deframer:
         self._packet = ffi.new("rthyb_frame *")
 
     def feed(self, data: bytes) -> Iterator[tuple[int, Frame]]:
-        """Yield verdict and packet for every 0 that ends something.
+        """Yield verdict and packet for every 0 that ends a packet.
 
-        With the verdict ``packet`` the frame holds the bytes before the CRC; with any other it is
-        empty.
+        With the verdict ``packet`` the frame holds the bytes before the CRC; otherwise it is empty.
         """
         for byte in data:
             verdict = lib.rthyb_deframer_byte(self._c, byte, self._packet)
@@ -365,14 +365,14 @@ class Deframer:
 
 
 class Wire:
-    """The controller's end: makes commands, pairs displacement with force, keeps count.
+    """The controller's end: creates commands, pairs displacement with force, counts frames.
 
     Raises ``CoreError`` for a codec whose table does not fit its frames.
 
     Attributes:
-        codec: what the frames look like.
-        struct: the ``rthyb_wire`` of the C core; a link in C takes it over while it runs, and only
-            `counters` may then be asked.
+        codec: format of the frames.
+        struct: the ``rthyb_wire`` of the C core. While a C link that uses it is running, only
+            `counters` may be called.
     """
 
     def __init__(self, codec: Codec) -> None:
@@ -385,9 +385,9 @@ class Wire:
         self._feedback = ffi.new("rthyb_feedback *")
 
     def command(self, x_m: float, state: int) -> tuple[Frame, float]:
-        """Return the next command's frame and its displacement as the drive will read it, m.
+        """Return the next command's frame and the displacement that the drive will decode, m.
 
-        Raises ``CoreError`` for a displacement that is not finite; no sequence number is used up.
+        Raises ``CoreError`` for a displacement that is not finite; no sequence number is consumed.
         """
         code = lib.rthyb_wire_command(self.struct, x_m, state, self._frame, self._sent)
         if code & _NOT_FINITE:
@@ -395,15 +395,15 @@ class Wire:
         return _frame(self._frame), self._sent[0]
 
     def receive(self, frame: Frame) -> int:
-        """Take a CAN frame in; return the verdict."""
+        """Process a CAN frame; return the verdict."""
         return int(lib.rthyb_wire_receive(self.struct, _fill(self._frame, frame)))
 
     def feed(self, data: bytes) -> int:
-        """Take bytes of the serial line in; return all verdicts together."""
+        """Process bytes of the serial line; return all verdicts combined."""
         return int(lib.rthyb_wire_feed(self.struct, data, len(data)))
 
     def take(self) -> Feedback:
-        """Return the newest pair; once a tick, after all that came was taken in."""
+        """Return the newest pair; call once per tick, after everything received was processed."""
         c = self._feedback
         lost = lib.rthyb_wire_take(self.struct, c)
         return Feedback(
@@ -429,7 +429,7 @@ def _frame(c: Any) -> Frame:
 
 
 def _fill(c: Any, frame: Frame) -> Any:
-    """Write a frame into C memory; one too long for any frame keeps its length and no byte."""
+    """Write a frame into C memory; an oversized frame keeps its length but has no bytes."""
     target = c[0]
     target.id, target.fd, target.length = frame.id, frame.fd, len(frame.data)
     if len(frame.data) <= FRAME_MAX:
