@@ -1,4 +1,4 @@
-"""Test files and rig files: TOML is read into checked, immutable models."""
+"""Test files and rig files: TOML files are read into validated, immutable models."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 AXES_MAX: Final = COUPLED_MAX
 STATES_MAX: Final = 32
-"""Of a plant of its own."""
+"""Largest number of states of a plant."""
 COMMON_LIMITS: Final[tuple[str, ...]] = (
     "tracking_indicator_slope_m2_per_s",
     "energy_error_j",
@@ -110,7 +110,7 @@ class MatrixOf(Reader):
         )
 
     def read(self, value: object) -> Rows:
-        """Return the rows; raise the explained error otherwise."""
+        """Return the rows; raise an explained error if they are invalid."""
         rows = value if isinstance(value, list) else []
         if not 1 <= len(rows) <= self.most or not all(isinstance(row, list) for row in rows):
             raise explained(f"found {written(value)}; {self.allowed()}")
@@ -169,7 +169,7 @@ class Point(Reader):
         return f"{self.what} must be [x, y]; {self.one.allowed()}"
 
     def read(self, value: object) -> list[float]:
-        """Return x and y; raise the explained error otherwise."""
+        """Return x and y; raise an explained error if they are invalid."""
         if not isinstance(value, list) or len(value) != 2:
             raise explained(f"found {written(value)}; {self.allowed()}")
         return [self.one.read(v) for v in value]
@@ -194,7 +194,7 @@ class Different(Reader):
     least: int = 0
 
     def read(self, value: object) -> list[str]:
-        """Return the names; raise the explained error otherwise."""
+        """Return the names; raise an explained error if they are invalid."""
         if not isinstance(value, list) or not self.least <= len(value) <= AXES_MAX:
             raise explained(
                 f"found {written(value)}; must be a list of {self.least} to {AXES_MAX} names"
@@ -512,7 +512,7 @@ class Plant(Table):
     stroke_m: Annotated[float, Range("m", 1e-6, 100, "the stroke in each direction")] = 100.0
 
 
-# ---- what identify found -------------------------------------------------------------------------
+# ---- identification results ----------------------------------------------------------------------
 
 
 def _responses_fit(

@@ -174,7 +174,7 @@ def serial_fault(baud: int, extras: int = 0, *, rate_hz: float = STANDARD_HZ) ->
 
 
 def frames_of(codec: Codec) -> tuple[FrameSize, ...]:
-    """Return the frames of one sample of a codec: the command, then one feedback or two."""
+    """Return the frames of one sample of a codec: the command, then one or two feedbacks."""
     # Only a table has lengths; the program's own frames need none.
     if not codec.struct.command.length:
         return OWN_FRAMES

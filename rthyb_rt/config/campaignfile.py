@@ -101,8 +101,8 @@ class Benchmark(Table):
 
 
 BENCHMARK_KEYS: Final = ("rate_hz", "motion", "law", "structure")
-"""What a benchmark can be varied over; of a key that is not named, all that there is. A structure
-is what the benchmark calls a case; in a campaign that word is taken."""
+"""What a benchmark can be varied over; a key that is not given means all its values. What the
+benchmark calls a case is called a structure, because in a campaign "case" has another meaning."""
 
 
 class CampaignFile(Table):

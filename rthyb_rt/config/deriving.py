@@ -47,8 +47,8 @@ DEFAULT_WINDOW_PERIODS = 0.1
 """The paper's conclusion: a tenth of the period."""
 MAX_WINDOW_S = 1.0
 OIL_SUBSTEPS = 75
-"""Substeps that a period of the table on its oil column needs: with fewer the response to friction
-and valve changes with their number."""
+"""Substeps needed per period of the table on its oil column: with fewer, the response to friction
+and valve depends on their number."""
 
 
 @dataclass(frozen=True)
@@ -469,7 +469,7 @@ def law_settings(
         # It compensates nothing.
         settings[parameter.key] = max(parameter.low, 0.0) if value is None else value
     if any(math.isnan(value) for value in settings.values()):
-        return settings  # said already
+        return settings  # reported already
     found = controller.law.complaint(list(settings.values()), rate.period_s)
     if found is not None:
         key, text = found
@@ -495,7 +495,7 @@ def window_samples_of(test: TestFile, period: float, rate: Rate, problems: list[
     samples = math.floor(window_s * rate.hz + 0.5)
     most = math.floor(MAX_WINDOW_S * rate.hz + 0.5)
     if test.test.time_scale > 1.0:
-        # A tenth of a slow period may be minutes, and the window's noise is small long before.
+        # A tenth of a long period may be minutes, and the noise averages out long before.
         samples = min(samples, most)
     if not 1 <= samples <= most:
         problems.append(
@@ -530,7 +530,7 @@ def rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, f
     noise_n = identified.rest_noise_force_n if identified else None
     noise_m = _given(noise_m, sensors.displacement.noise_std_m)
     noise_n = _given(noise_n, sensors.force.noise_std_n)
-    # A quiet sensor may stand on one step at rest; its rounding is noise as soon as it moves.
+    # A quiet sensor may stay on one step at rest; its rounding acts as noise once it moves.
     noise_m = max(noise_m, sensors.displacement.lsb_m / math.sqrt(12))
     noise_n = max(noise_n, sensors.force.lsb_n / math.sqrt(12))
     if noise_m == 0 and test.controller.law.uses_rest_noise:

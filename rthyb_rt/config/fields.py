@@ -1,6 +1,6 @@
 """Building blocks of the configuration models: ranges with units, strings, and tables.
 
-Every message says what was found, what is allowed and, where it is not plain, what to do.
+Every message says what was found, what is allowed and, if it is not obvious, what to do.
 """
 
 from __future__ import annotations
@@ -486,13 +486,13 @@ class WholeFile(Table):
 def has_key(annotation: Any, path: KeyPath) -> bool:
     """Return whether values of a type can have a key.
 
-    What looks like one may be none: a file may be named like a table, as in `test.at2`, and a fault
-    that has its line already begins with such a name.
+    What looks like a key may not be one: a file may be named like a table, as in `test.at2`, and an
+    error that already has its line begins with such a name.
     """
     if not path:
         return True
     if isinstance(path[0], int):
-        # The place in a list, which the parts of its type do not show.
+        # An index into a list, which does not appear in its type.
         return has_key(annotation, path[1:])
     if typing.get_origin(annotation) is dict:
         return has_key(typing.get_args(annotation)[1], path[1:])

@@ -393,7 +393,7 @@ def _amplitude(row: list[str], at: int, unit: str, where: str) -> float:
         if not math.isfinite(value):
             raise ValueError
         return Amplitudes.one.read(f"{value!r} {unit}")
-    # Which is a ValueError itself.
+    # The error of a wrong number is itself a ValueError.
     except PydanticCustomError as error:
         raise InputError(str((error.context or {})["text"]), where) from None
     except ValueError:

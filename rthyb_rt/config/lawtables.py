@@ -32,14 +32,14 @@ def range_of(p: Parameter) -> Range:
 def extended(
     base: type[_T], name: str, table: str, sections: Mapping[str, type[Table]] | None = None
 ) -> type[_T]:
-    """Return a table with the keys that laws want in it.
+    """Return a table extended by the keys that control laws need in it.
 
     Args:
-        base: with the keys that are no law's.
-        name: of the class.
-        table: what stands before the keys' last point, ``""`` for [controller] itself.
-        sections: tables within this one that are there already; every other one that a law asks for
-            is made.
+        base: table with the keys that belong to no law.
+        name: name of the class.
+        table: prefix of the keys up to their last point, ``""`` for [controller] itself.
+        sections: tables within this one that exist already; all others that a law needs are
+            created.
     """
     fields: dict[str, Any] = {}
     for key, users in parameters().items():
@@ -47,7 +47,7 @@ def extended(
         first = users[0][1]
         if prefix == table:
             bounds = Annotated[float, range_of(first)]
-            # From the rig, where there is one: then the file need not say it.
+            # With a default from the rig, the file need not give it.
             absent = first.default is None or first.rig_key is not None
             fields[last] = (bounds | None, None) if absent else (bounds, first.default)
         elif not table and prefix not in (sections or {}):
@@ -62,14 +62,14 @@ def extended(
 
 
 def _said(table: _T | None) -> _T | None:
-    """Return a table of a law, or None where it says nothing: it is the same as none."""
+    """Return the table of a law, or None if it is empty, which is equivalent."""
     if table is None or all(value is None for _, value in table):
         return None
     return table
 
 
 def setting(table: Table, key: str) -> float | None:
-    """Return what a [controller] table says of a law's parameter, else its default, else None."""
+    """Return a [controller] table's value for a law's parameter, else its default, else None."""
     place: Any = table
     for part in key.split("."):
         place = getattr(place, part, None)
@@ -80,7 +80,7 @@ def setting(table: Table, key: str) -> float | None:
 
 
 def with_settings(table: _T, values: Mapping[str, float]) -> _T:
-    """Return a [controller] table with settings of laws written out, by their keys."""
+    """Return a [controller] table with the given settings of laws written out, by their keys."""
     own = {key: value for key, value in values.items() if "." not in key}
     inner: dict[str, dict[str, float]] = {}
     for key, value in values.items():
@@ -100,9 +100,9 @@ def with_settings(table: _T, values: Mapping[str, float]) -> _T:
 def faults(
     keys: Mapping[str, Any],
 ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
-    """Yield what the settings of the chosen law do wrong together, once each is valid by itself.
+    """Yield errors in the combination of the chosen law's settings, once each is valid on its own.
 
-    Each is the place below [controller], the complaint, and the keys beside it that have a part.
+    Each error is the place below [controller], the message, and the other keys involved.
     """
     if keys.get("type") == PYTHON:
         return
@@ -125,7 +125,7 @@ def faults(
 
 
 def _values(law: Law, keys: Mapping[str, Any]) -> list[float] | None:
-    """Return all settings, NaN for what only the rig knows; None when one is not valid."""
+    """Return all settings, NaN for those that only the rig knows; None if one is not valid."""
     values = []
     for p in law.parameters:
         place: Any = keys

@@ -1,4 +1,4 @@
-"""What a test may not exceed, and what is done when it does: the `[limits]` of test and rig."""
+"""The limits of a test and the actions when they are exceeded: `[limits]` of test and rig."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from rthyb_rt.errors import Problem
 
 Action = Literal["none", "indicate", "hold", "ramp-out", "trip"]
 ACTIONS: tuple[Action, ...] = get_args(Action)
-"""From the weakest to the strongest."""
+"""Actions from the weakest to the strongest."""
 
 ENDING: tuple[Action, ...] = ("hold", "ramp-out", "trip")
-"""The actions that take a test off its course."""
+"""Actions that interrupt a test."""
 
 Source = Literal["test", "rig", "default"]
 
@@ -31,23 +31,23 @@ DEFAULT_TARE_S = 1.0
 DEFAULT_TARE_SHARE_MOST = 0.2
 LEAST_REST_SPREAD_M = 1e-4
 REST_SPREAD_SIGMAS = 20
-"""Noise of one second spans about 6.5 of its standard deviations; a creeping actuator more."""
+"""The noise of one second spans about 6.5 standard deviations; a creeping actuator more."""
 
 BRAKE_MARGIN = 1.25
-"""Times the peak acceleration of the reference. A motion that turned round with its own would need
-1; what goes without a step needs 1.04 near a turning point, and elsewhere makes up for the 16 ms in
-which it comes."""
+"""Factor on the peak acceleration of the reference. Stopping with the motion's own acceleration
+needs 1; without a step in acceleration, 1.04 is needed near a turning point, and elsewhere the
+margin makes up for the 16 ms that the transition takes."""
 
 VELOCITY_MARGIN = 2.0
-"""Times the peak velocity of the compensated reference: as much as the position limit is advised to
-have, for what specimen and delay estimate make of the motion."""
+"""Factor on the peak velocity of the compensated reference, the same as is recommended for the
+position limit, to allow for the effect of specimen and delay estimate on the motion."""
 
 PATH_SHARE = 0.5
-"""Of the command's own limits: the phase lead makes the ends of a path faster than it is."""
+"""Factor on the command's own limits: the phase lead makes the ends of a path faster."""
 
 
 class Limit(Table):
-    """A limit that is watched; a plain number is short for ``{ value = ..., action = "trip" }``."""
+    """A watched limit; a plain number is short for ``{ value = ..., action = "trip" }``."""
 
     plain: ClassVar[Action] = "trip"
 
@@ -57,26 +57,26 @@ class Limit(Table):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Take a bare value for the table around it."""
-        # A list as well, so that it is told what a limit is and not what a table is.
+        """Accept a bare value instead of the table."""
+        # Also a list, so that the message explains a limit instead of a table.
         bare = isinstance(data, (int, float, str, list))
         return {"value": data, "action": cls.plain} if bare else data
 
     @property
     def acts(self) -> bool:
-        """Whether anything happens beyond it."""
+        """Whether exceeding the limit has any effect."""
         return self.enable and self.action != "none"
 
     @property
     def ends(self) -> bool:
-        """Whether a test that exceeds it goes on no longer as it was."""
+        """Whether exceeding the limit interrupts the test."""
         return self.enable and self.action in ENDING
 
     @classmethod
     def __get_pydantic_json_schema__(
         cls, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> dict[str, Any]:
-        """Describe the table, and the bare value that may stand for it."""
+        """Describe the table, and the bare value that may replace it."""
         given = handler(schema)
         described = handler.resolve_ref_schema(given)
         table = dict(described)
@@ -92,13 +92,13 @@ class DisplacementLimit(Limit):
 
 
 class IncrementLimit(Limit):
-    """A limit on what a displacement may change by in one sample of 1/1024 s."""
+    """A limit on the change of a displacement in one sample of 1/1024 s."""
 
     value: Annotated[float, Range("m", 1e-9, 100, "the limit")]
 
 
 class VelocityLimit(Limit):
-    """A limit on the command's velocity: it limits the command, and its action comes on top."""
+    """A limit on the command's velocity: the command is limited, and the action follows as well."""
 
     plain: ClassVar[Action] = "none"
 
@@ -130,7 +130,7 @@ class SampleLimit(Limit):
 
 
 class StepLimit(Limit):
-    """A limit on what a force may change by in one sample of 1/1024 s."""
+    """A limit on the change of a force in one sample of 1/1024 s."""
 
     value: Annotated[float, Range("N", 1e-3, 1e10, "the limit")]
 
@@ -144,15 +144,15 @@ class ShareLimit(Limit):
 
 
 class WarningLimit(ShareLimit):
-    """The share from which on it is worth to say so."""
+    """The share above which a warning is given."""
 
     plain: ClassVar[Action] = "indicate"
 
 
 class Limits(Table):
-    """What a test may not exceed; in a rig file: what no test on this rig may exceed.
+    """Limits of a test; in a rig file: limits that every test on the rig must keep.
 
-    Velocity and acceleration of the command act by limiting it. What stands below them are plain
+    The command is limited to its velocity and acceleration limits. The keys below them are plain
     figures of ramps, HOLD and zeroing.
     """
 
@@ -213,27 +213,27 @@ WATCHED: tuple[str, ...] = (
     "skipped_ticks_share",
     "skipped_ticks_warning_share",
 )
-"""The keys that hold a `Limit`."""
+"""The keys whose value is a `Limit`."""
 
 BEFORE_TARE: tuple[str, ...] = ("command_position_m", "force_n")
-"""Those of which a rig file's acts on what is read before the tare, a test's on what is left."""
+"""Keys that apply before the tare in a rig file, and after the tare in a test file."""
 
 AT_LEAST: tuple[str, ...] = ("ramp_in_s", "tare_s")
-"""Figures of which a test may have more than its rig says, and not less."""
+"""Figures that a test may raise above those of its rig, but not lower."""
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """The limits that a test on a rig really has.
+    """The limits that actually apply to a test on a rig.
 
     Attributes:
-        limits: both files together; the figures of paths and zeroing are there always.
-        sources: where each key comes from; a key that is nowhere is not in it.
+        limits: limits of both files combined; the figures of paths and zeroing are always present.
+        sources: origin of each key that is present.
         path_velocity_m_per_s ... tare_share_most: those figures.
-        brake_acceleration_m_per_s2: how hard HOLD and ramp-out brake; None: no file says so, and
-            there is no reference yet that it could follow from.
-        derived: limits that no file gives, by key: what follows from sensors and test. They act
-            where something real may break, and only indicate in virtual time.
+        brake_acceleration_m_per_s2: deceleration of HOLD and ramp-out; None: no file gives it, and
+            there is no reference simulation yet to derive it from.
+        derived: limits that no file gives, by key, derived from sensors and test. They take effect
+            on a real rig, and only indicate in virtual time.
     """
 
     limits: Limits
@@ -274,20 +274,20 @@ _UNITS = {
 def resolve(
     test: Limits, rig: Limits, rig_name: str, rest_noise_m: float, problems: list[Problem]
 ) -> Resolved:
-    """Join the limits of a test with those of its rig, and fill in what neither says.
+    """Combine the limits of a test with those of its rig, and fill in defaults.
 
     Args:
         test, rig: the tables of both files.
-        rig_name: for messages.
+        rig_name: name of the rig for messages.
         rest_noise_m: noise of the displacement at rest.
-        problems: takes every limit of the test that is weaker than the rig's.
+        problems: receives every limit of the test that is weaker than the rig's.
     """
     merged: dict[str, Any] = {}
     sources: dict[str, Source] = {}
     for key in Limits.model_fields:
         own, bound = getattr(test, key), getattr(rig, key)
         if own is not None:
-            # What a test says with its rig's own words is the rig's: a resolved test does.
+            # A limit of the test that repeats the rig's belongs to the rig, as in a resolved test.
             repeated = key in BEFORE_TARE and own == bound
             merged[key], sources[key] = own, "rig" if repeated else "test"
             problems += _weaker(key, own, bound, rig_name)
@@ -301,7 +301,7 @@ def resolve(
 
 
 def looser(given: Limits, bound: Limits) -> list[str]:
-    """Return the keys in which limits allow more than others do, or lack one of theirs."""
+    """Return the keys in which limits are missing, or allow more than the others do."""
     found = []
     for key in Limits.model_fields:
         own, theirs = getattr(given, key), getattr(bound, key)
@@ -315,12 +315,12 @@ def looser(given: Limits, bound: Limits) -> list[str]:
 
 
 def _binds(limit: Limit) -> bool:
-    """Whether it limits the command, or anything happens beyond it."""
+    """Whether it limits the command, or exceeding it has any effect."""
     return limit.acts or (isinstance(limit, VelocityLimit) and limit.enable)
 
 
 def _weaker(key: str, own: Any, bound: Any, rig_name: str) -> Iterator[Problem]:
-    """Name all in which a test's limit allows more than its rig's."""
+    """Report every way in which a test's limit allows more than its rig's."""
     if isinstance(own, Limit):
         yield from _weaker_limit(key, own, bound, rig_name)
         return
@@ -362,7 +362,7 @@ def _weaker_limit(key: str, own: Limit, bound: Limit | None, rig_name: str) -> I
 def _figures(
     limits: Limits, sources: dict[str, Source], rest_noise_m: float, problems: list[Problem]
 ) -> dict[str, Any]:
-    """Return the figures of paths and zeroing, and the brake's where a file has it."""
+    """Return the figures of paths and zeroing, and that of the brake if a file gives it."""
     velocity, increment = limits.command_velocity_m_per_s, limits.command_increment_m
     fastest = list[tuple[str, float]]()
     if velocity is not None and velocity.enable:
@@ -404,7 +404,7 @@ def _figures(
 
 
 def _hardest(limits: Limits) -> list[tuple[str, float]]:
-    """Return what bounds the acceleration of a path, by name."""
+    """Return the limits that bound the acceleration of a path, by name."""
     acceleration = limits.command_acceleration_m_per_s2
     if acceleration is None:
         return []
@@ -412,11 +412,11 @@ def _hardest(limits: Limits) -> list[tuple[str, float]]:
 
 
 def with_reference(resolved: Resolved, peak_m_per_s: float, peak_m_per_s2: float) -> Resolved:
-    """Fill in what follows from the reference simulation, where no file says it.
+    """Fill in what is derived from the reference simulation and not given in a file.
 
     Args:
         resolved: the limits of test and rig.
-        peak_m_per_s: peak velocity of the reference as the phase lead makes it.
+        peak_m_per_s: peak velocity of the reference after the phase lead.
         peak_m_per_s2: peak acceleration of the reference.
     """
     if resolved.brake_acceleration_m_per_s2 is None:
@@ -449,7 +449,7 @@ def _path_figure(
     sources: dict[str, Source],
     problems: list[Problem],
 ) -> float:
-    """Return the test's figure, else the rig's or the default where the command's limits allow."""
+    """Return the test's figure, else the rig's, else the default if command limits permit it."""
     value: float | None = getattr(limits, key)
     if sources.get(key) == "test" and value is not None:
         for name, bound in bounds:

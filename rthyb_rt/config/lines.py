@@ -1,7 +1,7 @@
-"""Where each key of a TOML text stands, so that a message can point at its line.
+"""The line number of each key of a TOML text, for messages.
 
-`tomllib` gives values without places. This scanner reads a text that `tomllib` has accepted and
-notes the line of every key, table and array element; it checks nothing itself.
+`tomllib` returns values without positions. This scanner reads a text that `tomllib` has accepted
+and records the line of every key, table and array element; it does not validate anything.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class KeyLines:
 
     def __init__(self, text: str) -> None:
         self.lines: dict[Path, int] = {}
-        # One character per line end: offsets stay right for the scan below.
+        # One character per line end: offsets remain correct for the scan below.
         self._text = text.replace("\r\n", "\n")
         self._ends = [match.start() for match in re.finditer("\n", self._text)]
         self._at = 0
@@ -144,7 +144,7 @@ class KeyLines:
         return tuple(parts)
 
     def _skip_blank(self) -> bool:
-        """Go to the next character that means something; false at the end of the text."""
+        """Advance to the next significant character; false at the end of the text."""
         match = _BLANK.match(self._text, self._at)
         if match:
             self._at = match.end()

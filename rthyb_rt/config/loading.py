@@ -1,4 +1,4 @@
-"""From TOML text and ``--set`` overrides to checked models, every fault at once with its place."""
+"""Reading TOML text and ``--set`` overrides into checked models; reports all errors at once."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _SCHEMAS: dict[type[Table], str] = {
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
 
-# Tables in which an override of one key replaces the others that stand for the same thing.
+# Tables in which an override of one key replaces the alternatives to it.
 _EXCLUSIVE: dict[KeyPath, tuple[Choice, ...]] = {
     ("numerical",): Numerical.choices,
     ("ground_motion",): GroundMotion.choices,
@@ -53,16 +53,16 @@ _EXCLUSIVE: dict[KeyPath, tuple[Choice, ...]] = {
 def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> TestFile:
     """Read a test file.
 
-    A ``rig`` or ``ground_motion.record`` that names a file beside the test file (or, when it comes
+    A ``rig`` or ``ground_motion.record`` that names a file beside the test file (or, if it comes
     from an override, in the working directory) is returned as an absolute path.
 
     Args:
         path: the TOML file, or the name of a test that comes with the program.
-        overrides: dotted key -> value as typed after ``--set``, for this file alone
+        overrides: dotted key -> value as typed after ``--set``, for this file only
             (see `split_overrides`).
 
     Raises:
-        InputError: with every fault of the file and the overrides.
+        InputError: with all errors in the file and the overrides.
     """
     overrides, path = overrides or {}, find_test(path)
     test = parse_test(read_text(path, "test"), str(path), overrides)
@@ -91,7 +91,7 @@ def _with_steps(given: History | None, path: str, overrides: Mapping[str, str]) 
     """Read the CSV file of amplitudes and cycles that a history names.
 
     Raises:
-        InputError: what is wrong with the file.
+        InputError: with the errors in the file.
     """
     if not isinstance(given, CyclesHistory) or given.file is None:
         return given
@@ -100,16 +100,16 @@ def _with_steps(given: History | None, path: str, overrides: Mapping[str, str]) 
 
 
 def _with_matrices(test: TestFile, folder: Path, overrides: Mapping[str, str]) -> Numerical:
-    """Read the file of matrices that a test names, so that the test has all that it needs.
+    """Read the file of matrices that a test names, so that the test is complete.
 
     Raises:
-        InputError: what is wrong with the file, and where the test names it.
+        InputError: with the errors in the file, and where the test names it.
     """
     numerical = test.numerical
     given = numerical.matrices
     if not isinstance(given, MatrixFile) or given.data is not None:
         return numerical
-    # NumPy and SciPy are slow to load.
+    # NumPy and SciPy are slow to import.
     from rthyb_rt.config import matrixfile
     from rthyb_rt.core import CoreError
 
@@ -123,7 +123,7 @@ def _with_matrices(test: TestFile, folder: Path, overrides: Mapping[str, str]) -
 
 
 def _with_places(numerical: Numerical, folder: Path, overrides: Mapping[str, str]) -> Numerical:
-    """Return the same with the path of the user's own library or FMU beside the test file."""
+    """Return a copy with the path of the user's library or FMU resolved beside the test file."""
     for table in ("library", "fmu"):
         given = getattr(numerical, table)
         if given is not None:
@@ -138,9 +138,9 @@ def _with_places(numerical: Numerical, folder: Path, overrides: Mapping[str, str
 def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> RigFile:
     """Read a rig file; arguments and errors as for `load_test`.
 
-    Keys of overrides may carry the prefix ``rig.`` that a test's command line needs. A DBC file
+    Keys of overrides may have the prefix ``rig.``, as on the command line of a test. A DBC file
     beside the rig file (or, from an override, in the working directory) is returned as an absolute
-    path; it is read, where cantools is installed, for its faults and the load of the bus.
+    path; if cantools is installed, it is read to check it and the load of the bus.
     """
     overrides = overrides or {}
     text = read_text(path, "rig")
@@ -149,10 +149,10 @@ def load_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> Ri
 
 
 def load_any_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -> RigFile | AxesRig:
-    """Read a rig file of one axis, or of several; arguments and errors as for `load_rig`.
+    """Read a rig file with one axis or several; arguments and errors as for `load_rig`.
 
     In keys of overrides an axis is named: ``rig.axis.left.actuator.kp_per_s``. The file of a plant
-    is read.
+    is read as well.
     """
     overrides = overrides or {}
     text = read_text(path, "rig")
@@ -183,10 +183,10 @@ def load_any_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -
 
 
 def _read_plant(plant: Plant, folder: Path, axes: int, where: str) -> Plant:
-    """Return a plant with the matrices of its file, which are checked as those of a rig file are.
+    """Return a plant with the matrices of its file, checked like those in a rig file.
 
     Raises:
-        InputError: with the file, and what is wrong with it.
+        InputError: with the file and its errors.
     """
     assert plant.file is not None
     path = folder / plant.file
@@ -204,10 +204,10 @@ def _read_plant(plant: Plant, folder: Path, axes: int, where: str) -> Plant:
 
 
 def shared_links(rig: AxesRig) -> list[tuple[int, str]]:
-    """Return what is wrong with links of two axes on one line: number of the axis, and why.
+    """Return errors in links of two axes that share a line: number of the axis, and the reason.
 
-    Several axes share a CAN bus where their frames have identifiers of their own and the bus has
-    room for all.
+    Several axes can share a CAN bus if their frames have different identifiers and the bus has the
+    capacity for all.
     """
     found = list[tuple[int, str]]()
     first: dict[tuple[str, str, str], list[int]] = {}
@@ -269,10 +269,10 @@ def _with_dbc(
     link: Link | None, place: KeyPath, text: str, path: str | Path,
     overrides: Mapping[str, str], name: str = "link",
 ) -> Link | None:  # fmt: skip
-    """Return a link with the absolute path of its DBC file, which is read for its faults.
+    """Return a link with the absolute path of its DBC file, which is read and checked.
 
     Raises:
-        InputError: what is wrong with it.
+        InputError: with the errors in the DBC file.
     """
     if link is None or link.dbc is None:
         return link
@@ -292,15 +292,15 @@ def _with_dbc(
 def load_both(
     test_path: str | Path | None, rig: str | None, settings: Iterable[str]
 ) -> tuple[TestFile, RigFile]:
-    """Read a test file and the rig file that goes with it, of one axis.
+    """Read a test file and the rig file that goes with it, with one axis.
 
     Args:
-        test_path: the test file; None takes the built-in test.
-        rig: path or name of the rig; None takes the one that the test names.
+        test_path: the test file; None: the built-in test.
+        rig: path or name of the rig; None: the one that the test names.
         settings: ``key=value`` as given with ``--set``.
 
     Raises:
-        InputError: with the faults of both files.
+        InputError: with the errors of both files.
     """
     return _load_both(test_path, rig, settings, load_rig)
 
@@ -308,7 +308,7 @@ def load_both(
 def load_any_both(
     test_path: str | Path | None, rig: str | None, settings: Iterable[str]
 ) -> tuple[TestFile, RigFile | AxesRig]:
-    """Read both files, the rig of one axis or of several; otherwise as `load_both`."""
+    """Read both files, the rig with one axis or several; otherwise like `load_both`."""
     return _load_both(test_path, rig, settings, load_any_rig)
 
 
@@ -331,7 +331,7 @@ def _load_both(
     try:
         if rig:
             rig_file = load(find_rig(rig), rig_settings)
-        # A faulty test file does not say reliably which rig it means.
+        # A test file with errors may not name the rig reliably.
         elif test is not None:
             rig_file = load(rig_of_test(test, test_path, test_settings), rig_settings)
     except InputError as error:
@@ -345,7 +345,7 @@ def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:
     """Return the frames of one sample on a CAN link: the program's own, or those of its DBC file.
 
     Raises:
-        InputError: the DBC file cannot be used, or cantools is not there to read it.
+        InputError: the DBC file cannot be used, or cantools is not installed.
     """
     if link.dbc is None:
         return busload.OWN_FRAMES
@@ -355,10 +355,10 @@ def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:
 
 
 def _dbc_fault(link: Link) -> tuple[str, str] | None:
-    """Return the key of a link that its DBC file does not go with, and why.
+    """Return the key of a link that is incompatible with its DBC file, and the reason.
 
     Raises:
-        InputError: with all that is wrong in the DBC file itself.
+        InputError: with all errors in the DBC file itself.
     """
     assert link.dbc is not None
     if not _is_file(Path(link.dbc)):
@@ -387,13 +387,13 @@ def parse_test(
     """Check the text of a test file.
 
     Args:
-        text: of the file.
+        text: content of the file.
         source: its name in messages.
         overrides: dotted key -> value as typed after ``--set``.
-        wording: how messages call an override.
+        wording: how messages refer to an override.
 
     Raises:
-        InputError: with every fault of text and overrides.
+        InputError: with all errors of text and overrides.
     """
     return _parse(TestFile, TEST_SCHEMA, text, source, overrides or {}, wording=wording)
 
@@ -404,7 +404,7 @@ def parse_rig(
     overrides: Mapping[str, str] | None = None,
     wording: Wording = ON_COMMAND_LINE,
 ) -> RigFile:
-    """Check the text of a rig file of one axis; arguments and errors as for `parse_test`."""
+    """Check the text of a rig file with one axis; arguments and errors as for `parse_test`."""
     raw = _toml(text, source)
     if "axis" in raw:
         names = ", ".join(_axis_names(raw)) or "several"
@@ -422,7 +422,7 @@ def parse_any_rig(
     overrides: Mapping[str, str] | None = None,
     wording: Wording = ON_COMMAND_LINE,
 ) -> RigFile | AxesRig:
-    """Check the text of a rig file of one axis or of several; otherwise as for `parse_test`."""
+    """Check the text of a rig file with one axis or several; otherwise like `parse_test`."""
     raw, given = _toml(text, source), overrides or {}
     if "axis" in raw:
         return _parse(AxesRig, RIG_SCHEMA, text, source, given, raw, wording=wording)
@@ -430,7 +430,7 @@ def parse_any_rig(
 
 
 def has_axes(path: str | Path) -> bool:
-    """Tell whether a rig file is of several axes; raises ``InputError`` where it is no TOML."""
+    """Return whether a rig file has several axes; raises ``InputError`` if it is not TOML."""
     return "axis" in _toml(read_text(path, "rig"), str(path))
 
 
@@ -452,7 +452,7 @@ def _by_name(raw: Mapping[str, Any], path: KeyPath) -> KeyPath:
 
 
 def _shown(raw: Mapping[str, Any], place: KeyPath) -> str:
-    """Return a place as messages have it: an axis by its name, where it has one."""
+    """Return a place as shown in messages: an axis by its name, if it has one."""
     parts = list(place)
     if len(parts) > 1 and parts[0] == "axis" and isinstance(parts[1], int):
         tables = raw.get("axis")
@@ -464,15 +464,15 @@ def _shown(raw: Mapping[str, Any], place: KeyPath) -> str:
 
 
 def check_values(model: type[_Model], values: Mapping[str, Any], source: str) -> _Model:
-    """Check the values of a file that is written nowhere, table by table as in TOML.
+    """Check the values of a file that exists only in memory, table by table as in TOML.
 
     Args:
-        model: of the file.
+        model: model of the file.
         values: key -> value, a table being a mapping of its own; without ``schema``.
-        source: what messages call it.
+        source: its name in messages.
 
     Raises:
-        InputError: with every fault, its key and what is allowed there.
+        InputError: with all errors, each with its key and what is allowed there.
     """
     raw = {"schema": _SCHEMAS[model], **values}
     try:
@@ -490,11 +490,11 @@ def parse_baseline(text: str, source: str = "baseline") -> tuple[BaselineFile, l
     """Check the text of a baseline file; ``source`` is its name in messages.
 
     Returns:
-        The file, and the keys in it that mean nothing here. Labs keep more in such a file than the
-        diagnosis reads; a key that is near to one that it knows is a slip of the pen, and a fault.
+        The file, and the keys in it that are not used here. Laboratories keep more in such a file
+        than the diagnosis reads; a key that resembles a known one is taken for a typing error.
 
     Raises:
-        InputError: with every fault, its line and what is allowed there.
+        InputError: with all errors, each with its line and what is allowed there.
     """
     raw = _toml(text, source)
     strange: list[str] = []
@@ -504,10 +504,10 @@ def parse_baseline(text: str, source: str = "baseline") -> tuple[BaselineFile, l
 
 
 def schema_of(text: str, source: str) -> object:
-    """Return what a TOML text says of its schema, None where it says nothing.
+    """Return the schema that a TOML text states, or None.
 
     Raises:
-        InputError: the text is no TOML; with the line.
+        InputError: the text is not TOML; with the line.
     """
     return _toml(text, source).get("schema")
 
@@ -523,7 +523,7 @@ def parse_campaign(text: str, source: str = "campaign") -> CampaignFile:
 
 
 def _set_aside(table: dict[str, Any], model: type[Table], prefix: str, strange: list[str]) -> None:
-    """Take the keys out of a table that a model does not have, and that are near to none of its."""
+    """Remove the keys from a table that a model does not have and that resemble none it has."""
     fields = {info.alias or name: info for name, info in model.model_fields.items()}
     for key in list(table):
         if key not in fields:
@@ -539,13 +539,13 @@ def _set_aside(table: dict[str, Any], model: type[Table], prefix: str, strange: 
 
 
 def split_overrides(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Sort ``key=value`` settings into those of the test file and those of the rig file.
+    """Divide ``key=value`` settings into those of the test file and those of the rig file.
 
-    ``rig.actuator.kp_per_s=60`` belongs to the rig file; ``rig=NAME`` chooses the rig and belongs
+    ``rig.actuator.kp_per_s=60`` belongs to the rig file; ``rig=NAME`` selects the rig and belongs
     to the test file. A later setting of the same key replaces an earlier one.
 
     Raises:
-        InputError: when a setting has no ``=`` or no key.
+        InputError: a setting has no ``=`` or no key.
     """
     test: dict[str, str] = {}
     rig: dict[str, str] = {}
@@ -565,14 +565,14 @@ def split_overrides(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, 
 
 
 def json_schema(kind: Literal["test", "rig", "baseline", "map", "campaign"]) -> dict[str, Any]:
-    """Return the JSON schema of one kind of files, for editors that complete TOML."""
+    """Return the JSON schema of one type of file, for editors that complete TOML."""
     models: dict[str, type[Table]] = {
         "test": TestFile, "rig": RigFile, "baseline": BaselineFile, "map": MapFile,
         "campaign": CampaignFile,
     }  # fmt: skip
     schema = models[kind].model_json_schema()
     if kind == "rig":
-        # A file with [[axis]] is of several axes; what both have is described once.
+        # A file with [[axis]] has several axes; what both kinds have is described once.
         several = AxesRig.model_json_schema()
         parts = {**several.pop("$defs"), **schema.pop("$defs")}
         names = {**schema["properties"], **several["properties"]}
@@ -590,7 +590,7 @@ def json_schema(kind: Literal["test", "rig", "baseline", "map", "campaign"]) -> 
 
 
 def builtin_test_path() -> Path:
-    """Return the test file that runs when none is named: Section 5, T = 0.5 s."""
+    """Return the default test file: Section 5, T = 0.5 s."""
     return _shipped("examples") / "section5-T0.5.toml"
 
 
@@ -598,7 +598,7 @@ def shipped_rig(name: str) -> Path:
     """Return the file of a rig that comes with the program.
 
     Raises:
-        InputError: when there is none of that name; the message lists those there are.
+        InputError: no rig has this name; the message lists the names.
     """
     return _named("rig", name)
 
@@ -609,7 +609,7 @@ def shipped_test(name: str) -> Path:
 
 
 def shipped(kind: Literal["rig", "test"]) -> dict[str, Path]:
-    """Return the files that come with the program by their names."""
+    """Return the files that come with the program, by name."""
     folder = _shipped({"rig": "rigs", "test": "examples"}[kind])
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
@@ -630,7 +630,7 @@ def find_test(name_or_path: str | Path) -> Path:
     """Return the file of a test given by path or by the name of a shipped one.
 
     Raises:
-        InputError: a name that none has; a path is returned whether its file exists or not.
+        InputError: no test has this name; a path is returned whether the file exists or not.
     """
     return find("test", name_or_path)
 
@@ -647,7 +647,7 @@ def find_rig(name_or_path: str | None) -> Path:
     """Return the file of a rig given by path or by the name of a shipped one.
 
     Raises:
-        InputError: when nothing is given or nothing is found.
+        InputError: no rig is given, or none is found.
     """
     if name_or_path is None:
         raise InputError(
@@ -663,12 +663,13 @@ def rig_of_test(
     """Return the file of the rig that a test names.
 
     Args:
-        test: what `load_test` has made of the other two.
+        test: the test that `load_test` returned for the other two.
         path: the test file.
         overrides: dotted key -> value as typed after ``--set``.
 
     Raises:
-        InputError: the test names none, or none that there is; with the line of the test file.
+        InputError: the test names no rig, or one that does not exist; with the line of the test
+            file.
     """
     try:
         return find_rig(test.rig)
@@ -689,7 +690,7 @@ def _shipped(what: str) -> Path:
 
 
 def _is_file(path: Path) -> bool:
-    """Tell whether a path is no folder; a device or a pipe is refused when it is read."""
+    """Return whether a path is not a folder; a device or a pipe is rejected when it is read."""
     try:
         return path.exists() and not path.is_dir()
     except (OSError, ValueError):
@@ -700,10 +701,10 @@ def read_text(path: str | Path, kind: str) -> str:
     """Return the text of a ``kind`` ("test" or "rig") file.
 
     Raises:
-        InputError: there is not a regular file of at most 10 MB, or it is not UTF-8.
+        InputError: there is no regular file of at most 10 MB, or it is not UTF-8.
     """
     try:
-        # A pipe would be waited for, and a device has no end.
+        # Reading a pipe would block, and a device may be endless.
         if not stat.S_ISREG(Path(path).stat().st_mode):
             raise InputError(
                 f"cannot be read (not a regular file); give the path of a {kind} file",
@@ -752,7 +753,7 @@ def _parse(
             problems.append(Problem(wording.place(key), complaint))
         else:
             given[path] = key
-    # Tables that were given another kind, and those whose other keys do not fit it.
+    # Tables whose kind was changed, and those whose other keys do not match it.
     new_kinds: dict[KeyPath, int | str] = {
         key[:-1]: key[-1]
         for key in given
@@ -797,7 +798,7 @@ def _parse(
 
 
 def _kind_message(raw: dict[str, Any], path: KeyPath, override: str, wording: Wording) -> str:
-    """Say how a table gets another kind, with the keys that this one needs."""
+    """Return how to change the kind of a table, with the keys that the new kind needs."""
     values: Any = raw
     for part in path:
         values = values[part]
@@ -822,11 +823,11 @@ def _kind_message(raw: dict[str, Any], path: KeyPath, override: str, wording: Wo
 def _override_to_blame(
     path: KeyPath, involved: list[KeyPath], given: dict[KeyPath, str], lines: KeyLines
 ) -> str | None:
-    """Return the ``--set`` key that a fault at a place comes from, if it comes from one."""
+    """Return the ``--set`` key that caused an error at a place, if any."""
     for key in involved:
         if key in given:
             return given[key]
-    # A table that was given as a whole has taken the file's away, with every key in it.
+    # A table given as a whole replaces that of the file with all its keys.
     for size in range(len(path), 0, -1):
         if path[:size] in given:
             return given[path[:size]]
@@ -874,7 +875,7 @@ def _toml(text: str, source: str) -> dict[str, Any]:
 
 
 def _override_path(model: type[Table], key: str) -> KeyPath:
-    """Return the place a ``--set`` key means; a rig's key may have ``rig.`` before it."""
+    """Return the place that a ``--set`` key refers to; a rig's key may have the prefix ``rig.``."""
     parts: list[str | int] = [int(part) if part.isdecimal() else part for part in key.split(".")]
     of_rig = model in (RigFile, AxesRig)
     if of_rig and len(parts) > 1 and parts[0] == "rig" and parts[1] in model.model_fields:
@@ -885,7 +886,7 @@ def _override_path(model: type[Table], key: str) -> KeyPath:
 def _override(
     raw: dict[str, Any], path: KeyPath, text: str, given: set[KeyPath], wording: Wording
 ) -> str | None:
-    """Put an override into the file's values; return the complaint when it has no place there."""
+    """Put an override into the values of a file; return the error message if it has no place."""
     if "" in path:
         return "the key has an empty part; keys are written as controller.w1"
     place: Any = raw
@@ -919,7 +920,7 @@ def _override(
 
 
 def _drop_alternatives(table: dict[str, Any], path: KeyPath, given: set[KeyPath]) -> None:
-    """Let a period from the command line replace the mass in the file, and the like."""
+    """Let a period from the command line replace the mass in the file, and so on."""
     for choice in _EXCLUSIVE.get(path[:-1], ()):
         if path[-1] in choice.keys:
             for key in choice.keys:
@@ -928,7 +929,7 @@ def _drop_alternatives(table: dict[str, Any], path: KeyPath, given: set[KeyPath]
 
 
 def _override_value(text: str) -> Any:
-    """Read a value as TOML; what is not TOML is taken as text, so that names need no quotes."""
+    """Read a value as TOML; anything else is taken as text, so that names need no quotes."""
     try:
         values = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -939,7 +940,7 @@ def _override_value(text: str) -> Any:
 
 
 def _key_path(loc: tuple[int | str, ...], raw: dict[str, Any]) -> KeyPath:
-    """Return the keys of the file for a place in the models: without the names of union members.
+    """Return the keys of the file for a place in the models, without the names of union members.
 
     A short form, such as a limit given as a number, ends the path.
     """

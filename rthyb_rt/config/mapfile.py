@@ -1,4 +1,4 @@
-"""The mapping file of a recording: which column of a lab's table is which channel."""
+"""The mapping file of a recording, which assigns the columns of a table to channels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MAP_SCHEMA = "rthyb-map/1"
 
 
 class Column(Table):
-    """A column of the table; ``"-LVDT 1 [mm]"`` stands for column, unit and sign."""
+    """A column of the table; ``"-LVDT 1 [mm]"`` is short for column, unit and sign."""
 
     column: Annotated[str, SOME_TEXT]
     unit: Annotated[str, SOME_TEXT] | None = None
@@ -20,12 +20,12 @@ class Column(Table):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Take a plain text for the column with its sign and unit."""
+        """Accept a plain text for the column with its sign and unit."""
         return {"column": data} if isinstance(data, str) else data
 
 
 class Channels(Table):
-    """The channels, each with its column."""
+    """The channels, with the column of each."""
 
     t: Column | None = None
     ag: Column | None = None
@@ -39,7 +39,7 @@ class Channels(Table):
 
 
 class MapFile(Table):
-    """Columns of a lab's recording by channel."""
+    """Columns of an external recording, by channel."""
 
     schema_: Literal["rthyb-map/1"] = Field(alias="schema")
     channels: Channels

@@ -1,15 +1,15 @@
-"""Several axes that feel one another: their identified response, and what undoes it.
+"""Several coupled axes: their identified response, and its inverse.
 
-A sweep of every axis in turn gives H, one matrix a frequency: [row of the reading][column of the
-command]. What undoes it is
+A sweep of each axis in turn gives H, one matrix per frequency: [row of the reading][column of the
+command]. The inverse is
 
-    C(z) = C_0 + sum of C_k (1 - 1/z) / (1 - rho_k / z),   rho_k = exp(-2 pi f_k h),
+C(z) = C_0 + sum of C_k (1 - 1/z) / (1 - rho_k / z),   rho_k = exp(-2 pi f_k h),
 
-with given poles, so that it is stable whatever was fitted. The coefficients make
-``|w (H C - 1)|`` least over the sweep, with w = 1 / (1 + (f / 6 Hz)^2) + .01 as for one axis, and
-beside it ``|l C|`` from the sweep's end to half of the sample rate, where nothing is known of H and
-C only makes noise louder: of the weights l tried the largest one is taken that leaves no error
-above `GOOD` where structures answer.
+with given poles, so that it is stable for all coefficients. The coefficients minimise
+``|w (H C - 1)|`` over the sweep, with w = 1 / (1 + (f / 6 Hz)^2) + .01 as for one axis, together
+with ``|l C|`` from the sweep's end to half the sample rate, where H is not known and C only
+amplifies noise. Of the weights l tried, the largest is used for which no error exceeds `GOOD` at
+frequencies where structures respond.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 POLES_HZ: Final = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
-"""An octave apart: from where a servo's slow modes are to where a lead ends at 1024 Hz."""
+"""An octave apart: from the slow modes of a servo to the end of a lead at 1024 Hz."""
 GOOD: Final = 0.05
-"""Error of H C against 1 up to `response.SLOW_HZ` that a louder inverse is not paid for: as much as
-the gain of the lead before it may be off at the beginning (`MatrixLeadConfig.gain_sigma`)."""
+"""Error of H C against 1 up to `response.SLOW_HZ` that is not worth a larger inverse: equal to the
+initial uncertainty of the gain of the lead in front of it (`MatrixLeadConfig.gain_sigma`)."""
 QUIETEST: Final = 1e-1
 LOUDEST: Final = 1e-8
-"""Weights of the inverse's own size that are tried, each half of the one before."""
+"""Trial weights on the size of the inverse, each half of the previous one."""
 BEYOND_TONES: Final = 100
 
 
 @dataclass(frozen=True, eq=False)
 class MatrixResponse:
-    """What a sweep of several axes found.
+    """Result of a sweep of several axes.
 
     Attributes:
-        frequency_hz: rising, (n,).
+        frequency_hz: increasing, (n,).
         response: H, (n, axes, axes).
         rest_noise_m: standard deviation of each reading at rest, (axes,).
     """
@@ -76,10 +76,10 @@ class MatrixFit:
 
     Attributes:
         inverse: the inverse.
-        worst: largest number of ``|H C - 1|`` up to `response.SLOW_HZ`.
-        worst_hz: where.
+        worst: largest entry of ``|H C - 1|`` up to `response.SLOW_HZ`.
+        worst_hz: its frequency.
         loudest: largest singular value of C beyond the sweep.
-        largest_root: of the axes as fitted, in z; below 1.
+        largest_root: largest pole of the axes as fitted, in z; below 1.
     """
 
     inverse: MatrixInverse
@@ -90,15 +90,15 @@ class MatrixFit:
 
 
 def fit(found: MatrixResponse, period_s: float, pole_hz: Sequence[float] = POLES_HZ) -> MatrixFit:
-    """Return the quietest good inverse of a response.
+    """Return the smallest inverse of a response that is accurate enough.
 
     Args:
         found: the response.
         period_s: sampling period.
-        pole_hz: of the inverse, up to eight, below half of the sample rate.
+        pole_hz: poles of the inverse, at most eight, below half the sample rate.
 
     Raises:
-        InputError: a sweep that is too short to tell, or no stable inverse within a tenth.
+        InputError: the sweep is too short, or no stable inverse is accurate to a tenth.
     """
     if not 0 < len(pole_hz) <= POLES_MAX or max(pole_hz) * period_s >= 0.5 or min(pole_hz) <= 0:
         raise InputError(
@@ -159,14 +159,14 @@ def _fit(
 
 
 def largest_root(inverse: MatrixInverse, period_s: float) -> float:
-    """Return the largest pole, in z, of what an inverse undoes: inf where it undoes nothing."""
+    """Return the largest pole, in z, of the system with this inverse: inf if it has none."""
     c = np.asarray(inverse.coefficients)
     axes, poles = c.shape[1], len(inverse.pole_hz)
     rho = np.exp(-2.0 * np.pi * np.asarray(inverse.pole_hz) * period_s)
     feed = c.sum(axis=0)
     if np.linalg.cond(feed) > 1e12 or np.linalg.cond(c[0]) > 1e12:
         return float("inf")
-    # States: the last input, then what each pole keeps; the output is 0.
+    # States: the last input, then the memory of each pole; the output is 0.
     kept = [-r * own for r, own in zip(rho, c[1:], strict=True)]
     last = np.linalg.solve(feed, np.hstack([feed - c[0], *kept]))
     a = np.zeros((axes * (poles + 1),) * 2)
@@ -182,14 +182,14 @@ def largest_root(inverse: MatrixInverse, period_s: float) -> float:
 def fitted_terms(
     found: MatrixResponse, period_s: float, roll_off_hz: float, *, coupled: bool, before: Any = None
 ) -> Floats:
-    """Return gain less 1, delay (s) and curvature (s^2) of the lead that undoes a response best.
+    """Return gain less 1, delay (s) and curvature (s^2) of the lead that best inverts a response.
 
     Args:
         found: the response.
         period_s: sampling period.
-        roll_off_hz: of the lead.
-        coupled: with numbers beside the diagonal; else each axis is seen by itself.
-        before: an inverse between lead and axes, a `MatrixInverse`; None: there is none.
+        roll_off_hz: roll-off frequency of the lead.
+        coupled: whether to use off-diagonal terms; otherwise each axis is fitted separately.
+        before: inverse between lead and axes, a `MatrixInverse`, or None.
 
     Returns:
         (3, axes, axes).

@@ -1,8 +1,9 @@
 """Reading the matrices of a structure: .npz, .mat, Matrix Market, CSV.
 
-An .npz or .mat file has the arrays ``M`` and ``K`` and may have ``C``, (n, n), dense or as SciPy
-keeps sparse ones; ``labels``, n texts; ``influence``, n numbers, or n rows with a column for each
-of ``directions``. Units are SI. .npz has sparse matrices as ``M_row``, ``M_column``, ``M_value``.
+An .npz or .mat file contains the arrays ``M`` and ``K``, and optionally ``C``, (n, n), dense or
+sparse as SciPy stores them; ``labels``, n strings; ``influence``, n numbers, or n rows with a
+column for each of ``directions``. Units are SI. Sparse .npz matrices: ``M_row``, ``M_column``,
+``M_value``.
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ from rthyb_rt.errors import InputError
 Floats = NDArray[np.float64]
 
 SYMMETRY: Final = 1e-6
-"""Of the largest entry of two rows: what a finite-element program's rounding leaves."""
+"""Relative to the largest entry of two rows: rounding in finite-element output."""
 MAX_BYTES: Final = 500 * 10**6
 _NAMES: Final = {"mass": "M", "stiffness": "K", "damping": "C"}
 
 
 @dataclass(frozen=True, eq=False)
 class MatrixData:
-    """What a file of matrices says.
+    """Content of a file of matrices.
 
     Attributes:
-        mass_kg, stiffness_n_per_m, damping_n_s_per_m: (n, n) each; damping None: not said.
-        labels: of the degrees of freedom, (n,).
+        mass_kg, stiffness_n_per_m, damping_n_s_per_m: (n, n) each; damping None: not given.
+        labels: labels of the degrees of freedom, (n,).
         influence: displacements for a unit displacement of the ground, (n,), one for each
             direction.
     """
@@ -55,7 +56,7 @@ class MatrixData:
         return self.mass_kg.size
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return it as the arrays of an .npz file."""
+        """Return the content as the arrays of an .npz file."""
         found: dict[str, NDArray[Any]] = {
             "labels": np.array(self.labels),
             "size": np.array(self.size),
@@ -73,17 +74,17 @@ class MatrixData:
         return found
 
     def packed(self) -> str:
-        """Return it as a text, for the recording of a test."""
+        """Return the content as text, for the recording of a test."""
         held = io.BytesIO()
         np.savez(held, **self.arrays())  # type: ignore[arg-type]
         return base64.b64encode(zlib.compress(held.getvalue(), 9)).decode()
 
 
 def unpacked(text: str) -> MatrixData:
-    """Return what `MatrixData.packed` made a text of.
+    """Return the content of text from `MatrixData.packed`.
 
     Raises:
-        InputError: it is none.
+        InputError: the text is not valid.
     """
     where = "numerical.matrices.data"
     try:
@@ -102,11 +103,11 @@ def read(given: MatrixFile, folder: Path) -> MatrixData:
 
     Args:
         given: the table of the test file.
-        folder: in which files are looked for that have no path of their own.
+        folder: folder to which relative paths refer.
 
     Raises:
-        InputError: a file is not there or not readable, or what stands in it is no structure; with
-            file, place and value.
+        InputError: a file is missing or not readable, or does not describe a structure; with file,
+            place and value.
     """
     if given.files is not None:
         return _of_parts(given.files, folder)
@@ -221,15 +222,15 @@ def _one_matrix(path: Path) -> Any:
 def check_arrays(
     arrays: Mapping[str, Any], where: str, places: Mapping[str, str] | None = None
 ) -> MatrixData:
-    """Return the structure that arrays describe, as an .npz file has them.
+    """Return the structure that arrays describe, as in an .npz file.
 
     Args:
-        arrays: by their names.
-        where: from which file, for messages.
-        places: from which, where the matrices are from files of their own.
+        arrays: the arrays by name.
+        where: name of the file for messages.
+        places: file of each matrix, if each has its own.
 
     Raises:
-        InputError: they are none; with file, place, value and what is allowed.
+        InputError: the arrays are invalid; with file, place, value and what is allowed.
     """
     places = places or {}
     found: dict[str, Symmetric] = {}
@@ -348,7 +349,7 @@ def _labels(given: Any, n: int, where: str) -> tuple[str, ...]:
     if given is None:
         return tuple(str(i + 1) for i in range(n))
     flat = np.asarray(given, dtype=object).ravel()
-    # MATLAB's cells are arrays of one text each, its character arrays are padded.
+    # Cells of MATLAB are arrays of one string each; its character arrays are padded.
     names = tuple(str(one.ravel()[0] if isinstance(one, np.ndarray) and one.size else one).strip()
                   for one in flat)  # fmt: skip
     if len(names) != n or not all(names):

@@ -1,4 +1,4 @@
-"""A numerical part by its matrices: `[numerical.matrices]` of the test file."""
+"""A numerical part given by matrices: `[numerical.matrices]` of the test file."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from rthyb_rt.core.sizes import DENSE_MAX
 
 MOST_DEGREES: Final = DENSE_MAX
 SYMMETRY: Final = 1e-9
-"""Two entries that should be equal may differ by so much of the larger: printed digits."""
+"""Allowed relative difference of two entries that should be equal: rounding in print."""
 
 
 @dataclass(frozen=True)
 class Numbers(Reader):
-    """A list of numbers, each as `Range` takes one.
+    """A list of numbers, each accepted as by `Range`.
 
     Attributes:
-        each: what one of them is.
-        what: what all of them are.
+        each: field of each number.
+        what: description of the list.
     """
 
     each: Range
@@ -36,7 +36,7 @@ class Numbers(Reader):
         return f"{self.what} must be a list of 1 to {MOST_DEGREES} numbers{unit}"
 
     def read(self, value: object) -> list[float]:
-        """Return the numbers; raise the explained error otherwise."""
+        """Return the numbers; raise an explained error if they are invalid."""
         if not isinstance(value, list) or not 1 <= len(value) <= MOST_DEGREES:
             raise explained(f"found {written(value)}; {self.allowed()}")
         return [_entry(self.each, item, f"number {i + 1}") for i, item in enumerate(value)]
@@ -51,12 +51,12 @@ class Numbers(Reader):
 
 @dataclass(frozen=True)
 class Square(Reader):
-    """A symmetric matrix as a list of rows; a plain list of numbers stands for its diagonal.
+    """A symmetric matrix as a list of rows; a plain list of numbers is its diagonal.
 
     Attributes:
-        each: what one entry is.
-        what: what the matrix is.
-        positive: whether it must be positive definite, as masses are that move.
+        each: field of each entry.
+        what: description of the matrix.
+        positive: whether it must be positive definite, like the masses.
     """
 
     each: Range
@@ -71,7 +71,7 @@ class Square(Reader):
         )
 
     def read(self, value: object) -> list[list[float]]:
-        """Return the rows; raise the explained error otherwise."""
+        """Return the rows; raise an explained error if they are invalid."""
         if not isinstance(value, list) or not 1 <= len(value) <= MOST_DEGREES:
             raise explained(f"found {written(value)}; {self.allowed()}")
         if not any(isinstance(row, list) for row in value):
@@ -133,7 +133,7 @@ class Square(Reader):
 
 
 def least_pivot(rows: Sequence[Sequence[float]]) -> float:
-    """Return Cholesky's least squared pivot over the largest entry; above 0: definite."""
+    """Return Cholesky's smallest squared pivot over the largest entry; above 0: definite."""
     a = [list(row) for row in rows]
     scale = max(abs(v) for row in a for v in row) or 1.0
     least = math.inf
@@ -149,7 +149,7 @@ def least_pivot(rows: Sequence[Sequence[float]]) -> float:
 
 
 def _entry(each: Range, value: object, where: str) -> float:
-    """Read one number, and say where it stands if it is none."""
+    """Read one number; an error names its position."""
     try:
         return each.read(value)
     except PydanticCustomError as error:
@@ -169,7 +169,7 @@ class Place(Reader):
         return f"{self.what} must be one of the labels, or a number from 1"
 
     def read(self, value: object) -> int | str:
-        """Return label or number; raise the explained error otherwise."""
+        """Return label or number; raise an explained error if it is invalid."""
         whole = isinstance(value, int) and not isinstance(value, bool)
         if isinstance(value, int) and whole and 1 <= value <= MOST_DEGREES:
             return value
@@ -197,7 +197,7 @@ class Labels(Reader):
         return f"{self.what} must be a list of 1 to {MOST_DEGREES} different strings, none empty"
 
     def read(self, value: object) -> list[str]:
-        """Return the names; raise the explained error otherwise."""
+        """Return the names; raise an explained error if they are invalid."""
         texts = isinstance(value, list) and all(isinstance(v, str) and v.strip() for v in value)
         if isinstance(value, list) and texts and 1 <= len(value) <= MOST_DEGREES:
             twice = [v for v in value if value.count(v) > 1]
@@ -215,9 +215,9 @@ class Labels(Reader):
 
 
 class TakenOut(Table):
-    """What is known of the specimen, where the matrices are those of the whole structure.
+    """Known properties of the specimen, if the matrices are those of the whole structure.
 
-    It is taken out of them at the interface. ``stiffness_n_per_m`` absent: the rig's k_e.
+    They are subtracted from the matrices at the interface. Default stiffness: the rig's k_e.
     """
 
     mass_kg: Annotated[float, Range("kg", 0, 1e9, "the specimen's mass")] = 0.0
@@ -272,7 +272,7 @@ def _keeps_mass(
 
 
 def index_of(interface: int | str, labels: list[str] | None) -> int:
-    """Return which degree of freedom an interface is, from 0."""
+    """Return the index of the interface's degree of freedom, from 0."""
     if isinstance(interface, int):
         return interface - 1
     return (labels or []).index(interface)
@@ -282,8 +282,8 @@ class Matrices(Table):
     """A linear numerical part of up to eight degrees of freedom, by its matrices.
 
     Without ``specimen`` they are those of the numerical part alone, and the ground motion acts on
-    their masses; with it they are the whole structure's. ``damping_ratios`` are those of the modes
-    of the whole structure on an elastic specimen.
+    their masses; with it they are the whole structure's. ``damping_ratios`` refer to the modes of
+    the whole structure with an elastic specimen.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (
@@ -335,5 +335,5 @@ class Matrices(Table):
 
     @property
     def at(self) -> int:
-        """Which degree of freedom the interface is, from 0."""
+        """Index of the interface's degree of freedom, from 0."""
         return index_of(self.interface, self.labels)

@@ -1,7 +1,7 @@
 """A numerical part given by matrices, with the specimen joined to it: modes, damping, stability.
 
-Everything here is small (eight degrees of freedom at most) and dense; what runs in a test is
-``csrc/numerical_dense.c``.
+Everything here is small (at most eight degrees of freedom) and dense; the code that runs during a
+test is ``csrc/numerical_dense.c``.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from rthyb_rt.core.numerical_parts import DensePart
 Floats = NDArray[np.float64]
 
 RADIUS_SLACK: Final = 1e-9
-"""Of a spectral radius above 1: rounding of an eigenvalue on the unit circle."""
+"""Tolerance of a spectral radius above 1: rounding of an eigenvalue on the unit circle."""
 REFERENCE_SUBSTEPS: Final = 8
-"""Of RK4 with a specimen that is not linear: its force is held for an eighth of a sample then."""
+"""Substeps of RK4 with a nonlinear specimen, whose force is then held for 1/8 of a sample."""
 LINEAR: Final = ("inertia", "viscous", "stiffness")
-"""Elements that are numbers in the matrices."""
+"""Elements that are equivalent to a number in the matrices."""
 
 
 @dataclass(frozen=True)
 class Mode:
-    """One mode of the joined structure.
+    """One mode of the complete structure.
 
     Attributes:
         frequency_hz: natural frequency without damping.
         damping_ratio: phi' C phi / (2 omega), with phi' M phi = 1.
-        shape: largest entry 1, (n,).
-        at_interface: entry of the interface in the shape of unit modal mass, 1/sqrt(kg).
-        effective_mass: share of the mass that the ground motion moves in it.
+        shape: mode shape with largest entry 1, (n,).
+        at_interface: entry of the interface in the mode shape with unit modal mass, 1/sqrt(kg).
+        effective_mass: effective modal mass for the ground motion, as a share.
     """
 
     frequency_hz: float
@@ -49,7 +49,7 @@ class Mode:
 def linear_and_others(
     elements: Sequence[ElementConfig],
 ) -> tuple[tuple[float, float, float], list[ElementConfig]]:
-    """Return a model's mass, kg, damping, N s/m, stiffness, N/m, and what else it is made of."""
+    """Return a model's mass, kg, damping, N s/m, stiffness, N/m, and its other elements."""
     mass, damping, spring = (
         sum(e.params[0] for e in elements if e.kind == kind) for kind in LINEAR
     )
@@ -61,18 +61,18 @@ class Structure:
     """The numerical part and what is known of its specimen.
 
     Attributes:
-        labels: of the degrees of freedom, (n,).
-        part: the part as the core takes it.
+        labels: labels of the degrees of freedom, (n,).
+        part: settings of the part for the core.
     """
 
     labels: tuple[str, ...]
     part: DenseConfig
 
     def slowed(self, time_scale: float) -> Structure:
-        """Return it in a time that runs so much slower, see `rthyb_rt.config.timescale`.
+        """Return the structure for a slower time scale, see `rthyb_rt.config.timescale`.
 
-        What is known of the specimen stands in the laboratory and is not slowed: what its mass and
-        damping then lack is computed, and `with_lack` takes that out again.
+        What is known of the specimen is in the laboratory and is not scaled: what its mass and
+        damping then lack is computed, and `with_lack` removes it again.
         """
         if time_scale == 1.0:
             return self
@@ -86,7 +86,7 @@ class Structure:
         return replace(self, part=slow).with_lack(time_scale, 1.0)
 
     def with_lack(self, time_scale: float, share: float) -> Structure:
-        """Return it with so much more of what the known specimen lacks in its slowness."""
+        """Return the structure with a share of the slow specimen's missing forces added."""
         part = self.part
         mass = share * (time_scale**2 - 1.0) * part.specimen_mass_kg
         damping = share * (time_scale - 1.0) * part.specimen_damping_n_s_per_m
@@ -98,7 +98,7 @@ class Structure:
         return replace(self, part=more)
 
     def joined(self) -> tuple[Floats, Floats, Floats]:
-        """Return mass, damping and stiffness with the elastic specimen in them, (n, n) each."""
+        """Return mass, damping and stiffness including the elastic specimen, (n, n) each."""
         part = self.part
         known = (part.specimen_mass_kg, part.specimen_damping_n_s_per_m, part.k_e_n_per_m)
         own = (part.mass_kg, part.damping_n_s_per_m, part.stiffness_n_per_m)
@@ -108,7 +108,7 @@ class Structure:
         return m, c, k
 
     def modes(self) -> tuple[Mode, ...]:
-        """Return the modes of the joined structure, the lowest first."""
+        """Return the modes of the complete structure, the lowest first."""
         m, c, k = self.joined()
         w2, phi = _modes_of(m, k)
         load = np.array(self.part.load_kg)
@@ -134,34 +134,34 @@ class Structure:
         return self.modes()[0]
 
     def spectral_radius(self) -> float:
-        """Return the largest root of one step of the joined structure, the specimen elastic."""
+        """Return the spectral radius of a step of the complete structure, the specimen elastic."""
         m, c, k = self.joined()
         return float(np.abs(step_roots(self.part.integrator, m, c, k, self.part.period_s)).max())
 
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
     ) -> tuple[Floats, Floats, Floats]:
-        """Simulate the structure with a model of the specimen joined to it, at the interface.
+        """Simulate the structure joined to a model of the specimen; return the interface's motion.
 
-        As `whole_reference`, without what the other degrees of freedom do.
+        Like `whole_reference`, without the displacements of the other degrees of freedom.
         """
         return self.whole_reference(elements, ag_mps2)[:3]
 
     def whole_reference(
         self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Simulate the structure with a model of the specimen joined to it.
+        """Simulate the structure joined to a model of the specimen.
 
-        What is linear of the model goes into the matrices, so that nothing of it is late.
+        The linear elements of the model are added to the matrices, so their forces are not delayed.
 
         Args:
             elements: the model.
             ag_mps2: ground acceleration at every sample, (n,).
 
         Returns:
-            At the interface displacement, velocity, and force of all but the model's masses and
-            dampers, (n,) each; the displacement of every degree of freedom, (n, degrees of
-            freedom).
+            At the interface: displacement, velocity, and the force without that of the model's
+            masses and dampers, (n,) each; then the displacement of every degree of freedom, (n,
+            dofs).
         """
         ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
         (mass, damping, spring), others = linear_and_others(elements)
@@ -181,7 +181,7 @@ class Structure:
         return x[::steps], v[::steps], force[::steps] + spring * x[::steps], everywhere[::steps]
 
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
-        """Return how the interface moves with a specimen that does not yield, (n,)."""
+        """Return the displacement of the interface with an elastic specimen, (n,)."""
         part = self.part
         model = [
             element("stiffness", k_n_per_m=part.k_e_n_per_m),
@@ -197,7 +197,7 @@ def structure_of(given: Matrices, k_e_n_per_m: float, period_s: float) -> Struct
     Args:
         given: the matrices.
         k_e_n_per_m: elastic stiffness of the rig's specimen.
-        period_s: of a sample.
+        period_s: sampling period.
     """
     at, n = given.at, len(given.m_kg)
     m, k = np.array(given.m_kg), np.array(given.k_n_per_m)
@@ -233,11 +233,11 @@ def structure_of(given: Matrices, k_e_n_per_m: float, period_s: float) -> Struct
 
 
 def modal_damping(m: Floats, k: Floats, ratios: Sequence[float]) -> Floats:
-    """Return C = M Phi diag(2 zeta omega) Phi' M, (n, n); a mode that does not swing gets none.
+    """Return C = M Phi diag(2 zeta omega) Phi' M, (n, n); rigid-body modes are not damped.
 
     Args:
         m, k: masses and stiffnesses, (n, n).
-        ratios: of the modes, the lowest first, (n,), or one for all.
+        ratios: damping ratios of the modes, the lowest first, (n,), or one for all.
     """
     w2, phi = _modes_of(m, k)
     zeta = np.broadcast_to(np.asarray(ratios, dtype=np.float64), w2.shape)
@@ -263,7 +263,7 @@ def step_roots(
         a = np.block([[zero, one], [-np.linalg.solve(m, k), -np.linalg.solve(m, c)]])
         z = h * np.linalg.eigvals(a)
         return np.asarray(1.0 + z * (1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0))))
-    # Chen & Ricles (2008), with the accelerations put in.
+    # Chen & Ricles (2008), with the accelerations substituted.
     alpha = np.linalg.solve(4.0 * m + 2.0 * h * c + h * h * k, 4.0 * one)
     to_v = np.hstack([-h * alpha @ k, one - h * alpha @ c])
     to_x = np.hstack([one, h * one]) + h * (to_v - np.hstack([np.zeros((n, n)), one]))

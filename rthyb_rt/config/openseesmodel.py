@@ -22,10 +22,10 @@ DIRECTIONS: Final[dict[tuple[int, int], tuple[str, ...]]] = {
     (3, 3): ("x", "y", "z"),
     (3, 6): ("x", "y", "z", "rx", "ry", "rz"),
 }
-"""Names of a node's degrees of freedom, by the model's dimensions and degrees of freedom."""
+"""Names of a node's degrees of freedom, by the model's ``ndm`` and ``ndf``."""
 _SCALE: Final = 1e12
-"""Masses and dampings are printed with the stiffness beside them, so that what has no mass does not
-make OpenSees' own solve fail, and so much larger that no digit of theirs is lost."""
+"""Masses and dampings are printed together with the stiffness, so that OpenSees' own solver does
+not fail for lack of mass, and multiplied by this factor so that no digits are lost."""
 
 
 def opensees() -> Any:
@@ -57,14 +57,14 @@ def _cause(error: BaseException) -> str:
 
 
 def read(model: Path) -> MatrixData:
-    """Run a user's script and return the matrices of the model that it leaves.
+    """Run a user's script and return the matrices of the model that it builds.
 
     Args:
-        model: a Python file that builds the model with openseespy, and stops before an analysis.
+        model: a Python file that builds the model with openseespy, without running an analysis.
 
     Raises:
-        InputError: there is no such file, it fails, or leaves no model; what is said of a file of
-            matrices holds of these as well.
+        InputError: the file does not exist, fails, or builds no model; or an error of
+            `matrixfile.check_arrays`.
     """
     if not model.is_file():
         raise InputError("no such file; give the Python file that builds the model", str(model))
@@ -79,7 +79,7 @@ def read(model: Path) -> MatrixData:
     except SystemExit as error:
         raise InputError(f"the script ended with exit({error.code})", str(model)) from None
     except Exception as error:
-        # A user's script may fail in any way.
+        # A user's script may raise anything.
         last = f"{type(error).__name__}: {error}"
         raise InputError(f"the script failed ({last})", f"{model}:{_line(error, model)}") from error
     finally:
@@ -88,7 +88,7 @@ def read(model: Path) -> MatrixData:
 
 @contextlib.contextmanager
 def _working_in(folder: Path) -> Iterator[None]:
-    """Have a script find the files beside it."""
+    """Run a script in its own folder, so that it finds the files there."""
     import os
     import sys
 
@@ -147,7 +147,7 @@ def _matrix(ops: Any, which: tuple[float, float, float], where: str) -> NDArray[
     ops.algorithm("Linear")
     ops.integrator("GimmeMCK", *which)
     ops.analysis("Transient")
-    ops.analyze(1, 0.0)  # assembles, whether or not it can solve
+    ops.analyze(1, 0.0)  # assembles, even if it cannot solve
     values = np.array(ops.printA("-ret"), dtype=np.float64)
     n = round(np.sqrt(values.size))
     if n == 0 or n * n != values.size:
@@ -156,7 +156,7 @@ def _matrix(ops: Any, which: tuple[float, float, float], where: str) -> NDArray[
 
 
 def _places(ops: Any, tags: list[int], where: str) -> dict[int, str]:
-    """Return the label of each equation, by its number."""
+    """Return the labels of the equations in their order."""
     found: dict[int, str] = {}
     for tag in tags:
         dofs = [int(one) for one in ops.nodeDOFs(tag)]

@@ -1,4 +1,4 @@
-"""What is the user's own in test and rig files: a shared library, an FMU, a class in Python."""
+"""User-defined parts in test and rig files: a shared library, an FMU, a class in Python."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rthyb_rt.core.own import OwnClass
 
 PYTHON: Final = "python"
-"""What a control law, or an element, of a class in Python is called in a file."""
+"""The type of a control law, or the kind of an element, that is a class in Python."""
 MOST_SETTINGS: Final = 256
 _NAME: Final = re.compile(r"[A-Za-z_][\w.\[\],]{0,127}")
 _CLASS: Final = Text(
@@ -28,7 +28,7 @@ _CLASS: Final = Text(
 
 @dataclass(frozen=True)
 class Parameters(Reader):
-    """Numbers by name, of a library or an FMU, in the order of the file."""
+    """Numbers by name for a library or an FMU, in the order of the file."""
 
     what: str = "the parameters"
     form: ClassVar[str] = "table of names and numbers"
@@ -41,7 +41,7 @@ class Parameters(Reader):
         )
 
     def read(self, value: object) -> dict[str, float]:
-        """Return the numbers; raise the explained error otherwise."""
+        """Return the numbers; raise an explained error if they are invalid."""
         if not isinstance(value, dict) or len(value) > MOST_SETTINGS:
             raise explained(f"found {written(value)}; {self.allowed()}")
         found = {}
@@ -67,7 +67,7 @@ class Parameters(Reader):
 
 @dataclass(frozen=True)
 class Settings(Reader):
-    """Arguments that a class is made with: numbers, texts, true, false, or lists of these."""
+    """Arguments of a class: numbers, strings, true, false, or lists of these."""
 
     what: str = "the settings"
     form: ClassVar[str] = "table of arguments"
@@ -80,7 +80,7 @@ class Settings(Reader):
         )
 
     def read(self, value: object) -> dict[str, Any]:
-        """Return the arguments; raise the explained error otherwise."""
+        """Return the arguments; raise an explained error if they are invalid."""
         if not isinstance(value, dict) or len(value) > MOST_SETTINGS:
             raise explained(f"found {written(value)}; {self.allowed()}")
         for name, given in value.items():
@@ -100,9 +100,9 @@ class Settings(Reader):
 
 
 class LibraryFile(Table):
-    """A numerical part in a shared library of the user's own (``rthyb_library.h``).
+    """A user-defined numerical part in a shared library (``rthyb_library.h``).
 
-    ``parameters`` are those that the library asks for, each by its name.
+    ``parameters`` are those that the library requires, by name.
     """
 
     file: Annotated[str, SOME_TEXT]
@@ -112,8 +112,8 @@ class LibraryFile(Table):
 class FmuFile(Table):
     """A numerical part in an FMU for co-simulation, FMI 2 or 3, by the names of its variables.
 
-    ``force`` and ``ground_acceleration`` are inputs, ``displacement`` is an output, and
-    ``record`` names more variables that are recorded. ``parameters`` are start values.
+    ``force`` and ``ground_acceleration`` are inputs, ``displacement`` is an output; ``record``
+    names further variables to record. ``parameters`` are start values.
     """
 
     file: Annotated[str, SOME_TEXT]
@@ -127,22 +127,22 @@ class FmuFile(Table):
 
 
 class PythonClass(Table):
-    """A class in Python, for tests in virtual time, and the arguments that it is made with."""
+    """A class in Python, for tests in virtual time, and the arguments with which it is created."""
 
     class_: Annotated[str, _CLASS] = Field(alias="class")
     settings: Annotated[dict[str, Any], Settings()] = Field(default_factory=dict)
 
     @property
     def own(self) -> OwnClass:
-        """The class as the core has it."""
-        # NumPy, which it needs, is slow to load.
+        """The class as the core represents it."""
+        # NumPy, which it needs, is slow to import.
         from rthyb_rt.core.own import OwnClass
 
         return OwnClass.of_plain({"class": self.class_, "settings": self.settings})
 
 
 def core_element(item: Table) -> ElementConfig:
-    """Return a table ``[[specimen]]``, or the law between storeys, as the core has it."""
+    """Return a ``[[specimen]]`` table, or a law between storeys, as an element of the core."""
     from rthyb_rt import core
 
     if isinstance(item, PythonClass):

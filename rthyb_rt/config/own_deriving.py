@@ -1,4 +1,4 @@
-"""The user's own of a test on a rig: found, tried out, and held against what is said of it."""
+"""User-defined parts of a test on a rig: loaded, tried out, and compared with stated values."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from rthyb_rt.errors import InputError, Problem
 
 
 def check_classes(test: TestFile, rig: RigFile) -> None:
-    """Import the classes of the user's own, before anything is asked of them.
+    """Import the user-defined classes before they are used.
 
     Raises:
-        InputError: with all that cannot be had.
+        InputError: with everything that cannot be loaded.
     """
     classes = [("controller.python", test.controller.python, "ControlLaw")]
     for i, one in enumerate(rig.specimen):
@@ -44,16 +44,16 @@ def structure_of(
     problems: list[Problem],
     notes: list[str],
 ) -> OwnStructure | None:
-    """Return a numerical part of the user's own.
+    """Return a user-defined numerical part.
 
     Args:
         test: the test.
         k_e_n_per_m: elastic stiffness of the rig's specimen.
-        periods_s: of a sample; of the whole structure, as the test has it.
-        problems, notes: take what is found.
+        periods_s: sampling period; stated period of the whole structure.
+        problems, notes: receive what is found.
 
     Raises:
-        OwnCodeError: a class in Python has raised an error.
+        OwnCodeError: a class in Python raised an exception.
     """
     step_s, stated_s = periods_s
     given = test.numerical.own

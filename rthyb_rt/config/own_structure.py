@@ -1,4 +1,4 @@
-"""A numerical part of the user's own with its specimen: what the test file's keys come to."""
+"""A user-defined numerical part and its specimen, built from the test file's keys."""
 
 from __future__ import annotations
 
@@ -24,53 +24,53 @@ from rthyb_rt.errors import InputError
 Floats = NDArray[np.float64]
 
 PERIODS: Final = 24
-"""Of free vibration after a pulse, by which the period that a file states is held."""
+"""Number of stated periods of free vibration after a pulse, to verify the stated period."""
 MOST_TICKS: Final = 20_000
 FAR: Final = 0.25
-"""A period that is off by this part of the one stated deserves a note: window and margins follow
-the stated one, and change as it does."""
+"""Relative error of the stated period that is worth a note: window and margins are derived from the
+stated period and change with it."""
 
 
 @dataclass(frozen=True)
 class OwnStructure:
-    """A numerical part of the user's own.
+    """A user-defined numerical part.
 
     Attributes:
-        part: the part as the core takes it.
-        labels: of what it reports.
+        part: settings of the part for the core.
+        labels: labels of the reported values.
     """
 
     part: OwnPartConfig
     labels: tuple[str, ...] = ()
 
     def modes(self) -> tuple[Mode, ...]:
-        """Return none: what the part is made of it alone knows."""
+        """Return no modes: the matrices of the part are not known."""
         return ()
 
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
     ) -> tuple[Floats, Floats, Floats]:
-        """Simulate the part with a model of the specimen joined to it, at the interface."""
+        """Simulate the part joined to a model of the specimen; return the interface's motion."""
         return self.whole_reference(elements, ag_mps2)[:3]
 
     def whole_reference(
         self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Simulate the part with a model of the specimen joined to it, all of it as a force.
+        """Simulate the part joined to a model of the specimen, which acts entirely as a force.
 
         Args:
             elements: the model.
             ag_mps2: ground acceleration at every sample, (n,).
 
         Returns:
-            At the interface displacement, velocity and force, (n,) each; what the part reports,
-            (n, responses).
+            Displacement, velocity and force at the interface, (n,) each; the values that the part
+            reports, (n, responses).
         """
         ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
         return Part(self.part).joined(elements, ag, len(self.part.responses))
 
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
-        """Return how the interface moves with a specimen that does not yield, (n,)."""
+        """Return the displacement of the interface with an elastic specimen, (n,)."""
         model = [core.element("stiffness", k_n_per_m=self.part.k_e_n_per_m)]
         return self.reference(model, ag_mps2)[0]
 
@@ -89,11 +89,11 @@ def build(
     Args:
         given: its table.
         k_e_n_per_m: elastic stiffness of the rig's specimen.
-        period_s: of a sample.
+        period_s: sampling period.
 
     Raises:
-        InputError: it cannot be had, refuses its settings, crashes, or does not come back.
-        OwnCodeError: a class in Python has raised an error.
+        InputError: it cannot be loaded, rejects its settings, crashes, or does not return.
+        OwnCodeError: a class in Python raised an exception.
     """
     place = place_of(given)
     try:
@@ -130,10 +130,10 @@ def _config(
 
 
 def refuse_in_real_time(part: OwnPartConfig) -> None:
-    """Refuse a part that does what a tick has no time for.
+    """Reject a part that does what a real-time tick does not permit.
 
     Raises:
-        InputError: with what it does on this computer.
+        InputError: naming what it does on this computer.
     """
     assert not isinstance(part, PythonPartConfig)
     try:
@@ -166,17 +166,17 @@ def refuse_in_real_time(part: OwnPartConfig) -> None:
 
 
 def period_note(structure: OwnStructure, stated_s: float) -> str | None:
-    """Hold the period that a file states against the part's own on an elastic specimen.
+    """Compare the period that a file states with the part's own on an elastic specimen.
 
     Args:
         structure: the part.
-        stated_s: period of the whole structure.
+        stated_s: stated period of the whole structure.
 
     Returns:
-        What a user should know, or None.
+        A note for the user, or None.
 
     Raises:
-        OwnCodeError: a class in Python has raised an error.
+        OwnCodeError: a class in Python raised an exception.
     """
     h = structure.part.period_s
     ticks = int(min(MOST_TICKS, max(64, round(PERIODS * stated_s / h))))

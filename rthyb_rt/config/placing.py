@@ -1,9 +1,9 @@
-"""Where the values of a file were written, for faults that show only when files are combined.
+"""Locations of the values of a file, for errors found only when files are combined.
 
-The faults of one file are reported with their line as it is read
-(`rthyb_rt.config.loading`). What does not fit between test and rig, or between a
-test and its matrices, is found later, by key alone; a file that was read keeps its text,
-and with it the line of every key.
+Errors within one file are reported with their line while it is read
+(`rthyb_rt.config.loading`). Conflicts between test and rig, or between a test and its
+matrices, are found later and only by key. A file that was read keeps its text, and so the
+line of every key.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ _R = TypeVar("_R")
 
 @dataclass(frozen=True)
 class Source:
-    """The text that the values of a file come from; it plays no part in whether two are equal.
+    """The text from which the values of a file were read; ignored when files are compared.
 
     Attributes:
-        path: of the file; empty for values that come from no file.
-        text: of the file.
+        path: path of the file; empty for values that come from no file.
+        text: content of the file.
         given: key of each value that was given beside the file, and its name there.
-        wording: how messages call such a value.
+        wording: how messages refer to such a value.
     """
 
     path: str = field(default="", compare=False)
@@ -42,11 +42,11 @@ class Source:
     wording: Wording = field(default=ON_COMMAND_LINE, compare=False, repr=False)
 
     def has(self, path: KeyPath) -> bool:
-        """Return whether a key, or keys of a table of that name, stand in it or beside it."""
+        """Return whether the text or the given values contain a key, or a table of that name."""
         return _lines(self.text).has(path) or any(key[: len(path)] == path for key in self.given)
 
     def place(self, path: KeyPath) -> str:
-        """Return where a key was written: an option, or file, line and key."""
+        """Return the location of a key: an option, or file, line and key."""
         for size in range(len(path), 0, -1):
             if path[:size] in self.given:
                 within = [self.given[path[:size]], *map(str, path[size:])]
@@ -66,10 +66,10 @@ NOWHERE: Final = Source()
 
 
 def placing(work: Callable[_P, _R]) -> Callable[_P, _R]:
-    """Give the faults that a function finds in the files among its arguments their file and line.
+    """Decorate a function so that its errors have the file and line of their keys.
 
-    A place that is a key of such a file becomes file, line and key. Of a key that several have, the
-    file that has it written out is meant, and the first argument where none has.
+    A location that is a key of a file among the arguments becomes file, line and key. If several
+    files have the key, the one that contains it is used, or else the first argument.
     """
 
     @functools.wraps(work)
@@ -77,7 +77,7 @@ def placing(work: Callable[_P, _R]) -> Callable[_P, _R]:
         try:
             return work(*args, **kwargs)
         except InputError as error:
-            # Not at the top: that module needs this one.
+            # Imported here, because that module imports this one.
             from rthyb_rt.config.fields import WholeFile, has_key
 
             given = (*args, *kwargs.values())

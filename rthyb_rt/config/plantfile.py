@@ -1,4 +1,4 @@
-"""The matrices of a plant of several axes from a file: a, b, c of an .npz or a .mat."""
+"""Reading the matrices a, b, c of a plant of several axes from an .npz or .mat file."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def read(path: Path, where: str) -> dict[str, list[list[float]]]:
     """Return the three matrices as rows.
 
     Args:
-        path: of the file.
-        where: what messages call the place that names it.
+        path: path of the file.
+        where: location, for messages, that names the file.
 
     Raises:
-        InputError: it cannot be read, lacks one of them, or has one that is no matrix of numbers.
+        InputError: the file is not readable, lacks a matrix, or one is not a matrix of numbers.
     """
     if path.suffix not in (".npz", ".mat"):
         raise InputError(f"found {path.name}; a plant must be an .npz or .mat file", where)

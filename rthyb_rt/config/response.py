@@ -1,13 +1,13 @@
 """A rig's identified response: its first resonance, and the inverse of the control law ``inverse``.
 
-Of a rig a sweep gives the response G at some frequencies. The inverse is of fifth order,
+A sweep gives the response G of a rig at some frequencies. The inverse is of fifth order,
 
-    C(z) = 1 + sum of b_j ((1 - 1/z) / h)^j / (1 + r (1 - 1/z))^5,   r = rho / (1 - rho),
+C(z) = 1 + sum of b_j ((1 - 1/z) / h)^j / (1 + r (1 - 1/z))^5,   r = rho / (1 - rho),
 
-with all five poles at rho = exp(-2 pi f h), the frequency of its roll-off, so that the inverse
-itself is stable whatever was fitted. The b_j make ``|w (C G - 1)|`` least, with
-w = 1 / (1 + (f / 6 Hz)^2) + 0.01: where a structure answers an error of a percent is felt, above
-that the fit is there to be stable.
+with all five poles at rho = exp(-2 pi f h), f being the roll-off frequency, so that the inverse
+itself is stable for all b_j. The b_j minimise ``|w (C G - 1)|`` with
+w = 1 / (1 + (f / 6 Hz)^2) + 0.01: where structures respond, an error of one percent matters; above
+that, the fit need only be stable.
 """
 
 from __future__ import annotations
@@ -28,22 +28,22 @@ Complexes = NDArray[np.complex128]
 
 ORDER: Final = 5
 LEAST_TOP_HZ: Final = 40.0
-"""A fit to less than this loses runs once it adapts: the benchmark's sweeps to 20 and 30 Hz."""
+"""With sweeps to less than this, tests fail once the law adapts: 20 and 30 Hz in the benchmark."""
 LEAST_TONES: Final = 8
-"""Six coefficients want six numbers; half as many again are there to disagree."""
+"""Six coefficients need at least six values; half as many again give redundancy."""
 LARGEST_ERROR: Final = 0.1
-"""Of C G against 1 at the frequencies where structures answer; more is no inverse."""
+"""Largest error of C G against 1 at frequencies where structures respond."""
 SLOW_HZ: Final = 10.0
 LIGHT_DAMPING: Final = 0.2
-"""A pole pair with less makes more than 2.5 times of a motion: a resonance."""
+"""A pole pair with less damping amplifies a motion more than 2.5 times: a resonance."""
 EXPLAINED: Final = 0.1
-"""Largest error of 1/G, against itself, of a fit whose poles are believed."""
+"""Largest relative error of a fit of 1/G whose poles are accepted."""
 BELOW: Final = 0.9
-"""Of the first resonance is where a lead is rolled off: 60 Hz for the 67 Hz of the benchmark."""
+"""Roll-off of a lead relative to the first resonance: 60 Hz for the benchmark's 67 Hz."""
 _DELAYS_TRIED: Final = 49
 KNEE_HZ: Final = 6.0
 FLOOR: Final = 0.01
-"""Of the weights: so much of it is left at the highest frequencies."""
+"""Residual weight at the highest frequencies."""
 REMEDY: Final = 'run `rthyb identify RIG --max-frequency "80 Hz"` and use the rig file it writes'
 
 
@@ -53,10 +53,10 @@ class Inverse:
 
     Attributes:
         b: b_0 to b_5, in seconds to the power of their index, (6,).
-        roll_off_hz: of its poles.
-        period_s: of the samples that it is for.
+        roll_off_hz: roll-off frequency of its poles.
+        period_s: sampling period for which it was fitted.
         worst: largest ``|C G - 1|`` up to `SLOW_HZ`.
-        worst_hz: where.
+        worst_hz: its frequency.
         largest_root: modulus of the largest zero of C, a pole of the rig as fitted.
     """
 
@@ -69,16 +69,16 @@ class Inverse:
 
 
 def response(found: Identified, rate: Rate = STANDARD, *, hold: str | None = "zoh") -> Complexes:
-    """Return the identified response of a rig as a controller of a rate meets it, (n,).
+    """Return a rig's identified response for a controller at a given rate, (n,).
 
-    A rig file has it as of a command held for 1/1024 s, whatever the rate of the sweep was. What a
-    drive makes of its commands between two samples is part of the response, and shorter at a higher
-    rate.
+    A rig file gives it for a command held for 1/1024 s, whatever the rate of the sweep was. What a
+    drive does with its commands between two samples is part of the response, and takes less time at
+    a higher rate.
 
     Args:
-        found: what was identified.
-        rate: of the test.
-        hold: ``rig.command_hold``; None: a rig that holds nothing (a pure delay).
+        found: the identified response.
+        rate: rate of the test.
+        hold: ``rig.command_hold``; None: the rig holds nothing (a pure delay).
     """
     f = np.asarray(found.frequency_hz, dtype=np.float64)
     lag_s = np.asarray(found.delay_at_frequency_s)
@@ -87,12 +87,12 @@ def response(found: Identified, rate: Rate = STANDARD, *, hold: str | None = "zo
 
 
 def held_otherwise(f_hz: Floats, rate: Rate, hold: str | None) -> Complexes:
-    """Return the response at a rate over that at 1024 Hz, which is what a rig file has, (n,).
+    """Return the ratio of the response at a rate to that at 1024 Hz in a rig file, (n,).
 
     Args:
         f_hz: frequencies, (n,).
-        rate: of the commands.
-        hold: how the drive joins them, from `hold_of`.
+        rate: rate of the commands.
+        hold: how the drive connects them, from `hold_of`.
     """
     if hold is None or rate == STANDARD:
         return np.ones(f_hz.size, np.complex128)
@@ -102,15 +102,15 @@ def held_otherwise(f_hz: Floats, rate: Rate, hold: str | None) -> Complexes:
 def resonance_hz(f_hz: Floats, g: Complexes, longest_s: float) -> float | None:
     """Return the first resonance in a response: a lightly damped pole pair within the sweep.
 
-    1 / G is fitted by a polynomial of order 5 in s behind a delay, of which some are tried; its
-    zeros are the poles of the rig. What it does not explain shows no resonance.
+    1 / G is fitted by a polynomial of order 5 in s and a delay, one of several that are tried; its
+    zeros are the poles of the rig. A response that this does not fit shows no resonance.
 
     Args:
-        f_hz, g: frequencies, rising, and response, (n,) each.
-        longest_s: longest delay that is tried.
+        f_hz, g: frequencies, increasing, and response, (n,) each.
+        longest_s: longest delay to try.
 
     Returns:
-        The undamped natural frequency, or None: none, or a sweep that is too short to tell.
+        The undamped natural frequency; None if there is none or the sweep is too short.
     """
     if f_hz.size < LEAST_TONES:
         return None
@@ -135,13 +135,13 @@ def resonance_hz(f_hz: Floats, g: Complexes, longest_s: float) -> float | None:
 
 
 def _hold(f: Floats, h: float, kind: str) -> Complexes:
-    """Return what holding a sampled sine does to it: once for steps, twice for straight lines."""
+    """Return the effect of a hold on a sampled sine: once for steps, squared for straight lines."""
     once = np.sinc(f * h) * np.exp(-1j * np.pi * f * h)
     return np.asarray(once if kind == "zoh" else once * once)
 
 
 def hold_of(rig: RigFile) -> str | None:
-    """Return how a rig joins two commands; None where it has them sample by sample."""
+    """Return how a rig connects two commands; None if it uses them sample by sample."""
     return None if rig.actuator.kind == "pure-delay" else rig.rig.command_hold
 
 
@@ -150,11 +150,11 @@ def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
 
     Args:
         rig: with the response in its section ``identified``.
-        rate: of the test.
-        roll_off_hz: of the inverse, below half of the rate.
+        rate: rate of the test.
+        roll_off_hz: roll-off frequency of the inverse, below half the rate.
 
     Raises:
-        InputError: no response, one that is too short, or a fit that is unstable or no inverse.
+        InputError: the response is missing or too short, or the fit is unstable or inaccurate.
     """
     where = f'rig "{rig.rig.name}": identified'
     found = rig.identified
@@ -193,17 +193,17 @@ def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
 
 
 def fit(f_hz: Floats, g: Complexes, period_s: float, roll_off_hz: float) -> Inverse:
-    """Return the least-squares inverse of a response, however good it is.
+    """Return the least-squares inverse of a response, regardless of its accuracy.
 
     Args:
         f_hz, g: frequencies and response, (n,) each.
         period_s: sampling period.
-        roll_off_hz: of the inverse.
+        roll_off_hz: roll-off frequency of the inverse.
     """
     delta = 1.0 - np.exp(-2j * np.pi * f_hz * period_s)
     rho = math.exp(-2.0 * math.pi * roll_off_hz * period_s)
     r = rho / (1.0 - rho)
-    # A sine of 8 Hz makes all columns about as long.
+    # Scaling by a sine of 8 Hz gives all columns a similar norm.
     scale = (50.0 * period_s) ** -np.arange(ORDER + 1.0)
     columns = np.array([g * scale[j] * delta**j for j in range(ORDER + 1)]).T
     columns /= (1.0 + r * delta)[:, None] ** ORDER
@@ -227,7 +227,7 @@ def fit(f_hz: Floats, g: Complexes, period_s: float, roll_off_hz: float) -> Inve
 
 @dataclass(frozen=True)
 class LeadStart:
-    """The rolled-off phase lead that undoes a response best: gain, delay (s), curvature (s^2)."""
+    """The rolled-off phase lead that best inverts a response: gain, delay (s), curvature (s^2)."""
 
     gain: float
     delay_s: float
@@ -235,7 +235,7 @@ class LeadStart:
 
 
 def fitted_lead(f_hz: Floats, g: Complexes, period_s: float, w1: float, w2: float) -> LeadStart:
-    """Return the phase lead of Eqn 2.5, with gain and curvature, that undoes a response best.
+    """Return the phase lead of Eqn 2.5, with gain and curvature, that best inverts a response.
 
     Args:
         f_hz, g: frequencies and response, (n,) each.
@@ -255,17 +255,17 @@ def fitted_terms(
     which: tuple[int, ...],
     others: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> tuple[float, float, float]:
-    """Return gain less 1, delay and curvature, in samples, of the lead that undoes a response best.
+    """Return gain less 1, delay and curvature, in samples, of the best lead for a response.
 
-    ``|w (C G - 1)|`` is made least with the weights of `fit`, where
+    ``|w (C G - 1)|`` is minimised with the weights of `fit`, where
     ``C = 1 + S (g + a d + b d^2) / (W1 + W2 / z + 1 / z^2)`` and ``d = 1 - 1/z``.
 
     Args:
         f_hz, g: frequencies and response, (n,) each.
         period_s: sampling period.
         w1, w2: weights of the lead.
-        which: of the three.
-        others: what the three are that are not fitted.
+        which: which of the three are fitted.
+        others: values of those that are not fitted.
     """
     back = np.exp(-2j * np.pi * f_hz * period_s)
     delta = 1.0 - back
@@ -287,7 +287,7 @@ def _weight(f_hz: Floats) -> Floats:
 
 
 def _least_squares(columns: Complexes, wanted: Complexes) -> Floats:
-    """Return the real coefficients, (n,), of complex columns (m, n)."""
+    """Return the real coefficients, (n,), for complex columns (m, n)."""
     rows = np.vstack([columns.real, columns.imag])
     both = np.concatenate([wanted.real, wanted.imag])
     return np.asarray(np.linalg.lstsq(rows, both, rcond=None)[0], dtype=np.float64)
@@ -305,14 +305,14 @@ def _zeros(per_delta: Floats) -> Complexes:
 
 @dataclass(frozen=True)
 class Plant:
-    """An identified rig: ``x_m = exp(-s delay) / P(s)`` of the command as the drive holds it.
+    """An identified rig: ``x_m = exp(-s delay) / P(s)`` times the command as the drive holds it.
 
     Attributes:
         p: coefficients of P, lowest power first, in seconds to the power of their index.
-        delay_s: pure delay beside it.
+        delay_s: additional pure delay.
         stiffness_n_per_m, damping_n_s_per_m, mass_kg: of the force over x_m.
-        swept_hz: the highest frequency that is behind it.
-        error: largest error of 1/G against itself.
+        swept_hz: highest frequency of the sweep.
+        error: largest relative error of 1/G.
     """
 
     p: Floats
@@ -324,12 +324,12 @@ class Plant:
     error: float
 
     def response(self, f_hz: Floats, period_s: float, hold: str | None) -> Complexes:
-        """Return x_m over the samples of a command, (k,) complex.
+        """Return x_m relative to the samples of a command, (k,) complex.
 
         Args:
             f_hz: frequencies, (k,), Hz.
-            period_s: of the samples, s.
-            hold: how the drive joins them, from `hold_of`.
+            period_s: sampling period, s.
+            hold: how the drive connects samples, from `hold_of`.
         """
         s = 2j * np.pi * f_hz
         g = np.exp(-s * self.delay_s) / np.polyval(self.p[::-1], s)
@@ -337,17 +337,17 @@ class Plant:
 
 
 MOST_ERROR: Final = 0.25
-"""Of 1/G: a model that is farther off says nothing of the loop's stability."""
+"""Largest error of 1/G: a less accurate model says nothing about the loop's stability."""
 _GOOD: Final = 0.01
 _WORTH: Final = 2.0
-"""A higher order must halve the error of a lower one, which is not good by itself."""
+"""A higher order must halve the error of a lower order that is not good enough itself."""
 
 
 def plant(rig: RigFile) -> Plant | None:
-    """Return the model of a rig that its identified response is explained by; None without one.
+    """Return a model that explains a rig's identified response; None if there is none.
 
-    1/G, less what the drive's hold makes of it, is fitted by a polynomial in s behind a delay: of
-    the orders 0 to `ORDER` and the delays tried the simplest stable one that is good.
+    1/G, less the effect of the drive's hold, is fitted by a polynomial in s and a delay: of the
+    orders 0 to `ORDER` and the delays tried, the simplest stable model that is accurate enough.
     """
     found = rig.identified
     if found is None or len(found.frequency_hz) < 2:
@@ -390,13 +390,13 @@ def _polynomial(f: Floats, g: Complexes, order: int) -> tuple[float, Floats, flo
 
 
 def _impedance(found: Identified, k_e_n_per_m: float) -> tuple[float, float, float]:
-    """Return stiffness, damping and mass that the load cell feels; k_e without figures."""
+    """Return stiffness, damping and mass at the load cell; without figures, k_e alone."""
     in_phase = np.asarray(found.force_in_phase_n_per_m)
     if not in_phase.size:
         return k_e_n_per_m, 0.0, 0.0
     w = 2.0 * np.pi * np.asarray(found.frequency_hz, dtype=np.float64)
-    # The slow sines say the stiffness, the fast ones the mass: each counts as its own size, and as
-    # much as it moved. A sweep keeps to a velocity.
+    # The slow sines determine the stiffness, the fast ones the mass: each is weighted by its own
+    # size and by its amplitude, because a sweep limits the velocity.
     moved = np.asarray(found.amplitude) / w
     weight = moved / (k_e_n_per_m + np.abs(in_phase))
     columns = np.column_stack([np.ones_like(w), -(w**2)]) * weight[:, None]

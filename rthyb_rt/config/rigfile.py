@@ -1,4 +1,4 @@
-"""The rig file: actuator, specimen, sensors, and what an identification found out about them."""
+"""The rig file: actuator, specimen, sensors, and the results of an identification."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from rthyb_rt.core.sizes import ELEMENTS_MAX
 RIG_SCHEMA = "rthyb-rig/1"
 MAX_SUBSTEPS = 1024
 EXTRAS_MAX = 8
-"""Extra channels of one rig: RTHYB_EXTRAS_MAX of the core."""
+"""Largest number of extra channels of one rig: RTHYB_EXTRAS_MAX of the core."""
 MAX_ELEMENTS = ELEMENTS_MAX
-"""What the core keeps for one specimen."""
+"""Largest number of elements of one specimen in the core."""
 
 DelaySamples = Annotated[int, Count(0, 1000, "the delay in samples")]
 Stiffness = Annotated[float, Range("N/m", 0, 1e12, "the stiffness")]
@@ -94,8 +94,8 @@ _ActuatorTolerance = Annotated[
 class SecondOrder(Table):
     """gain exp(-s delay) w^2 / (s^2 + 2 zeta w s + w^2).
 
-    The tolerances say what the numbers are good for (one standard deviation); a diagnosis reads
-    them, a test does not.
+    The tolerances (one standard deviation) state how well the numbers are known; they are used by
+    a diagnosis but not by a test.
     """
 
     kind: Literal["second-order"]
@@ -112,11 +112,11 @@ class SecondOrder(Table):
 
 
 TOLERANCES = ("delay_tol_s", "natural_frequency_tol", "damping_ratio_tol", "gain_tol")
-"""Keys of an actuator that say how well it is known: no part of the machine itself."""
+"""Keys of an actuator that state how well it is known, and do not describe the machine."""
 
 
 def _oil_column_resolved(oil: float, mass: float, substeps: int) -> str | None:
-    """The table on its oil column, stepped explicitly: h^2 k < 4 m, as the core demands."""
+    """Stability of the table on its oil column with explicit steps: h^2 k < 4 m, as in the core."""
     if (1 / (STANDARD_HZ * substeps)) ** 2 * oil < 4 * mass:
         return None
     needed = math.floor(math.sqrt(oil / (4 * mass)) / STANDARD_HZ) + 1
@@ -164,9 +164,9 @@ class ServoHydraulic(Table):
 class ServoValve(Table):
     """Servo valve, natural velocity feedback and actuator by their transfer functions.
 
-    Those of Silva et al., MSSP 135 (2020) 106381, with its names for the parameters. The
-    specimen's stiffness, damping and mass are solved with it exactly; it needs an `inertia`. With
-    ``loop_kp`` or ``loop_ki_per_s`` the drive closes a loop of its own on the displacement sensor.
+    Transfer functions and parameter names are those of Silva et al., MSSP 135 (2020) 106381. The
+    specimen's stiffness, damping and mass are solved together with it exactly; it needs an
+    `inertia`. With ``loop_kp`` or ``loop_ki_per_s`` the drive closes its own displacement loop.
     """
 
     kind: Literal["servo-valve"]
@@ -202,14 +202,14 @@ def _valve_moves_a_mass(actuator: Actuator, specimen: list[SpecimenElement]) -> 
 
 
 class StiffnessElement(Table):
-    """f = k x; negative for what a model has too much of."""
+    """f = k x; may be negative to correct a model."""
 
     element: Literal["stiffness"]
     k_n_per_m: Annotated[float, Range("N/m", -1e12, 1e12, "the stiffness")]
 
 
 class ViscousElement(Table):
-    """f = c v; negative for what a model has too much of."""
+    """f = c v; may be negative to correct a model."""
 
     element: Literal["viscous"]
     c_n_s_per_m: Annotated[float, Range("N s/m", -1e10, 1e10, "the damping")]
@@ -233,7 +233,7 @@ _FRICTION_CHECKS = (Check("fs_n", ("fc_n", "fs_n"), _static_above_sliding),)
 
 
 class StribeckElement(Table):
-    """Friction that falls from fs to fc around the velocity vs."""
+    """Friction that decreases from fs to fc around the velocity vs."""
 
     checks: ClassVar[tuple[Check, ...]] = _FRICTION_CHECKS
 
@@ -295,7 +295,7 @@ class QuadraticElement(Table):
 
 
 class StopperElement(Table):
-    """A stop met at xs."""
+    """A stop at the displacement xs."""
 
     element: Literal["stopper"]
     ks_n_per_m: Stiffness
@@ -318,9 +318,9 @@ def _loop_closed(xy_m: float | None, a: float, b: float, c: float, eta: float) -
 
 
 class BoucWen(Table):
-    """Parameters of Eqn 4.1-4.2, displacement in m; ``xy_m`` may stand for a, b and c.
+    """Parameters of Eqn 4.1-4.2, displacement in m; ``xy_m`` can be given instead of a, b and c.
 
-    A loop given by its yield displacement has a = 1, b = c = 0.5 / xy_m^eta, and is stored so.
+    A loop given by its yield displacement is stored with a = 1, b = c = 0.5 / xy_m^eta.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -358,7 +358,7 @@ class PinchingElement(BoucWen):
 
 
 class DegradationElement(BoucWen):
-    """Bouc-Wen that loses stiffness with travel."""
+    """Bouc-Wen whose stiffness decreases with cumulative displacement."""
 
     element: Literal["degradation"]
     loss: Annotated[float, Range("", 0, 1, "the share finally lost")]
@@ -374,7 +374,7 @@ class MaxwellElement(Table):
 
 
 class SecondModeElement(Table):
-    """A mass on a spring that rides on the specimen."""
+    """A mass attached to the specimen by a spring."""
 
     element: Literal["second_mode"]
     m2_kg: Annotated[float, Range("kg", 1e-6, 1e8, "the mass")]
@@ -383,7 +383,7 @@ class SecondModeElement(Table):
 
 
 class PDeltaElement(Table):
-    """The negative stiffness of gravity load over height."""
+    """The negative stiffness of a gravity load, load over height."""
 
     element: Literal["p_delta"]
     gravity_load_n: Annotated[float, Range("N", 0, 1e10, "the gravity load")]
@@ -402,7 +402,7 @@ class GapFrictionElement(Table):
 
 
 class CoulombUnevenElement(Table):
-    """Dry friction that grips harder one way."""
+    """Dry friction that is larger in one direction."""
 
     element: Literal["coulomb_uneven"]
     fc_up_n: Annotated[float, Range("N", 0, 1e8, "the friction in the positive direction")]
@@ -411,7 +411,7 @@ class CoulombUnevenElement(Table):
 
 
 class GapUnevenElement(Table):
-    """A spring each way behind its own gap; a stiffness of 0 leaves a stop on one side only."""
+    """A spring in each direction behind its own gap; a stiffness of 0 leaves one side free."""
 
     element: Literal["gap_uneven"]
     k_up_n_per_m: Annotated[float, Range("N/m", 0, 1e12, "the stiffness in the positive direction")]
@@ -423,7 +423,7 @@ class GapUnevenElement(Table):
 
 
 class PowerDampingElement(Table):
-    """Fluid viscous damper, f = C |v|^a sgn(v); C in N (s/m)^a is ``force_n`` where at = 1 m/s."""
+    """Fluid viscous damper, f = C |v|^a sgn(v); C in N (s/m)^a is ``force_n`` for at = 1 m/s."""
 
     element: Literal["power_damping"]
     force_n: Annotated[float, Range("N", -1e10, 1e10, "the force at the velocity at_m_per_s")]
@@ -447,7 +447,7 @@ class PowerSpringElement(Table):
 
 
 class PendulumElement(Table):
-    """f = weight sin(x / length), x along the arc; a negative weight stands on its head."""
+    """f = weight sin(x / length), x along the arc; a negative weight is an inverted pendulum."""
 
     element: Literal["pendulum"]
     weight_n: Annotated[float, Range("N", -1e10, 1e10, "the weight")]
@@ -469,7 +469,7 @@ class FrictionPendulumElement(Table):
 
 
 class IwanElement(Table):
-    """Twelve springs side by side that yield one by one: Masing's loops."""
+    """Twelve parallel springs that yield in turn: Masing's loops."""
 
     element: Literal["iwan"]
     k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
@@ -479,7 +479,7 @@ class IwanElement(Table):
 
 
 class MenegottoPintoElement(Table):
-    """Steel: branches that bend from the elastic line into the hardening one."""
+    """Steel: branches with a smooth transition from the elastic to the hardening line."""
 
     element: Literal["menegotto_pinto"]
     k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
@@ -516,7 +516,7 @@ Lost = Annotated[float, Range("", 0, 0.99, "the share lost")]
 
 
 class RcColumnElement(Table):
-    """A reinforced concrete column: a loop that pinches and wears, by amplitude and by energy."""
+    """A reinforced concrete column: pinching and degradation with amplitude and energy."""
 
     checks: ClassVar[tuple[Check, ...]] = (
         Check("ultimate_m", ("xy_m", "ultimate_m"), _beyond_yield),
@@ -541,7 +541,7 @@ class RcColumnElement(Table):
 
 
 class PythonElement(PythonClass):
-    """A class in Python, for tests in virtual time, and the arguments that it is made with."""
+    """A class in Python, for tests in virtual time, and the arguments with which it is created."""
 
     element: Literal["python"]
 
@@ -598,10 +598,10 @@ class ForceSensor(Table):
 
 
 class ExtraSensor(Table):
-    """A channel beside displacement and force: recorded by its name, used by nothing else.
+    """A channel in addition to displacement and force, which is only recorded, by its name.
 
-    ``scale`` and ``offset`` lead from the wire to the value; at the end of a serial packet the wire
-    counts in steps of ``wire_step``. ``measures``, ``gain`` and the errors are of the virtual rig.
+    ``scale`` and ``offset`` convert the wire to the value; at the end of a serial packet the wire
+    has steps of ``wire_step``. ``measures``, ``gain`` and the errors apply to the virtual rig.
     """
 
     name: Annotated[
@@ -637,7 +637,7 @@ def _different_names(extra: list[ExtraSensor]) -> str | None:
 
 
 class Sensors(Table):
-    """What the controller sees of the specimen."""
+    """The sensors that the controller reads."""
 
     checks: ClassVar[tuple[Check, ...]] = (Check("extra", ("extra",), _different_names),)
 
@@ -671,10 +671,10 @@ def _one_force_a_frequency(
 
 
 class Identified(Table):
-    """What `rthyb identify` measured; ``alpha`` is the delay estimate the next test starts with.
+    """Results of `rthyb identify`; ``alpha`` is the initial delay estimate of the next test.
 
-    ``roll_off_hz`` is there where the sweep met a resonance of actuator and specimen: laws roll
-    their lead off below it.
+    ``roll_off_hz`` is present if the sweep found a resonance of actuator and specimen: control laws
+    then roll off their lead below it.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -721,7 +721,7 @@ class Identified(Table):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Take a date written as a TOML date."""
+        """Accept a date written as a TOML date."""
         if isinstance(data, dict) and isinstance(data.get("date"), datetime.date):
             return {**data, "date": data["date"].isoformat()}
         return data
@@ -731,7 +731,7 @@ LinkKind = Literal["can", "serial", "socket", "python-can"]
 
 
 SIGNALS = ("x_cmd", "x_meas", "f_meas", "seq", "state", "echo", "count", "status", "crc8")
-"""What the controller needs of a DBC file (`rthyb_rt.core.dbc.ROLES`)."""
+"""Signals of a DBC file that the controller needs (`rthyb_rt.core.dbc.ROLES`)."""
 
 BUSES: tuple[LinkKind, ...] = ("can", "python-can")
 DEFAULT_BAUD = 921_600
@@ -773,7 +773,7 @@ def _interface_fits(kind: LinkKind, interface: str | None) -> str | None:
 
 
 def _only_for(given: bool, kind: LinkKind, kinds: tuple[LinkKind, ...]) -> str | None:
-    """Refuse a key that this kind of link does not have."""
+    """Reject a key that this kind of link does not have."""
     if not given or kind in kinds:
         return None
     those = " and ".join(f'kind = "{name}"' for name in kinds)
@@ -807,13 +807,13 @@ def _bitrate_enough(
 
 
 LEAD_US: Final = 200.0
-"""How long a feedback arrives before its tick, where half a period is enough for that."""
+"""Time by which a feedback precedes its tick, if half a period is long enough."""
 _LEAD_SHARE: Final = 0.4
-"""Of a period, where it is not."""
+"""Otherwise, the fraction of a period."""
 
 
 def default_lead_us(sample_rate_hz: int) -> float:
-    """Return how long a feedback is to arrive before its tick where no file says so."""
+    """Return the default time by which a feedback precedes its tick."""
     return min(LEAD_US, float(round(_LEAD_SHARE * 1e6 / sample_rate_hz)))
 
 
@@ -843,14 +843,13 @@ def _data_phase_fits(
 
 
 class Link(Table):
-    """Where commands go and readings come from in a test in real time.
+    """The link for commands and readings of a test in real time.
 
-    ``bitrate`` of CAN absent: whatever the interface has; of a serial line absent: 921600 baud.
-    ``dbc`` is relative to the rig file; ``reset_state`` is the raw value of its state signal by
-    which the drive is reset after a stop of its own. ``lead_us`` is read with ``clock = "link"``
-    alone; absent: 200 us, or 0.4 of the period where that is less. ``sample_rate_hz`` is the
-    drive's: so often it takes a command and sends its readings, and a test in real time goes at
-    that rate.
+    Default ``bitrate`` of CAN: the current setting of the interface; of a serial line: 921600 baud.
+    ``dbc`` is relative to the rig file; ``reset_state`` is the raw value of its state signal that
+    resets the drive after a stop of its own. ``lead_us`` is used with ``clock = "link"`` only; the
+    default is 200 us, or 0.4 of the period if that is less. ``sample_rate_hz`` is the rate at which
+    the drive takes commands and sends readings, and so the rate of a test in real time.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -926,7 +925,7 @@ class Link(Table):
 
 
 OFFSET_ON_WIRE_MAX_M = 1e3
-"""What the core takes for a command's offset."""
+"""Largest command offset that the core accepts."""
 
 
 def _offset_on_wire(scale: float, offset_m: float) -> str | None:
@@ -977,7 +976,7 @@ class Similitude(Table):
 
 
 class Calibration(Table):
-    """From the numbers on the wire to the structure's displacement and force, and back.
+    """Conversion between numbers on the wire and displacement and force of the structure.
 
     ``command`` absent: as ``displacement``. Everything else in a rig file is in the structure's
     units.
@@ -990,13 +989,13 @@ class Calibration(Table):
 
 
 def kinds() -> Iterator[type[Table]]:
-    """Give the tables of every kind of actuator and specimen element."""
+    """Return the tables of every kind of actuator and specimen element."""
     for union in (Actuator, SpecimenElement):
         yield from union.__args__
 
 
 def _extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
-    """Name an extra channel that the link has no place for."""
+    """Report an extra channel for which the link has no space."""
     if link is None or not sensors.extra or link.kind == "socket":
         return None
     if link.kind == "serial":
@@ -1034,5 +1033,5 @@ class RigFile(WholeFile):
 
     @property
     def rate(self) -> Rate:
-        """The rate of real time: the drive's; without a link that of a test that states none."""
+        """The rate of real time: that of the drive, or without a link the default rate."""
         return STANDARD if self.link is None else self.link.rate

@@ -1,4 +1,4 @@
-"""What a rig file gives to the settings of a test that the test file leaves open."""
+"""Settings that a test file leaves open, as derived from the rig file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rthyb_rt.core.laws import Parameter
 
 PAIR_CUTOFF_HZ: Final = 10.0
-"""Of the filter pair beside a lead that is rolled off: with the higher one noise decides beta."""
+"""Cut-off of the filter pair with a rolled-off lead: noise would bias beta with a higher one."""
 ROLL_OFF: Final = "identified.roll_off_hz"
 RESPONSE: Final = "identified.frequency_hz"
 _WEIGHTS: Final = ("w1", "w2")
@@ -26,7 +26,7 @@ _SWEEP: Final = '`rthyb identify RIG --max-frequency "80 Hz"` looks for a resona
 
 
 def roll_off_hz(rig: RigFile) -> float | None:
-    """Return where a lead is to be rolled off, below the rig's first resonance."""
+    """Return the roll-off frequency of a lead, below the rig's first resonance."""
     return rig.identified.roll_off_hz if rig.identified is not None else None
 
 
@@ -42,12 +42,12 @@ def weights(roll_off_hz: float, period_s: float) -> tuple[float, float]:
 def law_settings_of_rig(
     test: TestFile, rig: RigFile, rate: Rate, problems: list[Problem]
 ) -> dict[str, float]:
-    """Return the settings of the control law that the test leaves to the rig, by their keys.
+    """Return the control law settings that the test leaves to the rig, by their keys.
 
     Args:
         test, rig: the files.
-        rate: of the test.
-        problems: faults are added to it.
+        rate: rate of the test.
+        problems: receives errors.
     """
     controller = test.controller
     open_keys = [p for p in controller.law.parameters if p.rig_key and not _said(controller, p.key)]
@@ -80,7 +80,7 @@ def law_settings_of_rig(
 
 def _inverse(roll_off_hz: float, rig: RigFile, rate: Rate) -> dict[str, float]:
     """Return the coefficients of the rig's inverse, by the last part of their keys."""
-    # NumPy is slow to load, and most laws fit nothing.
+    # NumPy is slow to import, and most laws need no fit.
     from rthyb_rt.config import response
 
     inverse = response.fitted(rig, rate, roll_off_hz)
@@ -88,7 +88,7 @@ def _inverse(roll_off_hz: float, rig: RigFile, rate: Rate) -> dict[str, float]:
 
 
 def _lead(roll_off_hz: float, rig: RigFile, rate: Rate) -> dict[str, float]:
-    """Return where a lead with gain and curvature begins: by the response, else the delay."""
+    """Return the initial values of a lead with gain and curvature: from the response, or delay."""
     found = rig.identified
     if found is None:
         return {}
@@ -112,10 +112,10 @@ def _lead(roll_off_hz: float, rig: RigFile, rate: Rate) -> dict[str, float]:
 
 
 def rfc_of_rig(test: TestFile, rig: RigFile) -> tuple[float, float]:
-    """Return cut-off and lateness of the force compensation where the test says nothing, Hz and s.
+    """Return the default cut-off, Hz, and lateness, s, of the force compensation.
 
-    The force that an integrator holds over a step is half a step late, and one that is used a
-    sample later a whole one more. A rig whose resonance is not known keeps what was before: 0 and
+    A force that an integrator holds over a step is half a step late, and a force used one sample
+    later is one more sample late. A rig without a known resonance keeps the earlier defaults, 0 and
     0; so does the paper's controller.
     """
     roll_off = roll_off_hz(rig)
@@ -129,7 +129,7 @@ def rfc_of_rig(test: TestFile, rig: RigFile) -> tuple[float, float]:
 
 
 def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
-    """Say which settings are those of before because the rig's resonance is not known."""
+    """Report settings that keep earlier defaults because the rig's resonance is not known."""
     controller = test.controller
     keys = [p.key for p in controller.law.parameters if p.rig_key == ROLL_OFF]
     left = [key for key in keys if not _said(controller, key)]
@@ -147,10 +147,10 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
 
 
 def _said(controller: Controller, key: str) -> bool:
-    """Return whether the test file says a setting, or one that belongs to it.
+    """Return whether the test file gives a setting, or one that belongs to it.
 
-    The two weights belong together, and with them the filter pair's cut-off and the curvature; so
-    do the coefficients of an inverse.
+    The two weights belong together, with the filter pair's cut-off and the curvature; so do the
+    coefficients of an inverse.
     """
     together: tuple[str, ...] = _WEIGHTS if key in (*_WEIGHTS, _PAIR, _CURVATURE) else ()
     if key in _COEFFICIENTS:
@@ -166,7 +166,7 @@ def _is_in(controller: Controller, key: str) -> bool:
 
 
 def _of_roll_off(p: Parameter, test: TestFile, rig: RigFile, rate: Rate) -> float | None:
-    """Return what a setting is where the lead is rolled off below the rig's resonance."""
+    """Return the value of a setting when the lead is rolled off below the rig's resonance."""
     known = roll_off_hz(rig)
     if known is None:
         return None
@@ -179,16 +179,16 @@ def _of_roll_off(p: Parameter, test: TestFile, rig: RigFile, rate: Rate) -> floa
 
 
 def _curvature(roll_off_hz: float, rig: RigFile, rate: Rate, most: float) -> float | None:
-    """Return beta, samples^2 of 1/1024 s, with which the lead undoes the response up to 10 Hz best.
+    """Return beta, samples^2 of 1/1024 s, for which the lead best inverts the response up to 10 Hz.
 
-    Both poles of the roll-off bend the lead down by alpha / (pi f), as much as a rig that is a
-    delay does by itself; a law that does not learn beta would leave all of that.
+    Both poles of the roll-off add a curvature of -alpha / (pi f), as much as a rig that is a pure
+    delay does; a law that does not learn beta would leave all of this uncorrected.
 
     Args:
-        roll_off_hz: of the lead.
-        rig: with what was identified.
-        rate: of the test.
-        most: bound of beta.
+        roll_off_hz: roll-off frequency of the lead.
+        rig: the rig with its identified response.
+        rate: rate of the test.
+        most: upper bound of beta.
     """
     found = rig.identified
     if found is None:
@@ -208,7 +208,7 @@ def _curvature(roll_off_hz: float, rig: RigFile, rate: Rate, most: float) -> flo
 
 
 def _plain(p: Parameter, rig: RigFile) -> float | None:
-    """Return the figure of the rig file itself."""
+    """Return the value given in the rig file itself."""
     place: object = rig
     for part in (p.rig_key or "").split("."):
         place = getattr(place, part, None)

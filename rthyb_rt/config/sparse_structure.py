@@ -1,4 +1,4 @@
-"""A structure of many degrees of freedom with its specimen: what the test file's keys come to."""
+"""A structure of many degrees of freedom and its specimen, built from the test file's keys."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ Rows = Sequence[Sequence[float]]
 SHOWN_MODES: Final = 10
 GRAVITY_M_PER_S2: Final = 9.80665
 DEFAULT_RECORDED: Final = 10
-"""Storeys up to which drifts and shears are recorded where the file names nothing."""
+"""Number of storeys up to which drifts and shears are recorded if the file gives no ``record``."""
 _DIFFERENCE: Final = re.compile(r"(.+?)\s+-\s+(.+)")
 
 
@@ -55,12 +55,12 @@ class SparseStructure:
     """A numerical part of any size and what is known of its specimen.
 
     Attributes:
-        labels: of the degrees of freedom, (n,).
-        part: the part as the core takes it.
+        labels: labels of the degrees of freedom, (n,).
+        part: settings of the part for the core.
         influence: displacements for a unit displacement of the ground, (n,).
-        specimen_mass_kg: taken out of the masses, and standing in the laboratory.
-        interfaces: names of what the actuators move, one an interface of the part.
-        heights_m: of the storeys' floors above the ground, (count,); empty: no storeys.
+        specimen_mass_kg: subtracted from the masses, because it is present in the laboratory.
+        interfaces: names of what the actuators move, one per interface of the part.
+        heights_m: heights of the floors above the ground, (count,); empty: no storeys.
     """
 
     labels: tuple[str, ...]
@@ -71,10 +71,10 @@ class SparseStructure:
     heights_m: tuple[float, ...] = ()
 
     def slowed(self, time_scale: float) -> SparseStructure:
-        """Return it in a time that runs so much slower, see `rthyb_rt.config.timescale`.
+        """Return the structure for a slower time scale, see `rthyb_rt.config.timescale`.
 
-        The specimen's mass stands in the laboratory and is not slowed: what it lacks is computed,
-        and `with_lack` takes that out again.
+        The specimen's mass is in the laboratory and is not scaled: the difference is computed, and
+        `with_lack` removes it again.
         """
         if time_scale == 1.0:
             return self
@@ -96,9 +96,9 @@ class SparseStructure:
         return replace(self, part=slow).with_lack(time_scale, 1.0)
 
     def with_lack(self, time_scale: float, share: float) -> SparseStructure:
-        """Return it with so much more of what the known specimen lacks in its slowness."""
+        """Return the structure with a share of the slow specimen's missing inertia added."""
         mass = share * (time_scale**2 - 1.0) * self.specimen_mass_kg
-        # Rayleigh damping goes on being that of the same mass.
+        # Rayleigh damping still refers to the same mass.
         return replace(self, part=_with(self.part, mass, -self.part.by_mass_per_s * mass, 0.0))
 
     @functools.cached_property
@@ -116,7 +116,7 @@ class SparseStructure:
         found = []
         for i, square in enumerate(w2):
             omega, shape = math.sqrt(square), shapes[:, i]
-            # Rotations are no displacements: the largest is that of what the ground moves.
+            # Rotations are not displacements: the scale is the largest entry that the ground moves.
             at = np.flatnonzero(self.influence) if np.any(self.influence) else np.arange(shape.size)
             largest = shape[at][np.argmax(np.abs(shape[at]))] or 1.0
             found.append(
@@ -131,34 +131,34 @@ class SparseStructure:
         return tuple(found)
 
     def modes(self) -> tuple[Mode, ...]:
-        """Return the lowest modes of the joined structure, `SHOWN_MODES` at most."""
+        """Return the lowest modes of the complete structure, at most `SHOWN_MODES`."""
         return self._modes
 
     def first(self) -> Mode:
-        """Return the mode that the ground motion moves most."""
+        """Return the mode with the largest participation in the ground motion."""
         return max(self.modes(), key=lambda mode: mode.effective_mass)
 
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
     ) -> tuple[Floats, Floats, Floats]:
-        """Simulate the structure with a model of the specimen joined to it, at the interface."""
+        """Simulate the structure joined to a specimen model; return the interface's motion."""
         return self.whole_reference(elements, ag_mps2)[:3]
 
     def whole_reference(
         self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Simulate the structure with a model of the specimen joined to it.
+        """Simulate the structure joined to a model of the specimen.
 
-        What is linear of the model goes into the matrices, so that nothing of it is late.
+        The linear elements of the model are added to the matrices, so their forces are not delayed.
 
         Args:
             elements: the model.
             ag_mps2: ground acceleration at every sample, (n,).
 
         Returns:
-            At the interface displacement, velocity, and force of all but the model's masses and
-            dampers, (n,) each; the responses by name, (n, responses), of which one that has the
-            specimen's force in it has here that of the model's nonlinear elements alone.
+            At the interface: displacement, velocity, and the force without that of the model's
+            masses and dampers, (n,) each; then the responses by name, (n, responses). In responses
+            that contain the specimen's force, it is that of the model's nonlinear elements only.
         """
         ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
         (mass, damping, spring), others = linear_and_others(elements)
@@ -169,7 +169,7 @@ class SparseStructure:
         return x, v, force + spring * x, values
 
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
-        """Return how the interface moves with a specimen that does not yield, (n,)."""
+        """Return the displacement of the interface with an elastic specimen, (n,)."""
         model = [
             core.element("stiffness", k_n_per_m=self.part.k_e_n_per_m[0]),
             core.element("inertia", m_kg=self.specimen_mass_kg),
@@ -194,17 +194,17 @@ class JointModel:
 def joint_reference(
     structure: SparseStructure, model: JointModel, ag_mps2: ArrayLike
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Simulate a structure of several interfaces with a model of the specimen joined to it.
+    """Simulate a structure with several interfaces joined to a model of the specimen.
 
     Args:
         structure: the numerical part.
-        model: what is linear of it goes into the matrices, so that nothing of it is late; its
-            elements take the displacement of the sample, and velocity by differences.
+        model: its linear part is added to the matrices and so is not delayed; its elements receive
+            the displacement of the sample, and the velocity by differences.
         ag_mps2: ground acceleration at every sample, (n,).
 
     Returns:
-        Displacement, velocity and the model's force along the interfaces, (n, m) each; the
-        responses by name, (n, responses), with the model's force in those that have the specimen's.
+        Displacement, velocity and the model's force along the interfaces, (n, m) each; responses by
+        name, (n, responses), with the model's force in those that contain the specimen's.
     """
     part, ag = structure.part, np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
     rows, m = part.interface_rows(), len(part.interfaces)
@@ -223,7 +223,7 @@ def joint_reference(
         k_e_between=(),
     )
     if part.by_stiffness_s:
-        # Rayleigh damping was that of the stiffness with k_e in it.
+        # Rayleigh damping referred to the stiffness that includes k_e.
         k_e = np.diag(part.k_e_n_per_m) + (np.array(part.k_e_between) if part.k_e_between else 0.0)
         less = part.by_stiffness_s * (k_e - model.stiffness)
         damped = joined.damping_n_s_per_m
@@ -259,7 +259,7 @@ def _run_joint(
 
 
 def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> SparseConfig:
-    """Return a part with something linear at its interface; k_e is less by the spring."""
+    """Return a part with a linear element added at its interface; its spring is taken from k_e."""
     if not (mass or damping or spring):
         return part
     row = part.interface_rows()[0]
@@ -284,7 +284,7 @@ def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> Spa
         mass_kg=more(part.mass_kg, mass),
         stiffness_n_per_m=more(part.stiffness_n_per_m, spring),
         damping_n_s_per_m=more(own, damping) if damping else part.damping_n_s_per_m,
-        # Rayleigh damping goes on being that of the same stiffness.
+        # Rayleigh damping still refers to the same stiffness.
         k_e_n_per_m=(max(part.k_e_n_per_m[0] - spring, 0.0),),
     )
 
@@ -294,13 +294,13 @@ def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> Spa
 
 @dataclass(frozen=True)
 class Keys:
-    """What a test file says of a structure, beside storeys or matrices.
+    """The keys of a test file for a structure, in addition to its storeys or matrices.
 
     Attributes:
-        damping: in modes; None: that of the file.
-        nonlinear: elements.
-        record: names of what is recorded; None: drifts and shears of a few storeys.
-        interfaces: what the actuator moves.
+        damping: damping in modes; None: that of the file of matrices.
+        nonlinear: nonlinear elements.
+        record: names of the responses to record; None: drifts and shears of a few storeys.
+        interfaces: what the actuators move.
         integrator, rho_inf: of the numerical part.
     """
 
@@ -314,7 +314,7 @@ class Keys:
 
 @dataclass
 class _Bare:
-    """A structure before its damping."""
+    """A structure without its damping."""
 
     labels: tuple[str, ...]
     mass: Symmetric
@@ -336,13 +336,13 @@ def build(
 
     Args:
         given: storeys, or the matrices of a file that was read.
-        keys: what else there is of it.
-        k_e_n_per_m: elastic stiffness of the rig's specimen; of several axes its rows along the
+        keys: the other keys of the structure.
+        k_e_n_per_m: elastic stiffness of the rig's specimen; with several axes, its rows along the
             interfaces, in their order.
-        period_s: of a sample.
+        period_s: sampling period.
 
     Raises:
-        InputError: with the first that does not fit together.
+        InputError: naming the first inconsistency.
     """
     k_e = np.atleast_2d(np.asarray(k_e_n_per_m, dtype=np.float64))
     bare = (
@@ -408,7 +408,7 @@ def _check_count(bare: _Bare, keys: Keys, axes: int) -> None:
 
 
 def _check_step(structure: SparseStructure) -> None:
-    """Refuse a central difference that the highest mode makes grow."""
+    """Reject central differences if they are unstable for the highest mode."""
     if structure.part.integrator != "central-difference":
         return
     k, m = structure.joined.whole_stiffness(), structure.joined.mass_kg.matrix()
@@ -431,7 +431,7 @@ def _check_step(structure: SparseStructure) -> None:
 
 
 def _damped(structure: SparseStructure, damping: Damping) -> SparseConfig:
-    """Return the part with damping ratios in modes of the joined structure."""
+    """Return the part with damping ratios in modes of the complete structure."""
     part = structure.part
     most = max(damping.modes)
     w2, shapes = lowest_modes(structure.joined, most)

@@ -1,7 +1,7 @@
 """Structures of many degrees of freedom in the test file: storeys, matrices from a file.
 
-What is in a file of matrices is read by `rthyb_rt.config.matrixfile`; what the keys come to is
-worked out by `rthyb_rt.config.sparse_structure`.
+Files of matrices are read by `rthyb_rt.config.matrixfile`; the structure is built from the keys by
+`rthyb_rt.config.sparse_structure`.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from rthyb_rt.core.sizes import COUPLED_MAX
 MOST_STOREYS: Final = 500
 MOST_TERMS: Final = 16
 MOST_RECORDED: Final = 20
-"""Of a row's channels, of which control law and virtual rig want some as well."""
+"""Largest number of recorded quantities; control law and virtual rig also need channels."""
 DAMPED_MODES: Final = 64
 INTERFACES: Final = COUPLED_MAX
-"""Directions that actuators move: one on a rig of one axis, as many as axes on one of several."""
+"""Largest number of directions that actuators move; it equals the number of axes."""
 WRITTEN_OUT: Final = "written out"
 FROM_FILE: Final = "from a file"
-"""The forms of ``[numerical.matrices]``: in a fault's place they stand as no key can."""
+"""The forms of ``[numerical.matrices]``; as part of an error's place, they cannot be keys."""
 
 
 @dataclass(frozen=True)
 class Each(Reader):
-    """A number for all, or a list of one for each, the lowest first.
+    """A number for all storeys, or a list with one for each, the lowest first.
 
     Attributes:
-        one: what each of them is.
+        one: field of each number.
     """
 
     one: Range
@@ -56,7 +56,7 @@ class Each(Reader):
         return f"{self.one.allowed()}; or a list with one value for each storey, from the lowest"
 
     def read(self, value: object) -> float | list[float]:
-        """Return the number or the numbers; raise the explained error otherwise."""
+        """Return the number or the numbers; raise an explained error if they are invalid."""
         if not isinstance(value, list):
             return self.one.read(value)
         if not 1 <= len(value) <= MOST_STOREYS:
@@ -80,11 +80,11 @@ class Each(Reader):
 
 @dataclass(frozen=True)
 class Counts(Reader):
-    """Different whole numbers; a number alone stands for a list of one.
+    """Different whole numbers; a single number is short for a list of one.
 
     Attributes:
-        one: what each of them is.
-        most: so many at most.
+        one: field of each number.
+        most: maximum number of entries.
     """
 
     one: Count
@@ -95,7 +95,7 @@ class Counts(Reader):
         return f"must be a list of 1 to {self.most} different numbers; {self.one.allowed()}"
 
     def read(self, value: object) -> list[int]:
-        """Return the numbers; raise the explained error otherwise."""
+        """Return the numbers; raise an explained error if they are invalid."""
         items = value if isinstance(value, list) else [value]
         if not 1 <= len(items) <= self.most:
             raise explained(f"found {written(value)}; {self.allowed()}")
@@ -116,7 +116,7 @@ class Counts(Reader):
 class Terms(Reader):
     """Degrees of freedom with weights: a label, or a table of labels and weights.
 
-    Held as a list of pairs, which is a third form.
+    Stored as a list of pairs, which is also accepted.
     """
 
     what: str
@@ -129,7 +129,7 @@ class Terms(Reader):
         )
 
     def read(self, value: object) -> list[list[Any]]:
-        """Return label and weight of each; raise the explained error otherwise."""
+        """Return label and weight of each; raise an explained error if they are invalid."""
         pairs: list[Any] = [[value, 1.0]] if isinstance(value, str) else []
         if isinstance(value, dict):
             pairs = [list(item) for item in value.items()]
@@ -187,11 +187,11 @@ def _weighs_on_height(p_delta: bool, height_m: float | list[float] | None) -> st
 
 
 class Storeys(Table):
-    """A shear building: storeys on one another, a mass on each; the ground carries the first.
+    """A shear building: storeys one above another, each with a mass; the lowest is on the ground.
 
-    The specimen is one storey, on a rig of several axes as many: its stiffness is the rig's, not
-    that of ``stiffness_n_per_m``.
-    With ``p_delta`` the weight above a storey, over its height, is a negative stiffness.
+    The specimen is one storey, or with several axes as many as there are axes: its stiffness is
+    taken from the rig and not from ``stiffness_n_per_m``. With ``p_delta``, the weight above a
+    storey over its height is a negative stiffness.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -216,13 +216,13 @@ class Storeys(Table):
     ] = Field(default_factory=lambda: [1])
 
     def each(self, key: Literal["mass_kg", "stiffness_n_per_m", "height_m"]) -> list[float]:
-        """Return a value of every storey, from below."""
+        """Return the values of a key for every storey, from the lowest."""
         value = getattr(self, key)
         return list(value) if isinstance(value, list) else [float(value)] * self.count
 
 
 class MatrixFiles(Table):
-    """The files of matrices of which each holds one, Matrix Market or CSV."""
+    """Files that contain one matrix each, Matrix Market or CSV."""
 
     mass: Annotated[str, SOME_TEXT]
     stiffness: Annotated[str, SOME_TEXT]
@@ -232,11 +232,11 @@ class MatrixFiles(Table):
 
 
 class MatrixFile(Table):
-    """A structure by the matrices of a file: mass, stiffness, damping, labels, influence.
+    """A structure given by matrices from a file: mass, stiffness, damping, labels, influence.
 
-    ``file`` is of .npz or .mat, ``files`` names one for each matrix. ``data`` is what was in them,
-    as the program writes it into a recording. ``direction`` is the influence vector to be used, of
-    a file that has several. With ``specimen`` the matrices are those of the whole structure.
+    ``file`` is an .npz or .mat file, ``files`` names one file per matrix. ``data`` is their
+    content, as the program stores it in a recording. ``direction`` selects one of several influence
+    vectors. With ``specimen`` the matrices are those of the whole structure.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (Choice(("file", "files"), required=True),)
@@ -264,10 +264,10 @@ def _few_for_rayleigh(form: str, modes: list[int], ratio: float | list[float]) -
 
 
 class Damping(Table):
-    """Damping ratios of modes of the whole structure, elastic; modes are counted from 1.
+    """Damping ratios of modes of the whole structure, elastic; modes are numbered from 1.
 
-    Rayleigh damping has them in one mode (by mass alone) or two and more in what lies beyond;
-    modal damping in as many as are named, and nothing in the others.
+    Rayleigh damping has the given ratios in one mode (mass-proportional) or two, and larger ones
+    beyond; modal damping has them in the given modes, and none in the others.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -297,9 +297,9 @@ def _no_mass(law: SpecimenElement) -> str | None:
 class Nonlinear(Table):
     """An element between storeys, or between degrees of freedom of the matrices.
 
-    ``storeys``: in each of them, in the place of its stiffness; with ``beside``, beside it.
-    ``dof``: between it and the ground; ``between``: between two, and it sees the second's
-    displacement less the first's.
+    ``storeys``: in each of these storeys, instead of its stiffness; with ``beside``, in parallel.
+    ``dof``: between this and the ground; ``between``: between two, with the deformation second
+    minus first.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (Choice(("storeys", "dof", "between"), required=True),)
@@ -317,27 +317,28 @@ class Nonlinear(Table):
 
 
 class _PlaceLimit(Limit):
-    """A limit on where a direction of the interface is, m."""
+    """A limit on the position of an interface direction, m."""
 
     value: Annotated[float, Range("m", 1e-6, 100, "the limit")]
 
 
 class _TurnLimit(Limit):
-    """The same of a rotation."""
+    """A limit on a rotation of the interface, rad."""
 
     value: Annotated[float, Range("rad", 1e-6, 3.2, "the limit")]
 
 
 class _MomentLimit(Limit):
-    """The same of its moment."""
+    """A limit on a moment at the interface, N m."""
 
     value: Annotated[float, Range("N m", 1e-3, 1e10, "the limit")]
 
 
 class InterfaceLimits(Table):
-    """What a direction of the interface may not exceed, beside the limits of the axes.
+    """Limits of a direction of the interface, in addition to those of the axes.
 
-    Of a rotation ``position_rad`` and ``moment_n_m``, of the others ``position_m`` and ``force_n``.
+    A rotation has ``position_rad`` and ``moment_n_m``, other directions ``position_m`` and
+    ``force_n``.
     """
 
     position_m: _PlaceLimit | None = None
@@ -346,16 +347,16 @@ class InterfaceLimits(Table):
     moment_n_m: _MomentLimit | None = None
 
     def of_kind(self, turns: bool) -> tuple[Limit | None, Limit | None]:
-        """Return the limits on position and force of a direction that turns, or does not."""
+        """Return the limits on position and force for a rotation, or for a translation."""
         if turns:
             return self.position_rad, self.moment_n_m
         return self.position_m, self.force_n
 
 
 class Interface(Table):
-    """What of the structure the actuators move: a storey's drift, or degrees of freedom.
+    """What the actuators move in the structure: a storey's drift, or degrees of freedom.
 
-    One for each direction that the rig's kinematics name, by their names; of one axis any name.
+    One for each direction named in the rig's kinematics, with its name; with one axis, any name.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (Choice(("storey", "dof"), required=True),)

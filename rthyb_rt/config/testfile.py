@@ -1,4 +1,4 @@
-"""The test file: which motion, which numerical part, which compensation, which limits."""
+"""The test file: motion, numerical part, compensation and limits of a test."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ from rthyb_rt.core.laws import LAWS, Law
 from rthyb_rt.core.sizes import COUPLED_MAX
 
 MATRIX: Final = "matrix"
-"""The compensation of several axes that feel one another, by matrices; no law of one axis."""
+"""Compensation of several coupled axes by matrices, which is not a control law of one axis."""
 
 if TYPE_CHECKING:
     LawName = str
@@ -69,9 +69,10 @@ SampleCount = Annotated[
 class TestInfo(Table):
     """Name and length of the test.
 
-    ``duration_s`` absent means the ground motion followed by ``free_vibration_s``. Another rate
-    than 1024 Hz is for virtual time; what the files count in samples is of 1/1024 s at any rate.
-    ``time_scale`` makes a test slow: its laboratory takes so many seconds for one of the structure.
+    If ``duration_s`` is absent, the test lasts as long as the ground motion, plus
+    ``free_vibration_s``. A rate other than 1024 Hz is for virtual time; samples in the files are
+    always of 1/1024 s. ``time_scale`` is the number of laboratory seconds per second of the
+    structure.
     """
 
     __test__: ClassVar[bool] = False
@@ -91,7 +92,7 @@ class TestInfo(Table):
 
 
 class GroundMotion(Table):
-    """The record and what is done to it; at most one of ``pga_g`` and ``factor``."""
+    """The record and how it is modified; at most one of ``pga_g`` and ``factor``."""
 
     choices: ClassVar[tuple[Choice, ...]] = (Choice(("pga_g", "factor"), required=False),)
 
@@ -117,14 +118,14 @@ class GroundMotion(Table):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Take a channel given by its number, as most record files count them."""
+        """Accept a channel given as a number, as in most record files."""
         if isinstance(data, dict) and type(data.get("channel")) is int:
             return {**data, "channel": str(data["channel"])}
         return data
 
 
 def _form(given: object) -> str:
-    """Tell which of both forms a table of matrices is; neither is a key of a file."""
+    """Return which form a table of matrices has; neither is a key of a file."""
     keys = given if isinstance(given, dict) else getattr(given, "model_fields_set", ())
     return FROM_FILE if {"file", "files", "data"} & set(keys) else WRITTEN_OUT
 
@@ -183,12 +184,12 @@ def _has_its_own(
 
 
 class Numerical(Table):
-    """The computed part: mass or period, damping or damping ratio, stiffness beside the specimen.
+    """The computed part: mass or period, damping or damping ratio, additional stiffness.
 
-    ``rho_inf`` is read by the integrator ``kr-alpha`` alone. ``matrices`` or ``storeys`` stand for
-    all of it; with storeys, or matrices from a file, the integrator is ``kr-alpha`` with 0.8
-    where the file says nothing. With ``library``, ``fmu`` or ``python``, which compute, mass or
-    period and damping describe what they come to with the specimen, for windows and margins.
+    ``rho_inf`` is used by the integrator ``kr-alpha`` only. ``matrices`` or ``storeys`` replace all
+    of these; with storeys, or matrices from a file, the default integrator is ``kr-alpha`` with
+    0.8. With ``library``, ``fmu`` or ``python``, which compute the response, mass or period and
+    damping describe the complete structure including the specimen, for windows and margins.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (
@@ -237,7 +238,7 @@ class Numerical(Table):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Give a structure of many degrees of freedom the integrator that is meant for it."""
+        """Set the default integrator for a structure of many degrees of freedom."""
         if not isinstance(data, dict):
             return data
         matrices = data.get("matrices")
@@ -247,33 +248,34 @@ class Numerical(Table):
 
     @property
     def own(self) -> LibraryFile | FmuFile | PythonClass | None:
-        """What computes in the place of the equation of motion, where it is the user's own."""
+        """The user-defined part that replaces the equation of motion, if any."""
         return self.library or self.fmu or self.python
 
     @property
     def structure(self) -> Storeys | MatrixFile | None:
-        """What describes a structure of many degrees of freedom; matrices in the file do not."""
+        """The structure of many degrees of freedom; excludes matrices written in the test file."""
         if self.storeys is not None:
             return self.storeys
         return self.matrices if isinstance(self.matrices, MatrixFile) else None
 
 
 class _DelayEstimator(Table):
-    """What a control law learns; the settings of those that share these keys (Eqn 2.6-2.11).
+    """Settings for the learning of control laws, shared by several laws (Eqn 2.6-2.11).
 
-    A file may hold the settings of several laws; each reads its own. ``enabled`` is for every law.
+    A file may hold the settings of several laws; each uses its own. ``enabled`` applies to all
+    laws.
     """
 
     enabled: StrictBool = True
 
 
 class Rfc(Table):
-    """The restoring-force compensator (Eqn 3.1-3.3); window absent means 0.1 periods.
+    """The restoring-force compensator (Eqn 3.1-3.3); the default window is 0.1 periods.
 
     ``divisor = "printed"`` divides the T0 + 1 terms of Eqn 3.3 by T0, ``"terms"`` by their number.
-    ``cutoff_hz`` is of the low-pass on x_c - x_m, 0 for none; ``force_lateness_s`` says the
-    delay of the force behind x_m that the equation of motion uses, and adds as much of the tangent
-    stiffness times velocity.
+    ``cutoff_hz`` belongs to the low-pass filter on x_c - x_m, 0 for none. ``force_lateness_s`` is
+    the delay of the force behind x_m that the equation of motion uses; velocity times tangent
+    stiffness times this delay is added to the force.
     """
 
     choices: ClassVar[tuple[Choice, ...]] = (
@@ -303,38 +305,38 @@ class _Law(Table):
 
     @property
     def law(self) -> Law:
-        """The control law; of a compensation by matrices, which has none, that without any."""
+        """The control law; for compensation by matrices, which has none, the law ``none``."""
         return LAWS[self.type] if self.type in LAWS else LAWS["none"]
 
     def setting(self, key: str) -> float | None:
-        """Return what the file says of a law's parameter, else its default, else None."""
+        """Return the file's value for a law's parameter, else its default, else None."""
         return lawtables.setting(self, key)
 
     def with_settings(self, values: Mapping[str, float]) -> Self:
-        """Return the same with settings of laws written out, by their keys."""
+        """Return a copy with the given settings of laws written out, by their keys."""
         return lawtables.with_settings(self, values)
 
     @classmethod
     def further_faults(
         cls, keys: dict[str, Any]
     ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
-        """Ask the control law what its settings do wrong together."""
+        """Check the combination of settings with the control law."""
         if keys.get("type") != MATRIX:
             yield from lawtables.faults(keys)
 
 
 class _AxisLaw(_Law):
-    """The control law of one axis, in the place of that of all."""
+    """The control law of one axis, which replaces the one common to all axes."""
 
     name: Annotated[str, SLUG]
 
 
 class MatrixLaw(Table):
-    """Compensation by matrices: gain, delay and curvature, of axes that feel one another.
+    """Compensation of coupled axes by matrices: gain, delay and curvature.
 
-    Behind the inverse that is fitted to the rig's ``[identified]`` where ``inverse`` is true; else
-    they begin as what undoes that response best. What is left they learn, but for
-    ``delay_estimator.enabled = false``.
+    With ``inverse`` true, an inverse fitted to the rig's ``[identified]`` follows them; otherwise
+    they start with the values that best invert that response. They then learn the remaining error,
+    unless ``delay_estimator.enabled = false``.
     """
 
     inverse: StrictBool = True
@@ -381,7 +383,7 @@ def _by_its_class(type: str, python: PythonClass | None) -> str | None:
 class _Controller(_Law):
     """The compensation: the control law with its settings, restoring force (Eqn 3.2).
 
-    ``python`` is the law of the type "python".
+    ``python`` is the class for a law of type "python".
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -398,7 +400,7 @@ class _Controller(_Law):
 
     @property
     def law(self) -> Law:
-        """The control law; of a compensation by matrices, which has none, that without any.
+        """The control law; for compensation by matrices, which has none, the law ``none``.
 
         Raises:
             CoreError: it is a class in Python that cannot be imported.
@@ -411,7 +413,7 @@ class _Controller(_Law):
 
 
 if TYPE_CHECKING:
-    # The laws' own tables add their keys, which are read by `setting`.
+    # The laws' own tables add their keys, which `setting` reads.
     DelayEstimator = _DelayEstimator
     AxisLaw = _AxisLaw
     Controller = _Controller
@@ -431,7 +433,7 @@ else:
 
 
 class Reference(Table):
-    """The reference simulation; ``table_forces`` adds what the load cell sees of the table."""
+    """The reference simulation; ``table_forces`` adds the table's forces at the load cell."""
 
     table_forces: StrictBool = True
 
@@ -458,9 +460,9 @@ def _interfaces_differ(interface: list[Interface]) -> str | None:
 
 
 _WITHOUT_STRUCTURE = ("ground_motion", "numerical", "interface", "reference")
-"""Tables of a hybrid test, which a prescribed history has not."""
+"""Tables of a hybrid test that a prescribed history does not have."""
 _NO_STRUCTURE = {"period_s": 1.0, "damping_ratio": 0.0}
-"""Stands where a history has no structure: what reads it finds an oscillator, and moves nothing."""
+"""Placeholder for the structure of a history: an oscillator, which is never computed."""
 
 
 def _numerical_or_history(schema: dict[str, Any]) -> None:
@@ -472,7 +474,7 @@ class TestFile(WholeFile):
     """A hybrid test, or a prescribed history.
 
     ``rig`` is a path, or the name of a rig that comes with the program. With ``history`` there is
-    no structure and no ground motion, and no control law unless one is named.
+    no structure and no ground motion, and by default no control law.
     """
 
     checks: ClassVar[tuple[Check, ...]] = (
@@ -496,7 +498,7 @@ class TestFile(WholeFile):
 
     @classmethod
     def expand(cls, data: Any) -> Any:
-        """Give a history what it has instead of a structure, and no control law by default."""
+        """Give a history a placeholder structure, and by default no control law."""
         if not isinstance(data, dict) or data.get("history") is None:
             return data
         controller = data.get("controller")
@@ -511,7 +513,7 @@ class TestFile(WholeFile):
     def further_faults(
         cls, keys: dict[str, Any]
     ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
-        """Name what a history cannot have beside it."""
+        """Report tables and keys that are not allowed beside a history."""
         if keys.get("history") is None:
             return
         for key in _WITHOUT_STRUCTURE:
@@ -534,7 +536,7 @@ class TestFile(WholeFile):
 
     @model_serializer(mode="wrap")
     def _without_structure(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out of a history what it has not, so that it reads back equal."""
+        """Remove the placeholders of a history, so that it reads back equal."""
         found: dict[str, Any] = handler(self)
         if self.history is not None:
             for key in _WITHOUT_STRUCTURE:

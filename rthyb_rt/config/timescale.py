@@ -5,10 +5,10 @@ laboratory's time is 1/L of one by the structure's. So
 
     m x'' + c x' + k x + f = -m ag(t)      becomes      L^2 m X'' + L c X' + k X + f = -L^2 m A,
 
-A(L t) = ag(t) / L^2: masses grow by L^2, dampings by L, stiffnesses stay, and the ground
-acceleration shrinks by L^2. Everything else of a test (control law, limits, margins, roots) then
-reads in the laboratory's time, which it lives in. Each integrator of the program takes the same
-step as the unstretched one with h / L, for only h c / m and h^2 k / m are in them.
+A(L t) = ag(t) / L^2: masses grow by L^2, dampings by L, stiffnesses are unchanged, and the ground
+acceleration shrinks by L^2. All other figures of a test (control law, limits, margins, roots) are
+then in laboratory time. Each integrator of the program takes the same step as the unscaled one with
+h / L, because it uses only h c / m and h^2 k / m.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ _EXPONENTS: Final = (
     ("_hz", -1),
     ("_s", 1),
 )
-"""Powers of a second in the unit of an element's parameter, forces and lengths being kept."""
+"""Powers of a second in the units of element parameters, with force and length unscaled."""
 
 
 def exponent(parameter: str) -> int:
-    """Return the power of the time scale that a parameter of an element grows by."""
+    """Return the power of the time scale by which a parameter of an element grows."""
     return next((power for suffix, power in _EXPONENTS if parameter.endswith(suffix)), 0)
 
 
 def slowed(element: ElementConfig, time_scale: float) -> ElementConfig:
-    """Return an element that has the same force on a motion that takes so much longer.
+    """Return an element with the same force for the same motion on a slower time scale.
 
     Args:
-        element: of a structure or a specimen.
+        element: element of a structure or a specimen.
         time_scale: seconds in the laboratory per second of the structure.
     """
-    # NumPy, which the core needs, is slow to load, and most tests are not slow.
+    # NumPy, which the core needs, is slow to import, and few tests have a time scale.
     from rthyb_rt.core.library import CoreError
     from rthyb_rt.core.settings import ELEMENT_PARAMS
 
@@ -59,9 +59,9 @@ def slowed(element: ElementConfig, time_scale: float) -> ElementConfig:
 
 
 def rate_dependent(element: ElementConfig) -> bool:
-    """Return whether an element's force depends on how fast a motion is."""
+    """Return whether an element's force depends on the rate of the motion."""
     from rthyb_rt.core.settings import ELEMENT_PARAMS
 
     if element.own is not None:
-        return True  # as far as anybody knows
+        return True  # unknown, so assumed
     return any(exponent(name) for name in ELEMENT_PARAMS[element.kind])

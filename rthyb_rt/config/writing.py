@@ -12,25 +12,25 @@ from rthyb_rt.config.fields import Table
 def dump(table: Table) -> str:
     """Return a test or rig with every default written out, as TOML that reads back equal.
 
-    Keys whose value is absent are left out. The text ends with a newline.
+    Absent keys are omitted. The text ends with a newline.
     """
     return dump_values(table.model_dump(by_alias=True))
 
 
 def dump_values(values: Mapping[str, object]) -> str:
-    """Return the values of a file, table by table, as TOML; else as `dump`."""
+    """Return the values of a file as TOML, table by table; otherwise like `dump`."""
     return "\n".join(_table_lines((), values)).strip() + "\n"
 
 
 def inline(value: object) -> str:
-    """Return one value as TOML, tables within braces."""
+    """Return one value as TOML, with tables in braces."""
     return _value(value)
 
 
 def _table_lines(
     path: tuple[str, ...], table: Mapping[str, object], header: str = ""
 ) -> Iterator[str]:
-    """Write the plain values first: after a sub-table they would belong to that one."""
+    """Return a table's lines, plain values first: after a sub-table they would belong to it."""
     plain = {k: v for k, v in table.items() if not isinstance(v, dict) and not _is_tables(v)}
     lines = [f"{_key(k)} = {_value(value)}" for k, value in plain.items() if value is not None]
     if header and lines:
@@ -54,7 +54,7 @@ def _value(value: object) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # JSON's escapes are TOML's, but for DEL, which TOML wants escaped as well.
+        # JSON's escapes are valid in TOML, except that TOML also requires DEL to be escaped.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(_value(item) for item in value) + "]"
@@ -65,6 +65,6 @@ def _value(value: object) -> str:
 
 
 def _key(key: object) -> str:
-    """Return a key as TOML has it: bare where that can be."""
+    """Return a key in TOML notation, bare if possible."""
     text = str(key)
     return text if re.fullmatch(r"[A-Za-z0-9_-]+", text) else _value(text)

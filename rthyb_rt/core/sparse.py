@@ -566,7 +566,7 @@ class Layout:
                 rhs[at] -= by * force
         start = factored(self.m + w.beta * h * h * self.k, "the matrix of the start")
         q = start.solve(np.asarray(rhs, dtype=np.float64))
-        # C uses v + gamma h q, so the integrator's own v is one update older.
+        # C adds gamma h q before it uses v, so this v is without that term.
         cfg.first_x, cfg.first_v = self._in_order(x), self._in_order(v - w.gamma * h * q)
         cfg.first_q = self._in_order(q)
 
