@@ -1,13 +1,12 @@
-"""What a test must know of its rig: delay, amplitude, initial alpha, elastic stiffness, rest noise.
+"""What a test must know about its rig: delay, gain, initial alpha, elastic stiffness, rest noise.
 
-The rig rests, then follows a row of sines, from slow to fast, small and under a velocity limit,
-without any compensation. Each sine is fitted to command, displacement and force by least squares:
-with whole cycles and the noise spread over thousands of samples, delay comes out to a hundredth
-of a sample.
+The rig rests, then follows a series of sines, from slow to fast, with small amplitude and limited
+velocity, without any compensation. Each sine is fitted to command, displacement and force by least
+squares: over whole cycles and thousands of samples, the delay is found to a hundredth of a sample.
 
-The rig is a virtual one, in virtual time, or what is at the other end of a link. Either way the
-sweep goes through the station under the limits of the rig file, and rows without a new
-reading are left out of every fit.
+The rig is a virtual one, in virtual time, or a rig at the other end of a link. Either way the sweep
+passes through the station, under the limits of the rig file, and rows without a new reading are
+left out of every fit.
 """
 
 from __future__ import annotations
@@ -38,37 +37,37 @@ Mask = NDArray[np.bool_]
 REST_S = 3.0
 RAMP_CYCLES = 1
 SETTLE_CYCLES, SETTLE_S = 2, 1.2
-"""So many cycles and so long a sine is left alone: the longest delay of a rig is 1 s."""
+"""Cycles and time that a sine is given to settle: the longest delay of a rig is 1 s."""
 
 FIT_CYCLES = 4
 FIT_SECONDS = 2.0
-"""Each frequency is fitted over at least so many whole cycles and so long."""
+"""Each frequency is fitted over whole cycles that last at least this long."""
 
 FREQUENCIES_HZ = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0)
 HIGHEST_HZ = 100.0
 LOW_FREQUENCY_HZ = 2.0
-"""Delay, gain and alpha are stated for the motion up to here, where structures answer."""
+"""Delay, gain and alpha are averaged up to this frequency, where structures respond."""
 
 STIFFNESS_NONLINEAR = 0.05
-"""Share of the force that linear fit and noise may leave before k_e is called doubtful."""
+"""Share of the force that linear fit and noise may leave before k_e is reported as doubtful."""
 
 MASS_RESOLVED = 0.02
-"""Share of the force, at the highest frequency, that a mass needs to be told from rounding."""
+"""Smallest share of a mass in the force at the highest frequency that exceeds rounding."""
 
 CERTAIN = 10.0
-"""An amplitude counts when it is so many times its own standard error."""
+"""An amplitude is significant from this multiple of its own standard error."""
 
 NOISE_SCATTER = 4.0
-"""Standard errors by which two estimates of the same noise's power may differ."""
+"""Standard errors by which two estimates of the power of the same noise may differ."""
 
 READ_SHARE = 0.8
-"""Of the rows of a fit: with fewer readings there is nothing to fit."""
+"""Smallest share of the rows of a fit that must contain a reading."""
 
 MEMORY_TICKS = 64
-"""What a made-up reading leaves in the filters of the estimator is gone after so long."""
+"""Ticks after which a substituted reading no longer affects the filters of the estimator."""
 
 REVERSED = -0.7
-"""Cosine of the phase at 0 Hz from which on a displacement goes against its command."""
+"""Cosine of the phase at 0 Hz below which a displacement moves against its command."""
 
 
 @dataclass(frozen=True)
@@ -76,9 +75,9 @@ class Sweep:
     """The excitation of an identification.
 
     Attributes:
-        frequencies_hz: one sine after the other, from slow to fast.
-        amplitude_m: of the slow ones.
-        velocity_m_per_s: the fast ones are made smaller to stay below it.
+        frequencies_hz: of the sines, from slow to fast.
+        amplitude_m: of the slow sines.
+        velocity_m_per_s: limit that reduces the amplitude of the fast sines.
     """
 
     frequencies_hz: tuple[float, ...] = FREQUENCIES_HZ[:9]
@@ -87,17 +86,17 @@ class Sweep:
 
     @classmethod
     def up_to(cls, highest_hz: float, amplitude_m: float = 2e-3) -> Sweep:
-        """Return the usual frequencies up to ``highest_hz``, which closes them."""
+        """Return the usual frequencies up to and including ``highest_hz``."""
         below = tuple(f for f in FREQUENCIES_HZ if f < highest_hz)
         return cls((*below, highest_hz), amplitude_m)
 
     @property
     def ticks(self) -> int:
-        """Samples of the whole sweep at 1024 Hz, with the rest before it."""
+        """Samples of the complete sweep at 1024 Hz, including the rest before it."""
         return self.ticks_at(STANDARD)
 
     def ticks_at(self, rate: Rate) -> int:
-        """Return the samples of the whole sweep at a rate, with the rest before it."""
+        """Return the samples of the complete sweep at a rate, including the rest before it."""
         return int(command_of(self, rate)[0].size)
 
     def amplitude_at(self, frequency_hz: float) -> float:
@@ -107,7 +106,7 @@ class Sweep:
 
 @dataclass(frozen=True)
 class Tone:
-    """What one sine showed.
+    """Result of one sine.
 
     Attributes:
         frequency_hz, amplitude_m: the command.
@@ -116,8 +115,8 @@ class Tone:
         force_in_phase_n_per_m: force in phase with x_m, over its amplitude: stiffness less
             (2 pi f)^2 times the mass that the load cell feels.
         force_in_quadrature_n_per_m: the same a quarter period ahead: damping and friction.
-        distortion: share of the force (rms) that is no sine of this frequency, and more than the
-            noise at rest makes.
+        distortion: share of the force (rms) that is not a sine of this frequency and exceeds the
+            noise at rest.
     """
 
     frequency_hz: float
@@ -131,27 +130,27 @@ class Tone:
 
 @dataclass(frozen=True)
 class Result:
-    """What an identification found; samples are of 1/1024 s at any rate.
+    """Result of an identification; samples are of 1/1024 s at any rate.
 
     Attributes:
         tones: by frequency.
-        alpha: parameter of Eqn 2.5 that undoes this actuator best up to `LOW_FREQUENCY_HZ`, the
-            alpha0 of a test: least squares of Eqn 2.6-2.8, samples.
+        alpha: parameter of Eqn 2.5 that best inverts this actuator up to `LOW_FREQUENCY_HZ`, used
+            as the alpha0 of a test: least squares of Eqn 2.6-2.8, samples.
         alpha_with_beta, beta: the same with the curvature term and over the whole sweep, samples
             and samples^2.
         delay_s, gain: mean up to `LOW_FREQUENCY_HZ`.
         k_e_n_per_m: elastic stiffness.
-        moving_mass_kg: what else moves under the load cell; None where it is too small to tell.
+        moving_mass_kg: further mass moved below the load cell; None if too small to resolve.
         rest_noise_m, rest_noise_n: standard deviations at rest.
         offset_m, offset_n: means at rest.
-        resonance_hz: first resonance of actuator and specimen within the sweep, None without.
-        notes: what the user should know.
-        link_delay_samples: what the link has of the delay, by the drive's echo; None where that is
-            not known, or where there is no link.
+        resonance_hz: first resonance of actuator and specimen within the sweep, or None.
+        notes: for the user.
+        link_delay_samples: the link's share of the delay, from the drive's echo; None if unknown or
+            without a link.
         left_out: rows of the sweep without a new reading.
-        sample_rate_hz: of the sweep. A drive holds its commands for as long, which is a part of
-            gains and delays.
-        recording: the sweep itself; of one axis among several, None.
+        sample_rate_hz: of the sweep. The drive holds each command for one such sample, which is
+            included in gains and delays.
+        recording: of the sweep; None for one axis of several.
     """
 
     tones: tuple[Tone, ...]
@@ -174,7 +173,7 @@ class Result:
     recording: Recording | None = field(default=None, repr=False, compare=False)
 
     def as_json(self) -> dict[str, Any]:
-        """Return all but the sweep itself as a JSON document has it."""
+        """Return everything except the recording as a JSON document."""
         found = asdict(replace(self, recording=None))
         del found["recording"]
         return found
@@ -195,7 +194,7 @@ class Part:
 
 @dataclass(frozen=True)
 class _Signals:
-    """What a sweep gave: each (n,); ``read`` says which rows hold a reading of their own."""
+    """Signals of a sweep: each (n,); ``read`` marks the rows that contain a new reading."""
 
     command: Floats
     x_m: Floats
@@ -213,18 +212,18 @@ def identify(
     progress: Progress | None = None,
     rate: Rate = STANDARD,
 ) -> Result:
-    """Sweep the virtual rig of ``rig``, in virtual time, and work out what a test needs.
+    """Sweep the virtual rig of ``rig`` in virtual time and determine what a test needs.
 
     Args:
-        rig: its file.
+        rig: the rig file.
         sweep: the excitation.
-        progress: called with (ticks done, ticks of the sweep) now and then.
-        rate: of the samples.
+        progress: called now and then with (ticks done, ticks of the sweep).
+        rate: sample rate.
 
     Raises:
-        InputError: a sweep that cannot be run, or a rig that does not follow it.
-        LimitError: a limit that the rig file states ended the sweep.
-        RthybError: the rig does not come to rest.
+        InputError: invalid sweep, or a rig that does not follow it.
+        LimitError: a limit of the rig file ended the sweep.
+        RthybError: the rig did not come to rest.
     """
     sweep = sweep or Sweep()
     check(sweep)
@@ -239,22 +238,22 @@ def identify_live(
     progress: Progress | None = None,
     operator: Operator | None = None,
 ) -> Result:
-    """Sweep the rig at the other end of a link, in real time and under all limits of its file.
+    """Sweep the rig at the other end of a link, in real time and within all limits of its file.
 
     Args:
-        connection: the rig; its file need not have been identified, nor say the right k_e.
+        connection: the rig; its file need not be identified or contain the right k_e.
         sweep: the excitation.
-        progress: called with (ticks done, ticks of the sweep) now and then.
+        progress: called now and then with (ticks done, ticks of the sweep).
         operator: asks for a stop.
 
     Returns:
-        What was found; delays are those of link and actuator together, `Result.link_delay_samples`
-        is the link's share.
+        The result; delays are those of link and actuator together, of which
+        `Result.link_delay_samples` is the link's share.
 
     Raises:
-        InputError: a sweep that cannot be run, no feedback, or a rig that does not follow it.
-        LimitError: a limit or the drive ended the sweep; the message says at which frequency.
-        TimingError: this PC did, by being late.
+        InputError: invalid sweep, no feedback, or a rig that does not follow the sweep.
+        LimitError: a limit or the drive ended the sweep; the message states the frequency.
+        TimingError: this PC was late.
         StoppedError: the operator ended it.
         RthybError: as in `rthyb_rt.rig.commissioning.moving.carry_out`.
     """
@@ -272,12 +271,12 @@ def identify_live(
 
 def _motion(sweep: Sweep, rate: Rate) -> tuple[moving.Motion, list[Part]]:
     command, parts = command_of(sweep, rate)
-    # The command of a row is that of the row before on the path: one more brings the last.
+    # The command of a row is the previous row of the path, so one more row sends the last.
     return moving.Motion("identify", np.append(command, 0.0), stay=False), parts
 
 
 def _found(rig: RigFile, moved: Moved, parts: list[Part]) -> Result:
-    """Work out what a sweep that was carried out has shown."""
+    """Return the result of a sweep that was carried out."""
     _check_ranges(rig, moved.running)
     running = moved.running[1:]
     if moved.cause != "completed":
@@ -300,14 +299,14 @@ def result_of(
     parts: list[Part],
     read: Mask | None = None,
 ) -> Result:
-    """Return what a sweep showed.
+    """Return the result of a sweep.
 
     Args:
         rig: for messages.
-        command_m, x_m, f_n: of the sweep, (n,) each: a row's reading was latched when its command
-            was applied.
-        parts: of `command_of`.
-        read: which rows hold a reading of their own, (n,); None: all of them.
+        command_m, x_m, f_n: signals of the sweep, (n,) each: the reading of a row was latched when
+            its command was applied.
+        parts: as returned by `command_of`.
+        read: which rows contain a new reading, (n,); None: all of them.
 
     Raises:
         InputError: the rig did not follow.
@@ -375,28 +374,28 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
     """Return the rig file with k_e and the section ``identified`` filled in.
 
     Raises:
-        InputError: a figure that a rig file does not allow.
+        InputError: a value that a rig file does not allow.
     """
     info = rig.rig.model_copy(update={"elastic_stiffness_n_per_m": rounded(result.k_e_n_per_m)})
     section = section_of(result, response.hold_of(rig))
     filled = rig.model_copy(update={"rig": info, "identified": section})
-    # Read back, so that whatever is written is a rig file.
+    # Parsed again, so that whatever is written is a valid rig file.
     return parse_rig(dump(filled), "identified rig")
 
 
 def section_of(result: Result, hold: str | None) -> Identified:
-    """Return the section ``identified`` of a rig file; what it holds has not been checked.
+    """Return the section ``identified`` of a rig file; its values have not been validated.
 
-    Its frequency response is that of commands held for 1/1024 s, to which what was swept at another
-    rate is converted. Delay and alpha are times, and stay those of the rate.
+    The frequency response is given for commands held for 1/1024 s; a sweep at another rate is
+    converted. Delay and alpha are times, and remain those of the rate of the sweep.
 
     Args:
-        result: what was found.
-        hold: how the drive joins two commands, from `response.hold_of`.
+        result: the identification.
+        hold: how the drive interpolates between commands, from `response.hold_of`.
     """
     f_hz = np.array([tone.frequency_hz for tone in result.tones])
     held = response.held_otherwise(f_hz, Rate(result.sample_rate_hz), hold)
-    # A phase lag as time; what a hold makes of it is less than half a turn.
+    # Phase lag as time; the hold contributes less than half a turn.
     earlier_s = (np.angle(held) / (2.0 * np.pi * f_hz)).tolist()
     louder = abs(held).tolist()
     return Identified.model_construct(
@@ -425,12 +424,12 @@ def _roll_off(resonance_hz: float | None) -> float | None:
 
 
 def rounded(value: float, digits: int = 4) -> float:
-    """As many digits as a sweep is good for; noise has fewer."""
+    """Round to the digits that a sweep can resolve; noise has fewer."""
     return float(f"{value:.{digits}g}")
 
 
 def check(sweep: Sweep) -> None:
-    """Refuse a sweep that cannot be run; raises ``InputError``."""
+    """Raise ``InputError`` if a sweep is invalid."""
     bad = [f for f in sweep.frequencies_hz if not 0.05 <= f <= HIGHEST_HZ]
     if bad or not sweep.frequencies_hz:
         found = ", ".join(f"{f:g} Hz" for f in bad) or "none"
@@ -449,7 +448,7 @@ def check(sweep: Sweep) -> None:
 
 
 def rest_rows(rate: Rate) -> slice:
-    """Return the rows of a sweep in which nothing moves yet, and the tare has settled."""
+    """Return the rows of a sweep before any motion, after the tare has settled."""
     return slice(int(0.2 * rate.hz), int(REST_S * rate.hz))
 
 
@@ -466,7 +465,7 @@ def standard_lead(alpha: float, beta: float, rate: Rate) -> tuple[float, float]:
 
 
 def command_of(sweep: Sweep, rate: Rate = STANDARD) -> tuple[Floats, list[Part]]:
-    """Return x_c with rest, then sine after sine, each with a smooth start and end."""
+    """Return x_c: a rest, then one sine after another, each with a smooth start and end."""
     pieces = [np.zeros(round(REST_S * rate.hz))]
     parts = []
     at = pieces[0].size
@@ -483,7 +482,7 @@ def command_of(sweep: Sweep, rate: Rate = STANDARD) -> tuple[Floats, list[Part]]
         last = first + round(fitted / frequency * rate.hz)
         parts.append(Part(frequency, at, slice(first, last), rate))
         at += n
-        # A pause lets the slow part of a servo's integrator die away before the next sine.
+        # A pause lets the slow part of a servo's integrator decay before the next sine.
         pause = np.zeros(round(0.5 * rate.hz))
         pieces.append(pause)
         at += pause.size
@@ -491,7 +490,7 @@ def command_of(sweep: Sweep, rate: Rate = STANDARD) -> tuple[Floats, list[Part]]
 
 
 def phasor(part: Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
-    """Return the complex amplitude of the sine in a signal, and what is left of the signal."""
+    """Return the complex amplitude of the sine in a signal, and the residual of the fit."""
     w = 2 * np.pi * part.frequency_hz * part.rate.period_s
     angle = w * np.arange(part.fit.start, part.fit.stop)[read[part.fit]]
     basis = np.column_stack([np.cos(angle), np.sin(angle), np.ones_like(angle)])
@@ -501,12 +500,12 @@ def phasor(part: Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
 
 
 def _most_noise(noise_n: float, resting: int, part: Part) -> float:
-    """Return the power of the force that noise alone may leave of a fit, N^2.
+    """Return the greatest power of a fit's residual force that noise alone explains, N^2.
 
     Args:
-        noise_n: its standard deviation, as measured at rest.
+        noise_n: standard deviation of the noise, measured at rest.
         resting: samples of that rest.
-        part: the sine.
+        part: rows of the sine.
     """
     # The power of white noise in n samples has a relative standard error of sqrt(2 / n).
     scatter = np.sqrt(2.0 / resting + 2.0 / (part.fit.stop - part.fit.start))
@@ -519,8 +518,8 @@ def _tone(part: Part, signals: _Signals, before_s: float | None, noise_n2: float
     Args:
         part: its rows.
         signals: of the sweep.
-        before_s: delay at the frequency before.
-        noise_n2: power of the force that is the load cell's noise, N^2.
+        before_s: delay at the previous frequency.
+        noise_n2: share of the force's power that is noise of the load cell, N^2.
     """
     f, read = signals.f, signals.read
     sent, _ = phasor(part, signals.command, read)
@@ -532,8 +531,8 @@ def _tone(part: Part, signals: _Signals, before_s: float | None, noise_n2: float
     unexplained = math.sqrt(max(float(np.mean(rest**2)) - noise_n2, 0.0))
     period = 1.0 / part.frequency_hz
     delay_s = float(-np.angle(ratio)) / (2 * np.pi) * period
-    # A phase leaves whole periods open: the delay nearest to the one before; the first may be a
-    # small lead, from noise, but no large one.
+    # A phase is ambiguous by whole periods: take the delay nearest to the previous one. The first
+    # may be slightly negative because of noise, but not by much.
     nearest = 0.375 * period if before_s is None else before_s
     delay_s += round((nearest - delay_s) / period) * period
     return Tone(
@@ -550,7 +549,7 @@ def _tone(part: Part, signals: _Signals, before_s: float | None, noise_n2: float
 def _inverse(
     signals: _Signals, part: slice, noise_m: float, rate: Rate, *, with_beta: bool
 ) -> tuple[float, float]:
-    """Least squares of Eqn 2.6-2.8 over a part of the sweep, by the estimator itself."""
+    """Least squares of Eqn 2.6-2.8 over a part of the sweep, with the estimator of a test."""
     estimator = core.Estimator(
         core.EstimatorConfig(
             law="rls",
@@ -565,7 +564,7 @@ def _inverse(
     if signals.whole:
         estimator.run(x_p, x_m)
         return estimator.alpha, estimator.beta
-    # Made-up readings keep the filters going, and nothing is learnt from them.
+    # Substituted readings keep the filters running, but are not used for the estimate.
     made_up = np.convolve(~signals.read[part], np.ones(MEMORY_TICKS))[: x_p.size] > 0.5
     for p, m, frozen in zip(x_p.tolist(), x_m.tolist(), made_up.tolist(), strict=True):
         estimator.step(p, m, frozen)
@@ -573,7 +572,7 @@ def _inverse(
 
 
 def _stiffness_and_mass(tones: list[Tone]) -> tuple[float, float | None]:
-    """In-phase force over frequency: k - m w^2, weighted by how much each sine moved."""
+    """Fit in-phase force over frequency, k - m w^2, weighted by the amplitude of each sine."""
     w2 = np.array([(2 * np.pi * tone.frequency_hz) ** 2 for tone in tones])
     in_phase = np.array([tone.force_in_phase_n_per_m for tone in tones])
     weight = np.array([tone.amplitude_m * tone.gain for tone in tones])
@@ -591,10 +590,10 @@ def _standard_error(part: Part, noise: float) -> float:
 
 
 def _check_ranges(rig: RigFile, rows: NDArray[np.void]) -> None:
-    """Refuse a sweep that drove a sensor to its end, where it says nothing more.
+    """Refuse a sweep that drove a sensor to the end of its range, where it saturates.
 
-    Ranges are those of the sensors: what was tared off is in them, and so is a reading that the
-    station did not take.
+    Ranges apply to raw readings: the tare is added back, and readings that the station rejected are
+    included.
     """
     displacement, force = rig.sensors.displacement.range_m, rig.sensors.force.range_n
     for name, signal, limit, unit in (
@@ -621,9 +620,9 @@ def _check_followed(part: Part, tone: Tone, noise_m: float) -> None:
 
 
 def _check_direction(rig: RigFile, tones: list[Tone]) -> None:
-    """Tell a displacement that goes against its command from one that is late.
+    """Distinguish a displacement that moves against its command from one that is late.
 
-    Of a delay alone nothing is left at 0 Hz; of a wrong sign half a turn.
+    Extrapolated to 0 Hz, a delay leaves no phase, but a wrong sign leaves half a turn.
     """
     if len(tones) < 2:
         return
@@ -640,7 +639,7 @@ def _check_direction(rig: RigFile, tones: list[Tone]) -> None:
 
 
 def check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
-    """Refuse a sweep whose command a limit has changed; raises ``InputError``."""
+    """Raise ``InputError`` if a limit has altered the command of a sweep."""
     limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
     if limited.size:
         raise InputError(
@@ -652,7 +651,7 @@ def check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
 
 
 def check_read(read: Mask, parts: list[Part]) -> None:
-    """Refuse a sweep in which too many readings were lost; raises ``InputError``."""
+    """Raise ``InputError`` if too many readings of a sweep were lost."""
     for part in parts:
         share = float(read[part.fit].mean())
         if share < READ_SHARE:
@@ -682,7 +681,7 @@ def _broken_off(moved: Moved, parts: list[Part], rows: int) -> Exception:
 
 
 def _link_delay(moved: Moved) -> float | None:
-    """Return the mean of the link's delay over the sines, samples."""
+    """Return the mean of the link's delay over all sines, samples."""
     rows = moved.rows
     if not rows["echo"].any():
         return None
@@ -713,7 +712,7 @@ def _check_specimen(rig: RigFile, part: Part, slowest: Tone, noise_n: float) -> 
 
 
 def _notes(tones: list[Tone], stiffness: float, alpha: float) -> list[str]:
-    """Say what the user should know."""
+    """Return notes for the user."""
     notes = []
     worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
     if worst.distortion > STIFFNESS_NONLINEAR:

@@ -1,4 +1,4 @@
-"""Identify several axes that feel one another: every axis is swept in turn, all are read."""
+"""Identify several coupled axes: each axis is swept in turn while all are read."""
 
 from __future__ import annotations
 
@@ -38,23 +38,24 @@ FREQUENCIES_HZ: Final = (
     *(0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0),
     *(12.0, 15.0, 20.0, 25.0, 30.0, 40.0),
 )
-"""Of a sweep for an inverse: it is used to 10 Hz, and must know what comes after."""
+"""Sweep for an inverse, which is used up to 10 Hz and must know the response beyond that."""
 
 
 def sweep_of(amplitude_m: float = 2e-3) -> Sweep:
-    """Return the sweep that an inverse of several axes is fitted to."""
+    """Return the sweep to which an inverse of several axes is fitted."""
     return Sweep(FREQUENCIES_HZ, amplitude_m)
 
 
 @dataclass(frozen=True, eq=False)
 class AxesResult:
-    """What an identification of several axes found.
+    """Result of an identification of several axes.
 
     Attributes:
-        response: the matrix of frequency responses, and each reading's noise at rest.
-        axes: each axis by itself, as of a rig of one, the others holding still.
-        stiffness: of the specimen along the interface, by the slow sines, symmetric, (n, n).
-        asymmetry: largest difference of two numbers that should be the same, of the largest.
+        response: the matrix of frequency responses, and the noise of each reading at rest.
+        axes: each axis alone, as for a rig of one axis, while the others hold still.
+        stiffness: of the specimen along the interface, from the slow sines, symmetric, (n, n).
+        asymmetry: greatest difference of two elements that should be equal, over the greatest
+            element.
     """
 
     response: MatrixResponse
@@ -80,12 +81,12 @@ class AxesResult:
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What the sweep of one axis gave, the others told to hold still.
+    """Signals of the sweep of one axis, while the others are commanded to hold still.
 
     Attributes:
-        command_m, x_m, f_n: of all axes, (n, axes) each: a row's reading was latched when its
+        command_m, x_m, f_n: of all axes, (n, axes) each: the reading of a row was latched when its
             command was applied.
-        read: which rows hold a reading of every axis, (n,).
+        read: which rows contain a reading of every axis, (n,).
     """
 
     command_m: Floats
@@ -108,8 +109,8 @@ def identify_rig(
         progress: called with (ticks done, ticks of all sweeps) after each.
 
     Raises:
-        InputError: a sweep that cannot be run, a limit or range that it meets, an axis that does
-            not follow.
+        InputError: invalid sweep, a limit or range that is reached, or an axis that does not
+            follow.
     """
     sweep = sweep or sweep_of()
     check(sweep)
@@ -129,15 +130,15 @@ def identify_rig(
 
 
 def result_of_runs(rig: AxesRig, runs: Sequence[Run], parts: list[Part]) -> AxesResult:
-    """Return what the sweeps of all axes showed.
+    """Return the result of the sweeps of all axes.
 
     Args:
         rig: for its kinematics, and for messages.
-        runs: one for each axis that moved, in the rig's order.
-        parts: their sines.
+        runs: one for each swept axis, in the rig's order.
+        parts: rows of their sines.
 
     Raises:
-        InputError: an axis that did not follow.
+        InputError: an axis did not follow.
     """
     found = tuple(
         result_of(
@@ -151,7 +152,7 @@ def result_of_runs(rig: AxesRig, runs: Sequence[Run], parts: list[Part]) -> Axes
     for run in runs:
         noise += run.x_m[resting][run.read[resting]].var(axis=0, ddof=1) / axes
     for k, part in enumerate(parts):
-        # Where the others are told to hold still, the commands are a diagonal matrix.
+        # If the others are commanded to hold still, the commands are a diagonal matrix.
         told, read = (_phasors(part, runs, name) for name in ("command_m", "x_m"))
         matrices[k] = read @ np.linalg.inv(told)
     frequencies = np.array([part.frequency_hz for part in parts])
@@ -169,7 +170,7 @@ def _phasors(part: Part, runs: Sequence[Run], name: str) -> NDArray[np.complex12
 
 
 def _check_within(rig: AxesRig, moving: str, u: Floats, x: Floats, f: Floats) -> None:
-    """Refuse a sweep in which an axis met the end of a sensor, or a limit of its own."""
+    """Refuse a sweep in which an axis reached the end of a sensor's range, or a limit."""
     for i, axis in enumerate(rig.axis):
         own, sensors = rig.of_axis(axis.name).limits, axis.sensors
         position, force = own.command_position_m, own.force_n
@@ -203,13 +204,13 @@ def _check_within(rig: AxesRig, moving: str, u: Floats, x: Floats, f: Floats) ->
 def response_of(
     command: Floats, parts: list[Part], moved: Sequence[Floats], rest: slice
 ) -> MatrixResponse:
-    """Return the matrix of responses of sweeps of one axis after the other.
+    """Return the matrix of responses from sweeps of one axis after another.
 
     Args:
-        command: of the axis that moves, (n,).
-        parts: its sines.
+        command: of the swept axis, (n,).
+        parts: rows of its sines.
         moved: readings of each sweep, (n, axes) each.
-        rest: rows in which nothing moves.
+        rest: rows before any motion.
     """
     axes, read = len(moved), np.ones(command.size, np.bool_)
     found = np.zeros((len(parts), axes, axes), np.complex128)
@@ -224,7 +225,7 @@ def response_of(
 
 
 def _stiffness(rig: AxesRig, parts: list[Part], runs: Sequence[Run]) -> tuple[Floats, float]:
-    """Return the stiffness along the interface: forces over displacements of the slow sines."""
+    """Return the stiffness along the interface, from forces and displacements of the slow sines."""
     axes = len(runs)
     slow = [part for part in parts if part.frequency_hz <= SLOW_HZ] or parts[:1]
     by_axis = np.zeros((axes, axes))
@@ -238,11 +239,11 @@ def _stiffness(rig: AxesRig, parts: list[Part], runs: Sequence[Run]) -> tuple[Fl
 
 
 def identified_rig(rig: AxesRig, result: AxesResult) -> AxesRig:
-    """Return the rig file with what the sweeps found of each axis and of all of them together.
+    """Return the rig file with the results of each axis and of all axes together.
 
     Raises:
-        InputError: a figure that a rig file does not allow, such as a stiffness that does not hold
-            every direction.
+        InputError: a value that a rig file does not allow, such as a stiffness that is not positive
+            definite.
     """
     axes = [
         axis.model_copy(
@@ -254,7 +255,7 @@ def identified_rig(rig: AxesRig, result: AxesResult) -> AxesRig:
     def rows(matrix: Floats, digits: int = 5) -> list[list[float]]:
         return [[rounded(float(v), digits) for v in row] for row in matrix]
 
-    # As in a rig file: of commands that are held for 1/1024 s.
+    # As in a rig file: for commands that are held for 1/1024 s.
     swept, rate = result.response, Rate(result.axes[0].sample_rate_hz)
     matrices = swept.response / held_otherwise(rig, swept.frequency_hz, rate)
     found = JointIdentified.model_construct(
@@ -274,12 +275,12 @@ def identified_rig(rig: AxesRig, result: AxesResult) -> AxesRig:
 def identify_axes(
     move: Callable[[Floats], Floats], axes: int, sweep: Sweep | None = None
 ) -> MatrixResponse:
-    """Sweep every axis in turn while the others hold still, and work out the response matrix.
+    """Sweep every axis in turn while the others hold still, and return the response matrix.
 
     Args:
-        move: carries commands out, m, (n, axes), from rest, and returns the readings, (n, axes):
+        move: carries out commands, m, (n, axes), from rest, and returns the readings, (n, axes):
             reading n was latched when command n was applied.
-        axes: how many.
+        axes: number of axes.
         sweep: of each axis; the usual one by default.
     """
     sweep = sweep or sweep_of()

@@ -1,8 +1,8 @@
 """Identify several axes over their links, in real time and under all limits of the rig file.
 
-Every axis is swept in turn while the others are told to hold still; all are read. The station is
-that of a test: its numerical part is a mass so large that no force moves it, and the ground shakes
-it along one axis. So limits, limiter and stops are those of a test as well.
+Each axis is swept in turn while the others are commanded to hold still; all are read. The station
+is that of a test: its numerical part is a mass so large that no force moves it, excited along one
+axis by the ground motion. Limits, limiter and stops are therefore those of a test as well.
 """
 
 from __future__ import annotations
@@ -37,24 +37,23 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 _HEAVY_KG: Final = 1e15
-"""Of each direction: 100 kN move it by 1e-7 m in a minute, and no sensor sees that."""
+"""Mass per direction: 100 kN move it by 1e-7 m in a minute, less than a sensor resolves."""
 
 
 def identify_axes_live(
     connection: AxesConnection, sweep: Sweep | None = None, progress: Progress | None = None
 ) -> AxesResult:
-    """Sweep every axis in turn and work out what a test needs; delays are with those of the links.
+    """Sweep every axis in turn and determine what a test needs; delays include those of the links.
 
     Args:
-        connection: the rig; its file need not have been identified.
+        connection: the rig; its file need not be identified.
         sweep: of each axis; the usual one by default.
-        progress: called with (ticks done, ticks of all sweeps) now and then.
+        progress: called now and then with (ticks done, ticks of all sweeps).
 
     Raises:
-        InputError: a sweep that cannot be run, limits that are missing, no feedback, or an axis
-            that does not follow.
+        InputError: invalid sweep, missing limits, no feedback, or an axis that does not follow.
         LimitError: a limit or a drive ended a sweep; the message names axis and cause.
-        TimingError: this PC did, by being late.
+        TimingError: this PC was late.
         StoppedError: the operator ended it.
         RthybError: as in `rthyb_rt.lab.realtime.run`.
     """
@@ -75,10 +74,10 @@ def identify_axes_live(
 
 
 def _check_limits(rig: AxesRig, amplitude_m: float) -> None:
-    """Refuse to sweep axes whose position or force nothing bounds, or farther than they may go.
+    """Refuse to sweep axes without limits on position and force, or beyond those limits.
 
     Raises:
-        InputError: with every axis and key.
+        InputError: lists every axis and key.
     """
     problems = []
     for name in rig.names:
@@ -112,17 +111,17 @@ def setup_of(rig: AxesRig, axis: int, command_m: Floats) -> Setup:
     """Return a sweep of one axis, from 0, as the setup of a test.
 
     Args:
-        rig: whose limits hold.
-        axis: number of the one that moves.
-        command_m: where to, at every tick, (n,).
+        rig: the rig, whose limits apply.
+        axis: number of the swept axis.
+        command_m: displacement of that axis at every tick, (n,).
 
     Raises:
-        InputError: the rig file's own figures do not fit together.
+        InputError: the values of the rig file are inconsistent.
     """
     rest = several.at_rest(rig)
     assert rest.group is not None
     n, h = len(rig.names), rest.rate.period_s
-    # What moves that axis alone: exactly by a matrix, with pins to the second order.
+    # The motion of that axis alone: exact for a matrix, to second order for pins.
     along: Floats = np.linalg.inv(rig.core_kinematics().jacobian())[:, axis].astype(np.float64)
     moved, wanted = np.zeros((command_m.size, n)), np.append(command_m, 0.0)
     moved[:, axis] = command_m
@@ -147,7 +146,7 @@ def setup_of(rig: AxesRig, axis: int, command_m: Floats) -> Setup:
 
 
 def _swept(connection: AxesConnection, axis: int, command: Floats, progress: Progress) -> Recording:
-    """Carry a sweep out; the drives are at rest afterwards.
+    """Carry out a sweep; the drives are at rest afterwards.
 
     Raises:
         LimitError, TimingError, StoppedError, RthybError: as `identify_axes_live`.
@@ -163,7 +162,7 @@ def _swept(connection: AxesConnection, axis: int, command: Floats, progress: Pro
             before_tick=connection.before_tick,
             progress=progress,
             operator=operator,
-            # Here is nothing to go on with.
+            # There is no report to continue with here.
             hold_s=0.0,
             require_realtime=any(link is not None and link.require_realtime for link in links),
             warn=connection.warn_once,
@@ -188,10 +187,10 @@ def _broken_off(rec: Recording, name: str, cause: str) -> RthybError:
 
 
 def _run_of(rec: Recording, rig: AxesRig, name: str, parts: list[Part]) -> Run:
-    """Return what a sweep gave.
+    """Return the signals of a sweep.
 
     Raises:
-        InputError: a limit has changed the command, or too few rows have a reading of every axis.
+        InputError: a limit altered the command, or too few rows have a reading of every axis.
     """
     running = rec.running()
     fields = {

@@ -1,7 +1,7 @@
-"""Making a rig fit for tests: small motions under all limits, and checks of what protects it.
+"""Commissioning: small motions within all limits, and checks of everything that protects the rig.
 
-`moving` carries out a prescribed motion through the tick and the link that a test has. With it
-`jogging` moves the actuator a little, `polarity` tells sensors and commands of the wrong sign,
-`limits` and `stops` provoke what shall end a test, `guide` leads through all of it in order, and
-`certificate` keeps on file what passed, for which rig file, and when.
+`moving` carries out a prescribed motion through the same tick and link as a test. `jogging` uses it
+to move the actuator a little, `polarity` to find sensors and commands with the wrong sign, and
+`limits` and `stops` to provoke everything that should end a test. `guide` runs all checks in order,
+and `certificate` records which of them passed, for which rig file, and when.
 """

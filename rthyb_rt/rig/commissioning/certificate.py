@@ -1,7 +1,7 @@
 """What has been checked on a rig, when, and for which content of its rig file.
 
-The file lies beside the rig file. A test in real time asks for it: it belongs to the rig file as
-long as nothing in that has changed that could turn a sign or move a limit.
+The file is stored beside the rig file, and a test in real time requires it. It remains valid until
+a key of the rig file changes that could reverse a sign or move a limit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rthyb_rt.record.recording import replacing
 
 SCHEMA: Final = "rthyb-commissioned/1"
 STEPS: Final = ("link", "polarity", "limits", "watchdog", "trip")
-"""In the order in which they are made."""
+"""In the order in which they are carried out."""
 SUFFIX: Final = ".commissioned.json"
 
 _MATTERS: Final = ("link", "calibration", "actuator", "sensors", "limits")
@@ -40,20 +40,20 @@ _FIRST_KEYS: Final[dict[str, tuple[str, ...]]] = {
     ),
     "sensors": ("displacement", "force"),
 }
-"""Keys without a value that have been in the hash from the first version on."""
+"""Keys without a value that have been part of the hash since the first version."""
 _MAX_BYTES: Final = 10**6
 
 
 @dataclass(frozen=True)
 class Step:
-    """What came of one step.
+    """The result of one step.
 
     Attributes:
         name: one of `STEPS`.
-        passed: True, False, or None for one that could not be made.
+        passed: True, False, or None if it could not be carried out.
         date: UTC, to the second.
-        figures: what was found, by name; numbers, words, and lists of them.
-        faults: what is wrong, each with its remedy; or why it could not be made.
+        figures: results by name: numbers, strings, and lists of them.
+        faults: what is wrong, each with its remedy; or why it could not be carried out.
     """
 
     name: str
@@ -64,7 +64,7 @@ class Step:
 
 
 def now() -> str:
-    """Return the date of a step."""
+    """Return the current time, as the date of a step."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
@@ -74,9 +74,9 @@ class Certificate:
 
     Attributes:
         rig_name, rig_hash: of the rig file, see `rig_hash`.
-        virtual: a virtual rig was at the other end.
+        virtual: whether a virtual rig was at the other end.
         link: name of the link.
-        sample_rate_hz: of the drive when it was made; at another it does not hold.
+        sample_rate_hz: of the drive during commissioning; not valid at any other rate.
         version: of this program.
         steps: by name.
     """
@@ -90,17 +90,17 @@ class Certificate:
     steps: dict[str, Step] = field(default_factory=dict)
 
     def with_step(self, step: Step) -> Certificate:
-        """Return it with one more step, or a newer one."""
+        """Return a copy with this step added or replaced."""
         return replace(self, steps={**self.steps, step.name: step})
 
     def date_of(self, name: str) -> str:
-        """Return when a step passed; "" if it has not."""
+        """Return when a step passed, or "" if it has not."""
         step = self.steps.get(name)
         return step.date if step is not None and step.passed else ""
 
     @property
     def lacking(self) -> list[str]:
-        """What stands against a test, step by step, in words; empty: every step has passed."""
+        """What prevents a test, one sentence per step; empty if every step has passed."""
         return [f"{name} {self._why(name)}" for name in STEPS if not self.date_of(name)]
 
     def _why(self, name: str) -> str:
@@ -111,11 +111,11 @@ class Certificate:
 
     @property
     def date(self) -> str:
-        """When its last step was made; "" without one."""
+        """Date of the last step, or "" if there is none."""
         return max((step.date for step in self.steps.values()), default="")
 
     def as_json(self) -> dict[str, Any]:
-        """Return it as the document of its file."""
+        """Return the certificate as a JSON document, as written to its file."""
         own = {k: v for k, v in self.__dict__.items() if k != "steps"}
         steps = {
             name: {**self.steps[name].__dict__, "faults": list(self.steps[name].faults)}
@@ -128,19 +128,20 @@ class Certificate:
 
 
 def rig_hash(rig: RigFile, axis: str = "") -> str:
-    """Return a hash of what a commissioning depends on: hexadecimal, 64 digits.
+    """Return a hash of everything that a commissioning depends on: hexadecimal, 64 digits.
 
-    Link, calibration, actuator, sensors and limits; not names, comments, specimen, k_e or what an
-    identification found. Of a DBC file its content counts, and not where it lies. Of an axis among
-    several its name counts too: the kinematics know it by that.
+    Covers link, calibration, actuator, sensors and limits, but not names, comments, specimen, k_e
+    or identified values. A DBC file counts by its content, not by its path. For an axis of several
+    its name counts as well, because the kinematics refer to it by name.
     """
     content = {key: value for key, value in rig.model_dump().items() if key in _MATTERS}
     for table, first in _FIRST_KEYS.items():
         given = content[table] or {}
-        # A key of later versions that the file does not set makes no other rig of it.
+        # A key introduced by a later version must not change the hash of a file that does not set
+        # it.
         for key in [key for key in given if key not in first and given[key] in (None, [], ())]:
             del given[key]
-    # A rig that was commissioned before there were other rates is the same rig.
+    # Rigs commissioned before other rates existed keep their hash.
     if rig.link is not None and rig.link.sample_rate_hz == STANDARD_RATE_HZ:
         del content["link"]["sample_rate_hz"]
     if rig.link is not None and rig.link.dbc is not None:
@@ -164,8 +165,8 @@ def _digest(path: Path) -> str:
 
 
 def place(rig_path: Path, axis: str = "") -> Path:
-    """Return where the certificate of a rig file goes: beside it, unless it came with the program
-    or its folder may not be written. Each of several axes has its own, by its name.
+    """Return the path of a rig file's certificate: beside the rig file, unless that is shipped with
+    the program or its folder is not writable. Each of several axes has a certificate of its own.
     """
     name = _file_name(rig_path, axis)
     if _shipped(rig_path) or not os.access(rig_path.parent, os.W_OK):
@@ -178,7 +179,7 @@ def _file_name(rig_path: Path, axis: str) -> str:
 
 
 def state_folder() -> Path:
-    """Return the folder of certificates that cannot lie beside their rig file."""
+    """Return the folder for certificates that cannot be stored beside their rig file."""
     home = os.environ.get("XDG_STATE_HOME")
     return (Path(home) if home else Path.home() / ".local" / "state") / "rthyb"
 
@@ -191,7 +192,7 @@ def _shipped(rig_path: Path) -> bool:
 
 
 def write(path: Path, certificate: Certificate) -> None:
-    """Write a certificate, in place of an older one.
+    """Write a certificate, replacing an older one.
 
     Raises:
         RthybError: it cannot be written.
@@ -207,7 +208,7 @@ def write(path: Path, certificate: Certificate) -> None:
     text = json.dumps(certificate.as_json(), indent=2, ensure_ascii=False, allow_nan=False)
     with replacing(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
-        # A service reads it as another user, whatever root's umask is.
+        # A service reads it as a different user, whatever the umask of root.
         temporary.chmod(0o644)
 
 
@@ -215,7 +216,7 @@ def read(path: Path) -> Certificate:
     """Read a certificate.
 
     Raises:
-        InputError: there is none, or it cannot be understood.
+        InputError: the file does not exist or is not a valid certificate.
     """
     try:
         with path.open("rb") as file:
@@ -227,7 +228,7 @@ def read(path: Path) -> Certificate:
             rig_hash=str(document["rig_hash"]),
             virtual=document["virtual"] is True,
             link=str(document["link"]),
-            # Before there were other rates, none was written.
+            # Files from before other rates existed do not contain a rate.
             sample_rate_hz=int(document.get("sample_rate_hz", STANDARD_RATE_HZ)),
             version=str(document["version"]),
             steps={name: _step(name, step) for name, step in document["steps"].items()},
@@ -250,11 +251,11 @@ def _step(name: str, data: dict[str, Any]) -> Step:
 def find(
     rig: RigFile, rig_path: Path, axis: str = ""
 ) -> tuple[Certificate | None, Certificate | None]:
-    """Return the certificate that holds for a rig as it is; if none does, that of the file before.
+    """Return the certificate that is valid for a rig as it is now, or else its previous one.
 
-    Looked for by the file's name, then among the others of its folder: a rig file that was
-    identified, or renamed, needs no new commissioning. Where several hold, the newest word on each
-    step counts: a check that failed is not outweighed by an older one that passed.
+    The search begins with the rig file's name and continues with the other certificates in the
+    folder, so that a rig file that was identified or renamed needs no new commissioning. If several
+    are valid, the latest result of each step counts: an older pass does not outweigh a failure.
     """
     wanted = rig_hash(rig, axis)
     held: Certificate | None = None
@@ -263,7 +264,7 @@ def find(
         if found.rig_hash == wanted:
             held = found if held is None else _newest(held, found)
         elif path.name == _file_name(rig_path, axis):
-            # Its own place, or beside the file where that may only be read: a service's.
+            # Its own place, or beside the rig file if that folder is read-only, as for a service.
             older = older or found
     return held, None if held else older
 
@@ -277,7 +278,7 @@ def _newest(first: Certificate, other: Certificate) -> Certificate:
 
 def _near(rig_path: Path, axis: str) -> Iterator[tuple[Path, Certificate]]:
     own = place(rig_path, axis)
-    # A folder of unreadable files is none of this rig's business, its own file is.
+    # Unreadable certificates of other rigs are ignored; its own must be readable.
     if own.exists():
         yield own, read(own)
     for path in _others(own, rig_path.parent):
@@ -292,9 +293,9 @@ def _others(own: Path, folder: Path) -> Iterable[Path]:
 
 
 def each(rig: RigFile | AxesRig) -> list[tuple[RigFile, str]]:
-    """Return what is commissioned by itself, each as a rig of one axis, with its axis' name.
+    """Return everything that is commissioned separately, each as a rig of one axis with its name.
 
-    Of a rig of several axes every one; of a rig of one itself, whose axis has no name.
+    A rig of several axes yields each axis; a rig of one axis yields itself, with the name "".
     """
     if isinstance(rig, AxesRig):
         return [(rig.of_axis(name), name) for name in rig.names]
@@ -302,26 +303,26 @@ def each(rig: RigFile | AxesRig) -> list[tuple[RigFile, str]]:
 
 
 def carry(rig: RigFile | AxesRig, rig_path: Path, new_path: Path) -> None:
-    """Put a certificate that holds beside another file of the same rig, where none is found."""
+    """Copy a valid certificate to another file of the same rig that has none yet."""
     for own, axis in each(rig):
         holds, _ = find(own, rig_path, axis)
         if holds is not None and find(own, new_path, axis)[0] is None:
             write(place(new_path, axis), holds)
 
 
-# ---- what a test asks for -----------------------------------------------------------------------
+# ---- what a test requires -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Standing:
-    """Whether a rig file, as it is, may be used for a test in real time.
+    """Whether a rig file, in its present state, may be used for a test in real time.
 
     Attributes:
-        demanded: a commissioning is asked for; not with a virtual rig at the other end.
-        holds: the certificate that holds for this very content; None without one.
-        path: where the certificate of this file belongs.
-        why_not: what stands against a test, with the remedy; "" if nothing does, or nothing is
-            demanded.
+        demanded: whether commissioning is required; False with a virtual rig at the other end.
+        holds: the certificate that is valid for exactly this content, or None.
+        path: where the certificate of this file is stored.
+        why_not: what prevents a test, with the remedy; "" if nothing does or if commissioning is
+            not required.
     """
 
     demanded: bool
@@ -346,10 +347,10 @@ class Standing:
 
 
 def standing(rig: RigFile, rig_path: Path, axis: str = "") -> Standing:
-    """Return whether a rig, or an axis of several, has been commissioned as its file stands.
+    """Return whether a rig, or one axis of several, is commissioned for the present rig file.
 
     Raises:
-        InputError: its certificate cannot be understood.
+        InputError: its certificate cannot be read.
     """
     demanded = rig.link is not None and not rig.link.virtual
     holds, older = find(rig, rig_path, axis)
@@ -359,13 +360,13 @@ def standing(rig: RigFile, rig_path: Path, axis: str = "") -> Standing:
 
 
 def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
-    """Return what a recording is to know of a rig's commissioning, for its ``meta``.
+    """Return what a recording's ``meta`` states about the commissioning of its rig.
 
-    Every one of several axes must have passed; what is known of each stands under ``axes``. With a
-    virtual rig at the other end nothing is demanded: no ``[link]``, or ``link.virtual``.
+    Each of several axes must have passed; the details of each are stored under ``axes``. With a
+    virtual rig at the other end (no ``[link]``, or ``link.virtual``) nothing is required.
 
     Raises:
-        RefusedError: a check of `STEPS` has not passed for this very rig file; which ones is said.
+        RefusedError: a check of `STEPS` has not passed for this rig file; the message names it.
     """
     stands = {axis: standing(own, rig_path, axis) for own, axis in each(rig)}
     why_not = [
@@ -379,7 +380,7 @@ def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
     if "" in known:
         return {"commissioning": known[""]}
     demanded = any(one["demanded"] for one in known.values())
-    # The oldest word counts, and none where an axis has none.
+    # The oldest date counts; none if any axis has none.
     dates = {name: min(one[name] for one in known.values()) for name in STEPS}
     common = {"demanded": demanded, "virtual": not demanded, **dates}
     return {"commissioning": {**common, "axes": known}}

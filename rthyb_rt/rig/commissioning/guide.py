@@ -1,4 +1,4 @@
-"""The commissioning of a rig, step by step: what is asked, done, judged and kept."""
+"""The commissioning of a rig, step by step: questions, motions, verdicts, and what is recorded."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from rthyb_rt.rig.commissioning.moving import (
 )
 
 REST_S: Final = 2.0
-"""Length of the look at a rig that rests."""
+"""How long the rig is observed at rest."""
 FRESH_SHARE: Final = 0.98
-"""Of the ticks: less feedback than this is no feedback in every sample."""
+"""Least share of the ticks that must have new feedback for the link check to pass."""
 RATE_TOLERANCE: Final = 0.01
 
 _PANEL: Final = "release the drive at its own panel, because its frames have no reset command"
@@ -39,14 +39,14 @@ _PANEL: Final = "release the drive at its own panel, because its frames have no 
 
 @dataclass(frozen=True)
 class Plan:
-    """What is to be done.
+    """Settings of a commissioning.
 
     Attributes:
         steps: of `rthyb_rt.rig.commissioning.certificate.STEPS`, carried out in that order.
-        distance_m: of the small motions, of the structure.
-        allowed: asks the operator before each motion; False leaves it.
-        tell: takes a line for the operator.
-        witness: asks the operator for what no frame tells; None: nobody is there to look.
+        distance_m: amplitude of the small motions, in the coordinates of the structure.
+        allowed: asks the operator before each motion; if it returns False, the motion is skipped.
+        tell: prints a line for the operator.
+        witness: asks the operator about what no frame reports; None if no operator is present.
     """
 
     steps: Sequence[str] = STEPS
@@ -63,28 +63,29 @@ def commission(
     keep: Callable[[Certificate], None] = lambda _: None,
     axis: str = "",
 ) -> Certificate:
-    """Lead through the steps of a plan; a link or a polarity that fails ends it.
+    """Carry out the steps of a plan, and end early if the link or the polarity check fails.
 
     Args:
         connection: the rig.
-        plan: what is to be done.
-        known: a certificate that holds for this rig file; its other steps are kept.
-        keep: takes the certificate after every step.
-        axis: name of the axis that the rig is, among several; "" of a rig of one.
+        plan: the settings.
+        known: a certificate that is valid for this rig file; its other steps are kept.
+        keep: called with the certificate after every step.
+        axis: name of the axis, for a rig of several; otherwise "".
 
     Returns:
-        The certificate with the steps that were made. A step that was not allowed is not in it, or
-        as it was.
+        The certificate with the steps that were carried out. A step that was not allowed is absent
+        or unchanged.
 
     Raises:
         InputError: the rig file has no limit on position or force.
-        RefusedError: the distance is beyond what the rig's limits allow.
-        RthybError: a motion failed for another reason than the one in question.
+        RefusedError: the distance is more than the rig's limits allow.
+        RthybError: a motion failed for a reason other than the one being checked.
     """
     check_limits(connection.rig)
     check_distance(connection.rig, plan.distance_m)
     rig = connection.rig
-    # Whoever is asked before each motion knows what stopped the drive: most often a check of these.
+    # The operator confirms each motion and knows why the drive stopped: usually one of these
+    # checks.
     connection = replace(connection, resets=True)
     certificate = known or Certificate(
         rig_name=rig.rig.name,
@@ -124,7 +125,7 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
         "sent. Send commands that hold the drive where it is?"
     ):
         return None
-    # What is lost is counted here, and told with what is needed.
+    # Lost pairs are counted and judged below, not tolerated silently.
     counted = {"lost_pairs": core.Watch(1.0 - FRESH_SHARE, "indicate")}
     rest = Motion("rest", np.zeros(connection.rig.rate.ticks(REST_S)), counted)
     try:
@@ -159,7 +160,7 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
 
 
 def rest_figures(moved: Moved) -> dict[str, Any]:
-    """Return what a motion that stays at rest shows of the link and the sensors."""
+    """Return what a motion that stays at rest reveals about the link and the sensors."""
     rows = moved.running
     executed = rows[(rows["flags"] & FLAGS["blind"]) == 0]
     heard = executed[fresh(executed)]
@@ -180,7 +181,7 @@ def rest_figures(moved: Moved) -> dict[str, Any]:
 
 
 def _rate(heard: Rows) -> float | None:
-    """Return the drive's samples in a second of this PC, by its own count."""
+    """Return the drive's samples per second of this PC's clock, by the drive's own counter."""
     if heard.size < 2:
         return None
     counts: NDArray[np.int64] = heard["count"].astype(np.int64)
@@ -273,7 +274,7 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
 
 
 def _follows_again(stop: stops.Stop) -> list[str]:
-    """Return what is wrong with a drive that ends its stop by itself, or does not when reset."""
+    """Return what is wrong with a drive that resumes unasked, or does not resume when reset."""
     if stop.seen_again is False:
         return ["the drive no longer reported that it had stopped when commands resumed"]
     if stop.stays is False:
@@ -323,7 +324,7 @@ def _late(stop: stops.Stop, allowed: int, since: str) -> list[str]:
 
 
 def _witnessed(plan: Plan, name: str, question: str) -> Step:
-    """Return what the operator has seen of a drive whose frames have no status."""
+    """Return what the operator has seen of a drive whose frames contain no status."""
     seen = plan.witness(question)
     plan.tell(f"  {_PANEL}")
     faults = {

@@ -1,4 +1,4 @@
-"""Moving the actuator a little, at a speed limit, under all limits of the rig file."""
+"""Moving the actuator a little, at limited speed and within all limits of the rig file."""
 
 from __future__ import annotations
 
@@ -22,16 +22,15 @@ from rthyb_rt.rig.commissioning.moving import (
 
 @dataclass(frozen=True)
 class Jogged:
-    """Where a jog led; displacements and forces as calibrated, not tared, of the structure.
+    """Result of a jog; displacements and forces are calibrated, not tared, and of the structure.
 
     Attributes:
-        asked_m, speed_m_per_s: what was wanted.
-        start_m, end_m, start_n, end_n: readings at rest before and behind it.
-        stiffness_n_per_m: change of force over change of displacement; None where there is too
-            little of either.
+        asked_m, speed_m_per_s: what was requested.
+        start_m, end_m, start_n, end_n: readings at rest before and after the jog.
+        stiffness_n_per_m: change of force over change of displacement; None if either is too small.
         state, cause, end_reason: how it ended, as in a recording.
         faults: what is wrong with sensors or command, with the remedy.
-        reversed: a sign is wrong, see `rthyb_rt.rig.commissioning.polarity.Verdict`.
+        reversed: whether a sign is wrong, see `rthyb_rt.rig.commissioning.polarity.Verdict`.
     """
 
     asked_m: float
@@ -49,11 +48,11 @@ class Jogged:
 
     @property
     def moved_m(self) -> float:
-        """How far it went."""
+        """Distance travelled, signed."""
         return self.end_m - self.start_m
 
     def as_json(self) -> dict[str, Any]:
-        """Return all of it by name."""
+        """Return all values by name."""
         return {**self.__dict__, "moved_m": self.moved_m, "faults": list(self.faults)}
 
 
@@ -67,19 +66,19 @@ def jog(
 ) -> Jogged:
     """Move by a signed distance and stay there.
 
-    The position limit counts from where the actuator stands, the force limit from zero load. A
-    stop decelerates; the actuator stays where it comes to rest.
+    The position limit counts from where the actuator is now, the force limit from zero load. On a
+    stop the actuator decelerates and stays where it comes to rest.
 
     Args:
         connection: the rig.
-        distance_m: of the structure.
-        speed_m_per_s: the fastest on the way.
+        distance_m: signed, in the coordinates of the structure.
+        speed_m_per_s: greatest speed on the way.
         operator, progress: as in `rthyb_rt.rig.commissioning.moving.carry_out`.
 
     Raises:
-        InputError: the rig file has no limit on position or force, or no feedback comes.
-        RefusedError: too far, too fast, or it stands where it cannot begin.
-        RthybError: something else failed; what moved is stopped.
+        InputError: the rig file has no limit on position or force, or there is no feedback.
+        RefusedError: too far, too fast, or the actuator is where the motion cannot begin.
+        RthybError: something else failed; the motion has been stopped.
     """
     check_limits(connection.rig)
     check_distance(connection.rig, distance_m)
@@ -94,7 +93,7 @@ def jog(
     path = with_rests(eased(distance_m, speed_m_per_s, acceleration, rate), rate=rate)
     moved = carry_out(connection, Motion("jog", path), operator=operator, progress=progress)
     verdict = polarity.judge(connection.rig, moved)
-    # What was hardly begun says nothing of signs.
+    # A motion that had barely begun reveals nothing about signs.
     told = abs(moved.commanded_m) > moved.certain("x_meas_m")
     return Jogged(
         asked_m=distance_m,

@@ -1,4 +1,4 @@
-"""Each limit of the rig file provoked by one small motion, with the limit lowered for it."""
+"""Each limit of the rig file is lowered, then provoked by a small motion."""
 
 from __future__ import annotations
 
@@ -43,32 +43,32 @@ _NOT_PROVOKED: Final = {
     "skipped_ticks_warning_share": "needs a PC that is late",
 }
 _SHARE: Final = 0.5
-"""Of what the small motion reaches: so low a limit is set for it."""
+"""Lowered limits are set to this share of the peak of the small motion."""
 _SHARE_OF_ACCELERATION: Final = 0.9
-"""A command that may brake much less than its path does runs far past the end."""
+"""The same for acceleration: a command with much less than its path needs overshoots far."""
 _BARELY: Final = 1.02
 _BRISK: Final = 0.1
 _QUANTUM: Final = "quantum"
-"""Beside the limits: step of a command on the wire, in m of the structure."""
+"""Key beside those of the limits: step of a command on the wire, in m of the structure."""
 _LEAST_STEPS: Final = 40.0
-"""Of the wire, a sample and sample, that an acceleration needs to be limited evenly."""
+"""Steps of the wire per sample^2 that an acceleration must exceed to be limited evenly."""
 _APART: Final = 64
-"""Ticks over which a command's acceleration is taken: rounded to 1 nm, it shows in no fewer."""
+"""Ticks over which an acceleration is taken: with steps of 1 nm, fewer do not resolve it."""
 _SLOPE_S: Final = 0.25
-"""Over which the station takes the slope of the tracking indicator."""
+"""Time over which the station takes the slope of the tracking indicator."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """What became of one limit.
+    """Result of the check of one limit.
 
     Attributes:
         key: of the rig file's ``[limits]``.
-        action: what the rig file wants done; "limit" for one that bounds the command.
-        value: to which it was lowered, in the unit of the key; None: not checked.
-        seen: what was done, in the station's words.
-        fault: what is wrong, "" for nothing.
-        reason: why it was not checked, "" for one that was.
+        action: what the rig file demands; "limit" for a limit that bounds the command.
+        value: the value to which it was lowered, in the unit of the key; None if not checked.
+        seen: the reaction, as named by the station.
+        fault: what is wrong, or "".
+        reason: why it was not checked, or "".
     """
 
     key: str
@@ -79,12 +79,12 @@ class Check:
     reason: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        """Return what is there to say, by name."""
+        """Return the fields that are set, by name."""
         return {name: value for name, value in self.__dict__.items() if value not in (None, "")}
 
 
 def configured(rig: RigFile) -> list[tuple[str, str]]:
-    """Return key and action of every limit of a rig file that does something, in its order."""
+    """Return key and action of every active limit of a rig file, in its order."""
     found: list[tuple[str, str]] = []
     for key in limits_file.Limits.model_fields:
         value = getattr(rig.limits, key)
@@ -97,10 +97,10 @@ def configured(rig: RigFile) -> list[tuple[str, str]]:
 
 
 def small_motion(rig: RigFile, distance_m: float) -> Motion:
-    """Return the motion by which limits are provoked.
+    """Return the motion that provokes limits.
 
     Raises:
-        RefusedError: it goes beyond the rig's own position limit.
+        RefusedError: it exceeds the rig's own position limit.
     """
     check_distance(rig, distance_m)
     velocity, acceleration = path_figures(rig)
@@ -109,7 +109,7 @@ def small_motion(rig: RigFile, distance_m: float) -> Motion:
 
 
 def brisk_motion(rig: RigFile, distance_m: float) -> Motion:
-    """Return one over the same distance, whose acceleration is more than the wire's rounding."""
+    """Return a motion of the same distance whose acceleration exceeds the rounding of the wire."""
     velocity, acceleration = path_figures(rig)
     way = eased(distance_m, velocity, min(acceleration, _BRISK), rig.rate)
     return Motion("brisk-motion", with_rests(way, rate=rig.rate))
@@ -118,19 +118,20 @@ def brisk_motion(rig: RigFile, distance_m: float) -> Motion:
 def check_all(
     connection: Connection, distance_m: float, allowed: Callable[[str], bool]
 ) -> list[Check]:
-    """Provoke every limit that can be, each with a motion of its own and the way back.
+    """Provoke every limit that can be provoked, each with its own motion and return.
 
     Args:
         connection: the rig.
-        distance_m: of the small motion.
-        allowed: asks the operator before each motion; a limit that may not be tried is not checked.
+        distance_m: amplitude of the small motion.
+        allowed: asks the operator before each motion; if it returns False, the limit is not
+            checked.
 
     Raises:
-        RthybError: a motion failed for another reason than the limit in question.
+        RthybError: a motion failed for a reason other than the limit being checked.
     """
     wanted = configured(connection.rig)
     plain = small_motion(connection.rig, distance_m)
-    # A limit that trips has the drive stop by itself, and the next motion begins with its reset.
+    # When a limit trips, the drive makes its own stop, and the next motion begins with a reset.
     connection = replace(connection, resets=True)
     if not wanted or not allowed(
         f"Move by {distance_m * 1e3:g} mm and back, well within all limits?"
@@ -151,9 +152,9 @@ def check_all(
 
 
 def peaks(rows: Rows, h: float = core.PERIOD_S) -> dict[str, float]:
-    """Return how far a motion goes towards each limit, by key; rows of the motion itself, (n,).
+    """Return the peak of a motion for each limit, by key; rows of the motion itself, (n,).
 
-    The command must not have been limited. ``h``: from row to row, s.
+    The command must not have been limited. ``h`` is the period of the rows, s.
     """
     taken = rows[fresh(rows)]
     command = rows["x_cmd_m"]
@@ -175,7 +176,7 @@ def _largest(values: Floats) -> float:
 
 
 def _slopes(indicator: Floats, h: float) -> Floats:
-    """Return the slope of the tracking indicator as the station smooths it."""
+    """Return the slope of the tracking indicator, smoothed as the station does it."""
     share = min(h / _SLOPE_S, 1.0)
     slope, slopes = 0.0, np.zeros(indicator.size)
     for n, rise in enumerate(np.diff(indicator) / h):
@@ -249,7 +250,7 @@ def _bounded(plain: Motion, key: str, value: float) -> Motion:
 
 
 def _why_not_seen(moved: Moved, cause: str, action: str) -> str:
-    """Return what is wrong with the reaction to a limit, "" for nothing."""
+    """Return what is wrong with the reaction to a limit, or ""."""
     if action == "indicate":
         if cause not in moved.facts["indicated"]:
             return "was not reported"
@@ -263,7 +264,7 @@ def _why_not_seen(moved: Moved, cause: str, action: str) -> str:
 
 
 def _why_not_bounded(moved: Moved, key: str, value: float, quantum_m: float, h: float) -> str:
-    """Return what is wrong with the bounds of a command, "" for nothing."""
+    """Return what is wrong with the bounds of a command, or ""."""
     if moved.cause != "completed":
         return f"the motion ended: {moved.end_reason}"
     rows = moved.running
@@ -278,7 +279,7 @@ def _why_not_bounded(moved: Moved, key: str, value: float, quantum_m: float, h: 
 def _command_reached(
     command_m: Floats, key: str, quantum_m: float, h: float
 ) -> tuple[float, float]:
-    """Return velocity or acceleration of a command as sent, and what its rounding makes of it."""
+    """Return velocity or acceleration of a command as sent, and the effect of its rounding."""
     if key != ACCELERATION:
         return _largest(np.diff(command_m)) / h, quantum_m / h
     change = np.diff(command_m)
@@ -287,6 +288,6 @@ def _command_reached(
 
 
 def _without_gaps(rows: Rows) -> Rows:
-    """Return the rows behind the last tick that was skipped: in a gap a command stands."""
+    """Return the rows after the last skipped tick: across a gap the command is held."""
     blind = np.flatnonzero(rows["flags"] & FLAGS["blind"])
     return rows[int(blind[-1]) + 2 :] if blind.size else rows

@@ -28,20 +28,20 @@ Rows = NDArray[np.void]
 AnyRig = TypeVar("AnyRig", bound=RigFile | AxesRig)
 
 ATTEMPTS: Final = 3
-"""A PC or a wire that stalls spoils a motion; it is repeated so often."""
+"""A motion that is spoilt by a stall of the PC or the link is repeated up to this many times."""
 SPOILT: Final = (*realtime.TIMING_CAUSES, "link_lost", "lost_pairs")
 
 GENTLE_M_PER_S: Final = 1e-3
-"""Speed of motions that nobody asked a speed for."""
+"""Speed of motions for which no speed is requested."""
 
 _HOME_M: Final = 5e-6
 _RAMP_IN_TICKS: Final = 128
-"""Of 1/1024 s."""
+"""In ticks of 1/1024 s."""
 _MEAN_S: Final = 0.25
-"""At rest, from whose rows a position or a force is taken."""
+"""Time at rest over which positions and forces are averaged."""
 _PEAK_SPEED: Final = 1.875
 _PEAK_ACCELERATION: Final = 10.0 / math.sqrt(3.0)
-"""Of the quintic from 0 to 1 in the time 1."""
+"""Peak acceleration of the quintic from 0 to 1 in unit time."""
 
 
 class LimitError(RthybError):
@@ -51,7 +51,7 @@ class LimitError(RthybError):
 
 
 class StoppedError(RthybError):
-    """The operator ended it."""
+    """The operator ended a motion."""
 
     exit_code = 130
 
@@ -62,15 +62,15 @@ def _never_interrupted(_: Callable[[], None]) -> AbstractContextManager[None]:
 
 @dataclass(frozen=True)
 class Reach(Generic[AnyRig]):
-    """A rig within reach, of one axis (`Connection`) or of several (`AxesConnection`).
+    """An opened rig, of one axis (`Connection`) or of several (`AxesConnection`).
 
     Attributes:
-        rig: its file.
-        opened: the links to its drives; stay the caller's.
+        rig: its rig file.
+        opened: the links to its drives; they remain the caller's.
         clock, before_tick: as in `rthyb_rt.lab.realtime.Session`.
         on_interrupt: context in which a stop by the operator calls the given function.
-        warn: takes a sentence that the operator should read; none comes twice.
-        resets: drives that have stopped by themselves are reset before a motion.
+        warn: prints a sentence for the operator; each is given only once.
+        resets: whether drives that have stopped are reset before a motion.
     """
 
     rig: AnyRig
@@ -83,7 +83,7 @@ class Reach(Generic[AnyRig]):
     _warned: set[str] = field(default_factory=set, repr=False)
 
     def warn_once(self, text: str) -> None:
-        """Pass a warning on, unless it has been given."""
+        """Pass a warning on unless it has been given before."""
         if text not in self._warned:
             self._warned.add(text)
             self.warn(text)
@@ -95,15 +95,15 @@ AxesConnection: TypeAlias = Reach[AxesRig]
 
 @dataclass(frozen=True)
 class Motion:
-    """What the structure is to do, from where it stands.
+    """A motion of the structure, from where it is now.
 
     Attributes:
-        name: what it is for.
+        name: for messages.
         path_m: displacement at every tick, (n,), beginning near 0.
-        watches: in place of the rig's own limits of these names; they count from where the
-            motion begins.
+        watches: replace the rig's own limits of these names; they count from where the motion
+            begins.
         velocity_limit_m_per_s, acceleration_limit_m_per_s2: of the command, instead of the rig's.
-        stay: a motion that is broken off ends where it comes to rest, and not where it began.
+        stay: a motion that is interrupted ends where it comes to rest, not where it began.
         whole_force: the force limit counts from zero load, not from the load at the beginning.
     """
 
@@ -118,10 +118,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class Moved:
-    """What came of a motion.
+    """The result of a motion.
 
     Attributes:
-        recording: all of it.
+        recording: the complete recording.
     """
 
     recording: Recording
@@ -132,24 +132,24 @@ class Moved:
 
     @property
     def zeroed(self) -> bool:
-        """Whether it came as far as the tare, from which on everything counts from where it is."""
+        """Whether the tare was taken; from then on everything is relative to it."""
         return "ZEROED" in self.states
 
     @property
     def start_m(self) -> float:
-        """Reading of the displacement before it, calibrated, not tared."""
+        """Displacement before the motion, calibrated, not tared."""
         tare_m = float(self.recording.replay.tares["displacement_m"])
         return tare_m if self.zeroed else self._at_end("x_meas_m")
 
     @property
     def start_n(self) -> float:
-        """Reading of the force before it, calibrated, not tared."""
+        """Force before the motion, calibrated, not tared."""
         tare_n = float(self.recording.replay.tares["force_n"])
         return tare_n if self.zeroed else self._at_end("f_meas_n")
 
     @property
     def rows(self) -> Rows:
-        """All rows, from the first tick on, (n,)."""
+        """All rows, beginning with the first tick, (n,)."""
         return self.recording.samples
 
     @property
@@ -160,7 +160,7 @@ class Moved:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """How the session went, as in a recording's ``meta["real_time"]``."""
+        """Facts about the session, as in a recording's ``meta["real_time"]``."""
         facts: dict[str, Any] = self.recording.meta["real_time"]
         return facts
 
@@ -176,17 +176,17 @@ class Moved:
 
     @property
     def states(self) -> set[str]:
-        """Names of all states that it went through."""
+        """Names of all states that were passed through."""
         return {STATES[number] for number in np.unique(self.rows["state"])}
 
     @property
     def end_reason(self) -> str:
-        """What ended it, in words."""
+        """What ended it, as a sentence."""
         return str(self.recording.meta["end_reason"])
 
     @property
     def moved_m(self) -> float:
-        """Displacement from beginning to end."""
+        """Change of the displacement from beginning to end."""
         return self._at_end("x_meas_m") if self.zeroed else 0.0
 
     @property
@@ -196,7 +196,7 @@ class Moved:
 
     @property
     def commanded_m(self) -> float:
-        """Command at the end, from where it began."""
+        """Command at the end, relative to the beginning."""
         return float(self.rows["x_cmd_m"][-1]) if self.zeroed else 0.0
 
     def noise(self, column: str) -> float:
@@ -205,7 +205,7 @@ class Moved:
         return float(still[column].std()) if still.size else 0.0
 
     def certain(self, column: str) -> float:
-        """Return the smallest change between two rests that is no noise."""
+        """Return the smallest change between two rests that is significant against the noise."""
         return 6.0 * self.noise(column) * math.sqrt(2.0 / self._mean_ticks) + _FINEST[column]
 
     def _at_end(self, column: str) -> float:
@@ -214,11 +214,11 @@ class Moved:
 
 
 _FINEST: Final = {"x_meas_m": 2e-9, "f_meas_n": 2e-3}
-"""Twice what the wire resolves."""
+"""Twice the resolution of the wire."""
 
 
 def fresh(rows: Rows) -> NDArray[np.bool_]:
-    """Return which rows hold a reading of their own, (n,)."""
+    """Return which rows contain a new reading, (n,)."""
     mask: NDArray[np.bool_] = (rows["flags"] & FLAGS["fresh"]) != 0
     return mask
 
@@ -226,8 +226,8 @@ def fresh(rows: Rows) -> NDArray[np.bool_]:
 def command_numbers(rows: Rows, before: int = 0) -> NDArray[np.int64]:
     """Return the number of the newest command at the beginning of every tick, (n,).
 
-    The first command is number ``before`` + 1: ``commands_before`` of a session's facts.
-    From then on every executed tick makes one, until TRIPPED.
+    The first command has the number ``before`` + 1: ``commands_before`` of a session's facts.
+    From then on every executed tick sends one command, until TRIPPED.
     """
     sent = (rows["flags"] & FLAGS["not_sent"]) == 0
     if not sent.any():
@@ -245,7 +245,7 @@ def command_numbers(rows: Rows, before: int = 0) -> NDArray[np.int64]:
 def eased(
     distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float, rate: Rate = STANDARD
 ) -> Floats:
-    """Return a smooth way from 0 to a distance that keeps to speed and acceleration, (n,)."""
+    """Return a smooth path from 0 to a distance within a speed and an acceleration, (n,)."""
     size = abs(distance_m)
     lasts_s = max(
         _PEAK_SPEED * size / speed_m_per_s,
@@ -260,20 +260,20 @@ def eased(
 def with_rests(
     path_m: Floats, before_s: float = 0.25, after_s: float = 0.5, *, rate: Rate = STANDARD
 ) -> Floats:
-    """Return a path with time to stand still before and behind it."""
+    """Return a path with a rest added before and after it."""
     before, after = (round(s * rate.hz) for s in (before_s, after_s))
     return np.concatenate([np.zeros(before), path_m, np.full(after, path_m[-1])])
 
 
-# ---- what a motion needs ------------------------------------------------------------------------
+# ---- what a motion requires ---------------------------------------------------------------------
 
 
 def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
-    """Return the settings of the station: the rig's limits, and what the motion has instead.
+    """Return the settings of the station: the rig's limits, except those that the motion replaces.
 
-    The rig's limits count from where the motion begins, and once that is known from their own zero
-    as well, the force's if the motion says so. Any tare will do: a specimen that stands where no
-    test may begin is brought back by a motion.
+    The rig's limits count from where the motion begins and, once that position is known, also from
+    their own zero; the force limit only if the motion asks for it. Any tare is accepted, because a
+    motion is the means to bring back a specimen from where no test may begin.
     """
     base = experiment.station_config(setup, real=True)
     watches = dict(base.watches)
@@ -292,7 +292,8 @@ def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
         watches={**watches, **motion.watches},
         tare_most_m=0.0,
         tare_most_n=0.0,
-        # A command that does not begin where the specimen stands goes there no faster.
+        # A command that does not begin at the specimen's position approaches it at no more than
+        # this.
         path_velocity_m_per_s=min(base.path_velocity_m_per_s, GENTLE_M_PER_S),
         ramp_in_ticks=setup.rate.ticks(_RAMP_IN_TICKS / core.FS_HZ),
         stay=motion.stay,
@@ -300,10 +301,10 @@ def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
 
 
 def check_limits(rig: RigFile) -> None:
-    """Refuse to move a rig whose file bounds neither position nor force.
+    """Refuse to move a rig whose file limits neither position nor force.
 
     Raises:
-        InputError: naming what is missing.
+        InputError: names what is missing.
     """
     problems = []
     for key, example in (("command_position_m", '"20 mm"'), ("force_n", '"5 kN"')):
@@ -332,7 +333,7 @@ def check_distance(rig: RigFile, distance_m: float) -> None:
     """Refuse a distance beyond the rig's position limit.
 
     Raises:
-        RefusedError: with what is allowed.
+        RefusedError: states what is allowed.
     """
     limit = rig.limits.command_position_m
     if limit is not None and limit.acts and abs(distance_m) > limit.value:
@@ -347,13 +348,13 @@ def check_distance(rig: RigFile, distance_m: float) -> None:
 
 @dataclass(frozen=True)
 class _Beginning:
-    """What is looked at before a motion begins."""
+    """What is checked before a motion begins."""
 
     connection: Connection
     motion: Motion
 
     def judge(self, session: realtime.Session) -> None:
-        """Judge where the specimen stands, before anything moves."""
+        """Check the position and the load of the specimen before anything moves."""
         x_m, f_n = session.run.station.tare
         self._check_reach(x_m)
         watches = self._position_from_zero(session, x_m)
@@ -365,10 +366,10 @@ class _Beginning:
             session.set_parameters(replace(core.Parameters.of(config), watches=wanted))
 
     def _position_from_zero(self, session: realtime.Session, x_m: float) -> dict[str, core.Watch]:
-        """Watch the position before the tare as well: a row of jogs leads no farther than one.
+        """Watch the position from its own zero as well, so that repeated jogs go no farther.
 
-        A specimen that stands beyond the rig's limit may come back, and go no farther: by what the
-        reading may move at rest.
+        A specimen beyond the rig's limit may return but go no farther; a margin allows for what the
+        reading may change at rest.
         """
         limit = self.connection.rig.limits.command_position_m
         if limit is None or not limit.acts:
@@ -410,18 +411,18 @@ def carry_out(
     operator: realtime.Operator | None = None,
     progress: experiment.Progress | None = None,
 ) -> Moved:
-    """Zero, arm, follow the path, and come to rest, whatever happens on the way.
+    """Zero, arm, follow the path and come to rest, whatever happens on the way.
 
     Args:
         connection: the rig.
-        motion: what it is to do.
-        operator: asks for a stop; so does `Connection.on_interrupt`.
-        progress: called with (ticks done, ticks of the motion) now and then.
+        motion: the motion.
+        operator: asks for a stop, as does `Connection.on_interrupt`.
+        progress: called now and then with (ticks done, ticks of the motion).
 
     Raises:
-        RefusedError: the specimen stands where the motion cannot begin.
-        InputError: no feedback, no rest, or figures that do not fit; nothing moved.
-        RthybError: something else failed; what moved is stopped.
+        RefusedError: the specimen is where the motion cannot begin.
+        InputError: no feedback, no rest, or inconsistent settings; nothing has moved.
+        RthybError: something else failed; the motion has been stopped.
     """
     setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
     operator = operator or realtime.Operator()
@@ -434,7 +435,7 @@ def carry_out(
             before_tick=connection.before_tick,
             progress=progress,
             operator=operator,
-            # Here is nothing to go on with.
+            # There is no report to continue with here.
             hold_s=0.0,
             require_realtime=link is not None and link.require_realtime,
             warn=connection.warn_once,
@@ -451,12 +452,12 @@ def undisturbed(
     *,
     progress: experiment.Progress | None = None,
 ) -> Moved:
-    """Carry a motion out; go back and do it again if this PC or the wire stalled in it.
+    """Carry out a motion; if this PC or the link stalled, go back and repeat it.
 
     Raises:
         StoppedError: the operator ended it.
-        TimingError: this PC spoilt it, every time.
-        LimitError: the wire did.
+        TimingError: this PC was late in every attempt.
+        LimitError: the link stalled in every attempt.
         RthybError: as in `carry_out`.
     """
     for _ in range(ATTEMPTS):
@@ -465,7 +466,7 @@ def undisturbed(
             raise StoppedError(f"{motion.name}: {moved.end_reason}")
         if moved.cause not in SPOILT:
             return moved
-        # Its stop is this program's doing, in a motion that the operator has asked for.
+        # The stop came from this program, within a motion that the operator has requested.
         connection = replace(connection, resets=True)
         bring_back(connection, moved)
     raise ended(
@@ -476,14 +477,14 @@ def undisturbed(
 
 
 def bring_back(connection: Connection, moved: Moved) -> None:
-    """Go back to where a motion began, slowly, if the command ended elsewhere.
+    """Return slowly to where a motion began, if the command ended elsewhere.
 
-    The command is what is undone: the sign of the reading may be what is the matter.
+    It is the command that is reversed, because the sign of the reading may be the fault.
 
     Raises:
-        LimitError: something ended the way back.
-        TimingError: this PC did, by being late.
-        StoppedError: the operator did.
+        LimitError: a limit or the drive ended the return.
+        TimingError: this PC was late.
+        StoppedError: the operator ended the return.
         RthybError: as in `carry_out`.
     """
     velocity, acceleration = path_figures(connection.rig)
@@ -506,6 +507,6 @@ def bring_back(connection: Connection, moved: Moved) -> None:
 
 
 def ended(moved: Moved, message: str) -> RthybError:
-    """Return the error for a motion that did not come to its end, by what ended it."""
+    """Return the error that matches how a motion ended early."""
     late = moved.cause in realtime.TIMING_CAUSES
     return realtime.TimingError(message) if late else LimitError(message)

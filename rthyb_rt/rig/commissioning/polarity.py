@@ -10,18 +10,18 @@ from rthyb_rt.config.rigfile import DisplacementChannel
 from rthyb_rt.rig.commissioning.moving import Moved
 
 SLOPE_TOLERANCE: Final = 0.2
-"""Displacement over command, from 1; a shaft that bends and an amplifier have their share."""
+"""Allowed deviation of displacement/command from 1; shaft and amplifier contribute to it."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a slow motion showed.
+    """Result of a slow motion.
 
     Attributes:
         slope: displacement over command.
-        stiffness_n_per_m: force over displacement; None where there is too little of either.
+        stiffness_n_per_m: force over displacement; None if either is too small.
         faults: what is wrong, each with its remedy.
-        reversed: a sign is wrong: displacement or force go the other way.
+        reversed: whether a sign is wrong: displacement or force have the opposite direction.
     """
 
     slope: float
@@ -31,7 +31,7 @@ class Verdict:
 
     @property
     def good(self) -> bool:
-        """Nothing is wrong."""
+        """Whether nothing is wrong."""
         return not self.faults
 
 
@@ -75,7 +75,7 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
 
 
 def force_remedy(rig: RigFile) -> str:
-    """Return the change of the rig file that turns the force round."""
+    """Return the change of the rig file that reverses the force."""
     sign = -rig.calibration.force.polarity
     return (
         "check the polarity of the load cell: in the rig file's [calibration], "
@@ -84,9 +84,9 @@ def force_remedy(rig: RigFile) -> str:
 
 
 def displacement_remedy(rig: RigFile) -> str:
-    """Return the changes of the rig file that turn displacement or command round.
+    """Return the changes of the rig file that reverse displacement or command.
 
-    A command that is absent there goes as the displacement does: both have to be written.
+    A command that the file does not mention follows the displacement, so both must be given.
     """
     sensor = rig.calibration.displacement
     command = rig.calibration.command or sensor

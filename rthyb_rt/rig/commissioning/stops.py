@@ -1,8 +1,8 @@
-"""The drive's own stop: when commands cease, and when it is told TRIPPED.
+"""The drive's own stop: when commands cease, and when it is sent TRIPPED.
 
-Both are provoked at rest. What the drive does is read from its own frames: the bit by which it says
-that it has stopped, the command that it had applied by then, and its count of samples. A PC that is
-late changes none of these.
+Both are provoked at rest. The reaction is read from the drive's own frames: the status bit that
+reports the stop, the command that had been applied by then, and the sample counter. Being late does
+not affect any of these, so the result does not depend on the PC.
 """
 
 from __future__ import annotations
@@ -33,31 +33,31 @@ from rthyb_rt.rig.commissioning.moving import (
 )
 
 TRIP_TICKS: Final = 1
-"""Of the drive, from the command that says TRIPPED to the beginning of its stop."""
+"""Samples of the drive from the command with TRIPPED to the beginning of its stop."""
 
 _SILENCES: Final = 4
-"""Times its watchdog of a drive without a command; then that has not worked."""
+"""Multiple of the watchdog time without a command after which the watchdog has failed."""
 _SILENCE_S: Final = 2.0
 _AFTER_TRIP_S: Final = 0.25
 _REST_S: Final = 0.25
 _STANDS_S: Final = 0.5
-"""A drive that follows nobody for so long, though commands come, stays stopped."""
+"""A drive that stays stopped for this long although commands arrive counts as latched."""
 _BYTE: Final = 0x100
 _PAIR: Final = VERDICTS["pair"]
 
 
 @dataclass(frozen=True)
 class Stop:
-    """What a drive did.
+    """How a drive stopped.
 
     Attributes:
-        stopped: it said that it stopped.
-        ticks: of its own, from its last command, or from the first that said TRIPPED, to its
-            saying so; None where its frames do not tell.
-        gap: frames are missing there, so that it may have been fewer.
-        seen_again: it still said so when the next connection began; None where none was made.
-        stays: and it went on saying so, though commands came, until it was reset.
-        released: it followed again when it was reset; None where its frames have no word for that.
+        stopped: whether it reported a stop.
+        ticks: its samples from the last command, or from the first with TRIPPED, to the report;
+            None if its frames do not show that.
+        gap: frames are missing there, so that the true number may be smaller.
+        seen_again: it still reported the stop when the next connection began; None without one.
+        stays: it kept reporting the stop, although commands arrived, until it was reset.
+        released: it followed again after a reset; None if its frames have no reset command.
     """
 
     stopped: bool
@@ -69,12 +69,12 @@ class Stop:
 
 
 def watchdog_ticks(connection: Connection) -> int:
-    """Return the samples of the drive after which its watchdog is to stop it: 19.5 ms."""
+    """Return the drive's samples after which its watchdog should stop it: 19.5 ms."""
     return connection.rig.rate.ticks(WATCHDOG_TICKS / core.FS_HZ)
 
 
 def _without_gap(attempt: Callable[[], Stop]) -> Stop:
-    """Try until no frames are missing where it counts; at most `ATTEMPTS` times."""
+    """Repeat until no frames are missing where it matters; at most `ATTEMPTS` times."""
     stop = Stop(False)
     for _ in range(ATTEMPTS):
         stop = attempt()
@@ -84,32 +84,32 @@ def _without_gap(attempt: Callable[[], Stop]) -> Stop:
 
 
 def watchdog(connection: Connection) -> Stop:
-    """Stop sending without notice, see the drive stop by itself, then connect again.
+    """Stop sending without notice, observe the drive's own stop, then connect again.
 
     Raises:
-        InputError: no feedback comes.
-        RthybError: the system refused what is needed.
+        InputError: there is no feedback.
+        RthybError: the system denied what is needed.
     """
     return _without_gap(lambda: _in_silence(connection))
 
 
 def trip(connection: Connection) -> Stop:
-    """Trip at rest, and see the drive stop by the word of it.
+    """Trip at rest and observe whether the drive stops on that command.
 
     Raises:
-        InputError: no feedback comes.
-        RthybError: the system refused what is needed.
+        InputError: there is no feedback.
+        RthybError: the system denied what is needed.
     """
     return _without_gap(lambda: _by_trip(connection))
 
 
 def release(connection: Connection) -> bool:
-    """Reset a drive that has stopped by itself; False: it had not.
+    """Reset a drive that has stopped by itself; return False if it had not stopped.
 
     Raises:
-        InputError: no feedback comes.
-        RefusedError: it does not stand still, or does not follow after the reset.
-        RthybError: the system refused what is needed.
+        InputError: there is no feedback.
+        RefusedError: the drive is not at rest, or does not follow after the reset.
+        RthybError: the system denied what is needed.
     """
     with _begun(connection) as session:
         if _await(session, session.follows, _STANDS_S):
@@ -123,11 +123,11 @@ def release(connection: Connection) -> bool:
 
 @contextmanager
 def at_rest(connection: Connection) -> Iterator[Session]:
-    """Give a session in IDLE, of a drive that follows.
+    """Yield a session in IDLE, with a drive that follows.
 
     Raises:
-        InputError: no feedback comes, or the drive does not follow.
-        RthybError: the system refused what is needed.
+        InputError: there is no feedback, or the drive does not follow.
+        RthybError: the system denied what is needed.
     """
     with _begun(connection) as session:
         _await(session, lambda: session.follows() or session.stays_stopped(), FEEDBACK_S)
@@ -179,7 +179,7 @@ def _in_silence(connection: Connection) -> Stop:
 
 
 def _with_another_controller(connection: Connection, stop: Stop) -> Stop:
-    """Send commands again, as a controller does that begins anew after a crash; then reset."""
+    """Resume commands, as a controller does that is restarted after a crash; then reset."""
     with _begun(connection) as again:
         _await(again, lambda: again.follows() or again.stays_stopped(), FEEDBACK_S)
         again.wait(_STANDS_S)
@@ -195,15 +195,15 @@ def _with_another_controller(connection: Connection, stop: Stop) -> Stop:
 
 
 def _first_stop(connection: Connection, session: Session) -> Stop:
-    """Read the drive's samples, which nobody answers any more, until it says that it stopped."""
-    # With the link clock, what comes between two ticks has been taken in already.
+    """Read the drive's unanswered samples until it reports that it has stopped."""
+    # With the link clock, frames that arrive between two ticks have already been received.
     newest = session.wire.take()
     before, silence = newest.samples, _SILENCES * watchdog_ticks(connection)
     first = before if newest.delay == 0 else None
     gap = False
     for pair in _pairs(connection, session):
         missing, before = pair.samples != before + 1, pair.samples
-        # Without an echo the first sample heard is the nearest to the last command.
+        # Without an echo the first sample received is the closest to the last command.
         if first is None and pair.delay in (0, None):
             first, gap = pair.samples, missing
         if pair.status & DEVICE_STOPPED:
@@ -216,7 +216,7 @@ def _first_stop(connection: Connection, session: Session) -> Stop:
 
 
 def _pairs(connection: Connection, session: Session) -> Iterator[Feedback]:
-    """Give every sample of the drive that comes while the tick thread is no more."""
+    """Yield every sample of the drive that arrives after the tick thread has ended."""
     if connection.before_tick is not None:
         for _ in range(3 * _SILENCES * watchdog_ticks(connection)):
             connection.before_tick()
@@ -260,7 +260,7 @@ def after_trip(rows: Rows, before: int = 0) -> Stop:
     places = np.flatnonzero(fresh(rows))
     heard = rows[places]
     stopped = (heard["flags"] & FLAGS["stopped"]) != 0
-    # Stopped from before its first command on; what counts is what comes after it followed.
+    # It may report a stop before its first command; only what follows its first motion counts.
     begun = int(np.flatnonzero(~stopped)[0]) if (~stopped).any() else heard.size
     stops = np.flatnonzero(stopped[begun:]) + begun
     if not stops.size or not told.any():
@@ -268,7 +268,7 @@ def after_trip(rows: Rows, before: int = 0) -> Stop:
     at = int(stops[0])
     told_at = int(np.flatnonzero(told)[0])
     first = int(numbers[told_at]) + 1
-    # What came before it was sent is no echo of it: a byte comes round in 256 commands.
+    # What came before TRIPPED was sent cannot echo it: the counter repeats after 256 commands.
     since = places[begun:] > told_at
     applied = since & ((heard["echo"][begun:].astype(np.int64) - first) % _BYTE < _BYTE // 2)
     if not heard["echo"].any():

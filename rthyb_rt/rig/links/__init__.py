@@ -1,4 +1,4 @@
-"""What joins the controller to a rig: the opening and checking of links, which then are the core's.
+"""Links to a rig: opening and checking them; the core then exchanges the frames.
 
 Frames and their tables are in `rthyb_rt.core.wire` and `rthyb_rt.core.dbc`.
 """

@@ -22,34 +22,34 @@ from rthyb_rt.rig.links.netlink import Interface
 from rthyb_rt.rig.links.opened import Opened, Owned, Side, bit_rate
 
 CAN_RAW_ERR_FILTER: Final = 2
-"""Socket option of <linux/can/raw.h> that the socket module does not name."""
+"""Socket option of <linux/can/raw.h> that the module `socket` does not define."""
 ERROR_CLASSES: Final = 0x1FFF_FFFF
 CAN_RTR_FLAG: Final = 0x4000_0000
 CANFD_MTU: Final = 72
 USUAL_BITRATE: Final = 1_000_000
 
 RECEIVE_BUFFER_BYTES: Final = 1 << 20
-"""Asked for. A full one loses the newest frames: it has to outlast a stall of the machine."""
+"""Requested size. A full buffer loses the newest frames, so it must outlast a stall of the PC."""
 SEND_BUFFER_BYTES: Final = 0
-"""The least that the kernel allows, some 6 frames. What waits there while a bus is gone would come
-out as a burst of old commands when it is back."""
+"""Rounded up by the kernel to its minimum, about 6 frames. Frames that queue up while the bus is
+off would be sent as a burst of old commands when it returns."""
 STALE_FRAMES_MOST: Final = 100_000
 
 
 def open_can(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) -> Opened:
     """Open a SocketCAN interface for one side of a link.
 
-    Only frames of the other side and error frames come in, and nothing that was sent here. The
-    interface itself is left as it is: setting it up is the operator's business.
+    Only frames of the other side and error frames are received, and none that were sent here. The
+    interface itself is left unchanged: setting it up is the operator's task.
 
     Args:
         wanted: ``channel`` is the interface; the bit rates, if any, are compared with the kernel's.
-        side: whose frames are let through.
-        codec: their identifiers.
-        shared: another axis of the same rig has opened, and locked, the interface for this side.
+        side: which side of the link; the other side's frames are received.
+        codec: defines the identifiers.
+        shared: another axis of the same rig has opened and locked the interface for this side.
 
     Raises:
-        InputError: with all that is wrong with the interface and the command that sets it right.
+        InputError: lists every fault of the interface, with the command that corrects it.
     """
     need_sockets(wanted.channel)
     fd = wanted.fd or codec.is_fd
@@ -81,7 +81,7 @@ def open_can(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) ->
 
 
 def need_sockets(channel: str) -> None:
-    """Raise InputError where the kernel has no SocketCAN, or keeps it from us."""
+    """Raise InputError if the kernel has no SocketCAN or denies its use."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except OSError as error:
@@ -107,7 +107,7 @@ def _no_sockets(error: OSError) -> str:
 
 
 def find(channel: str, interfaces: dict[str, Interface]) -> Interface:
-    """Return the interface of a name; InputError if there is none, or if it is not CAN."""
+    """Return an interface by name; InputError if it does not exist or is not CAN."""
     found = interfaces.get(channel)
     if found is not None and found.is_can:
         return found
@@ -122,12 +122,12 @@ def find(channel: str, interfaces: dict[str, Interface]) -> Interface:
 def check(
     interface: Interface, bitrate: int | None, fd: bool, data_bitrate: int | None = None
 ) -> None:
-    """Raise InputError with everything that is wrong with an interface and its remedy.
+    """Raise InputError with every fault of an interface and its remedy.
 
     Args:
-        interface: as the kernel has it.
-        bitrate: what the rig file says, bit/s; ``None``: any.
-        fd: whether CAN FD frames go over it.
+        interface: as reported by the kernel.
+        bitrate: as in the rig file, bit/s; ``None``: any.
+        fd: whether CAN FD frames are used.
         data_bitrate: of CAN FD's data phase, likewise.
     """
     wrong = list(_wrong(interface, bitrate, fd, data_bitrate))
@@ -169,7 +169,7 @@ def _remedy(interface: Interface, bitrate: int | None, fd: bool, data_bitrate: i
         return "; ".join(lines)
     rate = bitrate or interface.bitrate or USUAL_BITRATE
     options = f"type can bitrate {rate}"
-    if interface.restart_ms != 0:  # slcan has 0 for ever, and refuses to be told
+    if interface.restart_ms != 0:  # slcan always has 0 and rejects the option
         options += " restart-ms 0"
     if fd:
         options += f" dbitrate {data_bitrate or interface.data_bitrate or rate} fd on"
@@ -179,7 +179,7 @@ def _remedy(interface: Interface, bitrate: int | None, fd: bool, data_bitrate: i
 
 
 def check_load(interface: Interface, codec: Codec, rate_hz: int = STANDARD_RATE_HZ) -> None:
-    """Raise InputError if the frames of a sample leave too little of the bus."""
+    """Raise InputError if the frames of a sample leave too little of the bus free."""
     if interface.bitrate is None:
         return
     fault = busload.bus_fault(
@@ -198,7 +198,7 @@ def filters(codec: Codec, side: Side) -> list[can.typechecking.CanFilter]:
 def _filter(identifier: int) -> can.typechecking.CanFilter:
     extended = bool(identifier & ID_EXTENDED)
     bits = 0x1FFF_FFFF if extended else 0x7FF
-    return {  # with the flag in the mask a remote frame of this identifier does not pass
+    return {  # with the flag in the mask, remote frames of this identifier are rejected
         "can_id": identifier & bits,
         "can_mask": bits | CAN_RTR_FLAG,
         "extended": extended,
@@ -216,8 +216,8 @@ def _bus(name: str, wanted_filters: list[can.typechecking.CanFilter], fd: bool) 
             ignore_rx_error_frames=False,
             ignore_config=True,
         )
-    except OSError as error:  # it was there a moment ago
-        traceback.clear_frames(error.__traceback__)  # python-can leaves its socket in one of them
+    except OSError as error:  # it existed a moment ago
+        traceback.clear_frames(error.__traceback__)  # a frame still holds python-can's socket
         raise InputError(
             f"cannot be opened: {error.strerror}; is it still there? see `ip link show {name}`",
             name,
@@ -227,7 +227,7 @@ def _bus(name: str, wanted_filters: list[can.typechecking.CanFilter], fd: bool) 
 def _configure(
     sock: socket.socket, name: str, wanted_filters: list[can.typechecking.CanFilter], fd: bool
 ) -> None:
-    """Set what python-can does not, and see that all of it holds: it only logs a refusal."""
+    """Set the options that python-can does not set, and verify all: it only logs a refusal."""
     raw, packed = socket.SOL_CAN_RAW, pack_filters(wanted_filters)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
@@ -250,7 +250,7 @@ def _configure(
 
 
 def _discard(sock: socket.socket) -> None:
-    """Throw away what came before the filters were set."""
+    """Discard what arrived before the filters were set."""
     with contextlib.suppress(BlockingIOError):
         for _ in range(STALE_FRAMES_MOST):
             sock.recv(CANFD_MTU, socket.MSG_DONTWAIT)

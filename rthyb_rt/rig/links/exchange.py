@@ -1,7 +1,8 @@
-"""Every other CAN interface of python-can, by threads in Python between it and the core.
+"""All other CAN interfaces of python-can, connected to the core by threads in Python.
 
-The core sees a SEQPACKET socket that carries CAN frames, as from `sockets.socket_pair`. Its buffers
-are the bounded queues of both ways; what finds them full is dropped and counted. Not real time.
+The core has a SEQPACKET socket that carries CAN frames, as from `sockets.socket_pair`. Its buffers
+are the bounded queues of both directions; frames that do not fit are dropped and counted. Not real
+time.
 """
 
 from __future__ import annotations
@@ -31,12 +32,13 @@ CAN_ERR_BUSOFF: Final = 0x40
 CANFD_FDF: Final = 4
 
 QUEUE_BYTES: Final[dict[Side, int]] = {"controller": 0, "drive": 1 << 15}
-"""Of the way to the bus. Commands: the least that the kernel allows, some 6 frames, for what waits
-while Python stalls goes out as a burst of old ones. Readings: some 40 pairs, the newest counts."""
+"""Buffer towards the bus. Commands: the kernel's minimum, about 6 frames, since frames that queue
+up while Python stalls are sent as a burst of old ones. Readings: about 40 pairs, the newest counts.
+"""
 WAIT_S: Final = 0.05
 SEND_TIMEOUT_S: Final = 0.01
 FAILED_SENDS_MOST: Final = 20
-"""So many in a row and the bus is taken for lost, as the drive takes a silent controller."""
+"""Failed sends in a row after which the bus counts as lost."""
 JOIN_S: Final = 2.0
 
 _HEADER: Final = struct.Struct("=IBB2x")
@@ -45,11 +47,11 @@ _HEADER: Final = struct.Struct("=IBB2x")
 def open_bus(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) -> Opened:
     """Open an interface of python-can for one side of a link.
 
-    Vendor parameters that the rig file has no word for are python-can's own business
+    Vendor parameters that are not keys of the rig file are configured in python-can
     (``~/.canrc``).
 
     Raises:
-        InputError: no such interface, its driver is missing, it refuses, or somebody has it open.
+        InputError: no such interface, missing driver, refusal by the driver, or interface in use.
     """
     interface, where = wanted.interface or "", f"{wanted.interface} {wanted.channel}"
     if interface == "socketcan":
@@ -87,7 +89,7 @@ def open_bus(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) ->
 
 
 def _place(channel: str) -> str:
-    """Name a channel as everybody does: a serial adapter's device has several names."""
+    """Return the canonical name of a channel: the device of a serial adapter has several names."""
     return os.path.realpath(channel) if channel.startswith("/") else channel
 
 
@@ -119,23 +121,24 @@ def _bus(wanted: Link, interface: str, where: str, fd: bool) -> can.BusABC:
     except can.CanInterfaceNotImplementedError as error:
         known = ", ".join(sorted(can.VALID_INTERFACES - {"socketcan"}))
         raise InputError(f"{error}; python-can has {known}", where) from None
-    except Exception as error:  # whatever a vendor's driver raises
-        traceback.clear_frames(error.__traceback__)  # what is half open there goes with its frame
+    except Exception as error:  # a vendor's driver may raise anything
+        traceback.clear_frames(error.__traceback__)  # release what is half open
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"python-can cannot open it: {reason}", where) from None
 
 
 class Exchange:
-    """Two threads between a bus and a socket, until `stop`, an error of the bus, or a hang-up.
+    """Two threads between a bus and a socket, until `stop`, a bus error, or a closed socket.
 
     Args:
-        bus: of python-can, without filters: those would keep error frames out too.
+        bus: of python-can, without filters, since those would also reject error frames.
         ours: one end of a SEQPACKET socket pair; the core has the other.
-        accepted: identifiers that are passed on to the core.
+        accepted: identifiers that are forwarded to the core.
 
     Attributes:
-        counters: frames to the core and to the bus, and those lost on each way; kept up to date.
-        failure: why it gave up, if it did.
+        counters: frames to the core and to the bus, and frames lost in each direction; kept
+            current.
+        failure: why the threads gave up, or None.
     """
 
     def __init__(self, bus: can.BusABC, ours: socket.socket, accepted: frozenset[int]) -> None:
@@ -149,12 +152,12 @@ class Exchange:
         ]
 
     def start(self) -> None:
-        """Begin."""
+        """Start both threads."""
         for thread in self._threads:
             thread.start()
 
     def stop(self) -> None:
-        """End both threads; the core sees that the other side has hung up."""
+        """End both threads; the core sees that the other side has closed the connection."""
         self._hang_up()
         for thread in self._threads:
             if thread.ident is not None:
@@ -162,7 +165,7 @@ class Exchange:
 
     def _hang_up(self) -> None:
         self._done.set()
-        with contextlib.suppress(OSError):  # the core did so before
+        with contextlib.suppress(OSError):  # the core has closed its end already
             self._ours.shutdown(socket.SHUT_RDWR)
 
     def _guarded(self, way: Any) -> None:
@@ -170,7 +173,7 @@ class Exchange:
             way()
         except (BrokenPipeError, ConnectionResetError):
             pass  # the core has closed its end
-        except Exception as error:  # whatever a vendor's driver raises
+        except Exception as error:  # a vendor's driver may raise anything
             if not self._done.is_set():
                 self.failure = " ".join(str(error).split()) or type(error).__name__
         finally:
@@ -189,11 +192,11 @@ class Exchange:
                 self.counters["to_core_lost"] += 1
 
     def _frame(self, message: can.Message) -> bytes | None:
-        """Pack what the core is to have."""
+        """Pack a frame for the core, or return None if it is to be dropped."""
         if not message.is_error_frame:
             return pack(message) if _identifier(message) in self._accepted else None
         raw = pack(message)
-        if self._bus.state is can.BusState.ERROR:  # drivers whose error frames do not say which
+        if self._bus.state is can.BusState.ERROR:  # some drivers' error frames carry no details
             (number,) = struct.unpack_from("=I", raw)
             raw = struct.pack("=I", number | CAN_ERR_BUSOFF) + raw[4:]
         return raw
@@ -208,7 +211,7 @@ class Exchange:
                 self._bus.send(unpack(raw), SEND_TIMEOUT_S)
                 self.counters["to_bus"] += 1
                 failed = 0
-            except can.CanOperationError:  # no room is one of these
+            except can.CanOperationError:  # includes a full transmit queue
                 self.counters["to_bus_lost"] += 1
                 failed += 1
                 if failed >= FAILED_SENDS_MOST:
@@ -237,7 +240,7 @@ def unpack(raw: bytes) -> can.Message:
 
 
 def _identifier(message: can.Message) -> int:
-    """Identifier with its flags as in SocketCAN."""
+    """Return the identifier with its flags as in SocketCAN."""
     if message.is_error_frame:
         return CAN_ERR_FLAG | (message.arbitration_id & 0x1FFF_FFFF)
     flags = ID_EXTENDED if message.is_extended_id else 0

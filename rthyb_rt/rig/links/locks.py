@@ -1,6 +1,6 @@
-"""One user of a link at a time: a file that is locked as long as the link is open.
+"""One user of a link at a time: a file that is locked while the link is open.
 
-The kernel gives the lock back however its holder ends; a file that is left over does no harm.
+The kernel releases the lock however its holder ends; a file that remains is harmless.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links.opened import Owned, Side
 
 SHARED_FOLDER: Final = Path("/run/lock")
-"""Where users find each other's locks; not all systems let everybody write there."""
+"""Folder in which locks of all users are visible; not writable for all on every system."""
 
 
 def hold(owned: Owned, what: str, key: str, side: Side) -> None:
-    """Keep everybody else from using a link at the same end, until ``owned`` is closed.
+    """Prevent others from using a link at the same end until ``owned`` is closed.
 
     Args:
-        owned: takes the lock.
+        owned: takes ownership of the lock.
         what: the link, for messages.
-        key: the link, unmistakably.
-        side: both ends of a link may be on one machine, and have a lock each.
+        key: identifies the link uniquely.
+        side: both ends of a link may be on one machine, with a lock each.
 
     Raises:
-        InputError: another process has it, or no lock can be had.
+        InputError: another process holds the lock, or no lock can be created.
     """
     path = folder() / f"rthyb-{_slug(key)}-{side}.lock"
     try:
@@ -50,7 +50,7 @@ def hold(owned: Owned, what: str, key: str, side: Side) -> None:
 
 
 def folder() -> Path:
-    """Return the folder of the locks: one for all users if there is one."""
+    """Return the folder of the locks: shared by all users if possible."""
     own = os.environ.get("XDG_RUNTIME_DIR", "")
     for candidate in (SHARED_FOLDER, Path(own) if own else None):
         if candidate is not None and candidate.is_dir() and os.access(candidate, os.W_OK):
@@ -59,7 +59,7 @@ def folder() -> Path:
 
 
 def holder(path: str | Path) -> str:
-    """Say which process holds the lock on a file."""
+    """Return which process holds the lock on a file, as text."""
     try:
         status, listed = os.stat(path), Path("/proc/locks").read_text()
     except OSError:
@@ -75,7 +75,7 @@ def holder(path: str | Path) -> str:
 
 
 def _slug(key: str) -> str:
-    """A file name that people recognise and no other key has."""
+    """Return a readable file name that is unique to a key."""
     plain = re.sub(r"[^A-Za-z0-9]+", "-", key).strip("-")
     if plain == key:
         return plain
@@ -83,12 +83,13 @@ def _slug(key: str) -> str:
 
 
 def _locked(path: Path) -> int:
-    """Return a locked descriptor of the file that has this name."""
+    """Return a locked descriptor of the file that currently has this name."""
     while True:
         fd = _open(path)
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # Who had it before removes its file: then the name is free, or another file's.
+            # The previous holder removes its file: the name may be free or refer to another file
+            # now.
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(fd), os.stat(path)):
                     return fd
@@ -99,13 +100,13 @@ def _locked(path: Path) -> int:
 
 
 def _release(fd: int, path: Path) -> None:
-    with contextlib.suppress(OSError):  # made by another user
+    with contextlib.suppress(OSError):  # created by another user
         path.unlink()
     os.close(fd)
 
 
 def _open(path: Path) -> int:
-    # Two steps, since the kernel refuses O_CREAT on another user's file in a folder for everybody.
+    # Two steps, because the kernel denies O_CREAT on another user's file in a sticky folder.
     flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
     try:
         fd = os.open(path, flags)

@@ -1,4 +1,4 @@
-"""What the kernel says of its network interfaces, read over rtnetlink."""
+"""The kernel's network interfaces, read over rtnetlink."""
 
 from __future__ import annotations
 
@@ -11,26 +11,25 @@ from rthyb_rt.errors import InputError
 ARPHRD_CAN: Final = 280
 IFF_UP: Final = 1
 BITRATE_UNKNOWN: Final = 2**32 - 1
-"""What the kernel's slcan driver has where another program chose the bit rate."""
+"""Bit rate reported by the kernel's slcan driver if another program chose it."""
 
 
 @dataclass(frozen=True)
 class Interface:
-    """A network interface; what the kernel does not say of it is ``None``.
+    """A network interface; ``None`` for what the kernel does not report.
 
     Attributes:
         name: as in ``ip link``.
-        is_can: whether CAN frames go over it.
-        driver: "can" for hardware and slcan, "vcan", "vxcan"; "" where there is no such word.
+        is_can: whether it carries CAN frames.
+        driver: "can" for hardware and slcan, "vcan", "vxcan"; "" if not reported.
         up: whether it is switched on.
-        operational: the kernel's word for its state ("UP", "DOWN", "UNKNOWN").
+        operational: the kernel's name of its state ("UP", "DOWN", "UNKNOWN").
         mtu: bytes of the largest frame: 16 for CAN, 72 for CAN FD.
         bitrate, data_bitrate: bit/s, of arbitration and of CAN FD's data.
-        restart_ms: after how long the kernel itself goes back to a bus that it was thrown off; 0:
-            never.
+        restart_ms: time after which the kernel restarts the controller after a bus-off; 0: never.
         state: of the CAN controller: "ERROR_ACTIVE", "ERROR_WARNING", "ERROR_PASSIVE", "BUS_OFF",
             "STOPPED", "SLEEPING".
-        listen_only: whether it hears the bus and sends nothing.
+        listen_only: whether it receives but never sends.
     """
 
     name: str
@@ -52,7 +51,7 @@ def interfaces() -> dict[str, Interface]:
     Raises:
         InputError: the kernel does not answer.
     """
-    from pyroute2 import IPRoute  # slow to import, and of use for SocketCAN only
+    from pyroute2 import IPRoute  # slow to import, and only needed for SocketCAN
 
     try:
         with IPRoute() as kernel:

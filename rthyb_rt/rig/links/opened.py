@@ -1,4 +1,4 @@
-"""What opening a link results in, whatever the link is made of."""
+"""The result of opening a link of any kind."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rthyb_rt.core.wire import Codec
 Side = Literal["controller", "drive"]
 
 Owned = ExitStack[None]
-"""What has to be given back, last first; no exception ends in it."""
+"""What must be released, in reverse order; suppresses no exception."""
 
 
 def _never() -> None:
@@ -22,17 +22,18 @@ def _never() -> None:
 
 @dataclass
 class Opened:
-    """An open link, checked and set up; its frames are the core's business from here on.
+    """An open link, checked and set up; from here on the core exchanges its frames.
 
     Attributes:
         kind: "can" or "stream", as `rthyb_rt.core.loop.Link` takes it.
-        fd: the descriptor; -1 after `close`. `rthyb_rt.core.loop.Link` makes one of its own of it.
+        fd: the descriptor; -1 after `close`. `rthyb_rt.core.loop.Link` duplicates it.
         codec: the frames.
-        real_time: False if a Python thread stands in between.
-        name: what it is, for messages: "can0, CAN 1 Mbit/s".
-        facts: what was found out about it, for the recording; numbers, words, lists of words.
-        left: what the last session at it told the drive last: where the next one goes on.
-        further: of a rig of several axes, the links of all but the first, which this one is.
+        real_time: False if a Python thread is in between.
+        name: for messages, such as "can0, CAN 1 Mbit/s".
+        facts: properties of the link, for the recording; numbers, strings, lists of strings.
+        left: the last command of the previous session, from which the next one continues.
+        further: for a rig of several axes, the links of all axes after the first, which is this
+            one.
     """
 
     kind: Kind
@@ -48,16 +49,16 @@ class Opened:
 
     @property
     def all(self) -> tuple[Opened, ...]:
-        """The links of all axes, in their order."""
+        """Links of all axes, in their order."""
         return (self, *self.further)
 
     @property
     def failure(self) -> str | None:
-        """Why the Python thread in between gave up; None: there is none, or it goes on."""
+        """Why the Python thread in between gave up; None if it runs or if there is none."""
         return self.failed()
 
     def close(self) -> None:
-        """Give back all that was opened and locked; twice does no harm."""
+        """Release everything that was opened and locked; may be called more than once."""
         self.fd = -1
         self.owned.close()
 
@@ -69,10 +70,10 @@ class Opened:
 
 
 def together(links: Mapping[str, Opened]) -> Opened:
-    """Return the links of several axes as one, which owns them all.
+    """Return the links of several axes as one that owns them all.
 
     Args:
-        links: of each axis by its name, in their order.
+        links: by name of the axis, in order.
     """
     first, *further = links.values()
 
@@ -97,7 +98,7 @@ def together(links: Mapping[str, Opened]) -> Opened:
 
 
 def bit_rate(bits_per_s: int) -> str:
-    """Return a bit rate as people write it."""
+    """Return a bit rate with its usual unit."""
     if bits_per_s >= 1_000_000:
         return f"{bits_per_s / 1e6:g} Mbit/s"
     return f"{bits_per_s / 1e3:g} kbit/s"

@@ -1,6 +1,6 @@
-"""Open a link as the rig file has it, check it, and hand its descriptor to the core.
+"""Open a link as the rig file describes it, check it, and pass its descriptor to the core.
 
-Nothing here moves anything: no frame is sent, and no interface is set up that was not.
+Nothing here causes motion: no frame is sent, and no interface is brought up.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ __all__ = [
     "together",
 ]
 
-# Without a handler, Python prints python-can's own words beside our messages.
+# Without a handler, Python prints python-can's own messages beside ours.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 class Closes(Protocol):
-    """What is given back when it is no longer needed."""
+    """What is closed when it is no longer needed."""
 
     def close(self) -> None:
-        """Give it back; twice does no harm."""
+        """Release it; may be called more than once."""
 
 
 _T = TypeVar("_T", bound=Closes)
@@ -53,13 +53,13 @@ def open_link(
 
     Args:
         wanted: the rig file's ``[link]``.
-        side: which end. Over a socket the controller connects; the drive listens, and waits until
-            one controller has come.
-        folder: what ``dbc`` is relative to; the current folder if there is none.
-        shared: a bus that another axis of the same rig has opened already.
+        side: which end. Over a socket the controller connects; the drive listens and waits for one
+            controller.
+        folder: what ``dbc`` is relative to; the current folder by default.
+        shared: another axis of the same rig has already opened this bus.
 
     Raises:
-        InputError: what stands against it, and what to do.
+        InputError: what prevents it, and what to do.
     """
     if wanted.kind == "serial":
         return serial_line.open_line(
@@ -67,7 +67,7 @@ def open_link(
         )
     codec = _codec(wanted, folder)
     if wanted.kind == "can":
-        from rthyb_rt.rig.links import can_bus  # python-can takes its time
+        from rthyb_rt.rig.links import can_bus  # python-can is slow to import
 
         return can_bus.open_can(wanted, side, codec, shared=shared)
     if wanted.kind == "python-can":
@@ -79,12 +79,12 @@ def open_link(
 
 
 def open_axes(rig: AxesRig, side: Side, *, folder: Path | None = None) -> Opened:
-    """Open the links of all axes of a rig, each as its ``[axis.link]`` has it.
+    """Open the links of all axes of a rig, each as described by its ``[axis.link]``.
 
-    Axes at one CAN bus have a socket each, of their own identifiers.
+    Axes on one CAN bus have a socket each, filtered by their own identifiers.
 
     Raises:
-        InputError: what stands against one of them, with the axis; none stays open then.
+        InputError: what prevents one of them, with its axis; none remains open then.
     """
     with ExitStack() as undo:
         links = at_each(
@@ -97,12 +97,12 @@ def open_axes(rig: AxesRig, side: Side, *, folder: Path | None = None) -> Opened
 
 
 def at_each(rig: AxesRig, reach: Callable[[Link, bool], _T], owned: ExitStack) -> dict[str, _T]:
-    """Return what is opened for the link of each axis of a rig, by its name.
+    """Open something for the link of each axis of a rig and return it by name.
 
     Args:
-        rig: whose links.
-        reach: opens one; told whether it is at a bus that an axis before has opened.
-        owned: closes what is open.
+        rig: the rig.
+        reach: opens one; its second argument is whether a previous axis has opened the same bus.
+        owned: takes ownership of what is open.
 
     Raises:
         InputError: an axis has no link, or what ``reach`` raises, with the axis.
@@ -124,7 +124,7 @@ def at_each(rig: AxesRig, reach: Callable[[Link, bool], _T], owned: ExitStack) -
 
 
 def socket_pairs(names: Sequence[str]) -> tuple[Opened, Opened]:
-    """Return both ends of a link without a name for each of several axes: controller and drives."""
+    """Return both ends of an unnamed link for each of several axes: controller and drives."""
     pairs = {name: socket_pair() for name in names}
     ours = together({name: pair[0] for name, pair in pairs.items()})
     return ours, together({name: pair[1] for name, pair in pairs.items()})

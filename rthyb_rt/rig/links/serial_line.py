@@ -1,4 +1,4 @@
-"""A serial line: pyserial opens and locks it, this module makes it raw and checks what it got."""
+"""A serial line: pyserial opens and locks it; this module makes it raw and verifies it."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ from rthyb_rt.rig.links import locks
 from rthyb_rt.rig.links.opened import Opened, Owned
 
 BAUD_TOLERANCE: Final = 0.02
-"""How far two UARTs may be apart; a driver takes the nearest rate that its divider gives."""
+"""Greatest mismatch of two UARTs; a driver takes the nearest rate that its divider allows."""
 PTY_MAJORS: Final = range(136, 144)
 SYSFS: Final = Path("/sys")
-_SPEED_AT: Final = 10  # c_ospeed in struct termios2, in words
+_SPEED_AT: Final = 10  # c_ospeed in struct termios2, in 32-bit words
 
 
 def open_line(path: str, baud: int, rate_hz: int = STANDARD_RATE_HZ) -> Opened:
-    """Open a serial line for either side: raw, 8N1, no flow control, for nobody else.
+    """Open a serial line for either side: raw, 8N1, no flow control, exclusively.
 
     Args:
-        path: the device, as ``/dev/ttyUSB0``.
+        path: the device, such as ``/dev/ttyUSB0``.
         baud: bit/s.
-        rate_hz: samples a second.
+        rate_hz: samples per second.
 
     Raises:
-        InputError: not there, not a serial line, in use, no permission, a rate that the driver
-            does not have or that is too slow for the samples.
+        InputError: no such device, not a serial line, in use, no permission, or a rate that the
+            driver does not support or that is too slow for the samples.
     """
     _check_speed(path, baud, rate_hz)
     _check_device(path)
@@ -81,7 +81,7 @@ def _check_speed(path: str, baud: int, rate_hz: int) -> None:
 
 
 def _check_device(path: str) -> None:
-    """Open nothing that is not a serial line: opening alone starts some devices."""
+    """Refuse anything but a serial line, since merely opening some devices starts them."""
     try:
         found = os.stat(path)
     except OSError as error:
@@ -91,7 +91,7 @@ def _check_device(path: str) -> None:
 
 
 def _subsystem(device: int) -> str | None:
-    """Name what a character device belongs to; None where the kernel does not say."""
+    """Return what a character device belongs to; None if the kernel does not report it."""
     if os.major(device) in PTY_MAJORS:
         return "tty"
     link = SYSFS / "dev" / "char" / f"{os.major(device)}:{os.minor(device)}" / "subsystem"
@@ -113,7 +113,7 @@ def _port(path: str, baud: int) -> Any:
 
 
 def _not_opened(path: str, number: object, why: str | None) -> str:
-    """Say in words why a device was not opened, and what to do."""
+    """Return why a device could not be opened and what to do, as text."""
     if number in (errno.ENOENT, errno.ENOTDIR):
         return f"no such device; {_lines_here()}"
     if number in (errno.EACCES, errno.EPERM):
@@ -139,7 +139,8 @@ def _not_opened(path: str, number: object, why: str | None) -> str:
 def _lines_here() -> str:
     folder = SYSFS / "class" / "tty"
     with contextlib.suppress(OSError):
-        # ttyS0 and on are there on every machine, with or without hardware: only adapters are named
+        # ttyS0 and others exist on every machine, with or without hardware: only adapters are
+        # listed
         adapters = [p.name for p in folder.iterdir() if p.name.startswith(("ttyUSB", "ttyACM"))]
         if adapters:
             return f"serial adapters here: {', '.join(f'/dev/{name}' for name in sorted(adapters))}"
@@ -154,7 +155,7 @@ def _group(path: str) -> str:
 
 
 def _let_others(fd: int) -> None:
-    """A pty lives on while its other end is open, and would stay exclusive."""
+    """Allow others to open a pty, which outlives us while its other end is open."""
     with contextlib.suppress(OSError):
         fcntl.ioctl(fd, termios.TIOCNXCL)
 
@@ -167,14 +168,14 @@ def _make_raw(fd: int) -> None:
     mode[0] = iflag & ~(termios.IXOFF | termios.IXANY | termios.IGNBRK | termios.PARMRK)
     off = termios.CRTSCTS | termios.HUPCL | termios.CSTOPB | termios.PARENB | termios.CSIZE
     mode[2] = (cflag & ~off) | termios.CS8 | termios.CREAD | termios.CLOCAL
-    # With 0 an empty line would read as 0 bytes, and the core would have to ask whether it is gone.
+    # With 0, an empty line would read as 0 bytes and could not be distinguished from a hang-up.
     cc[termios.VMIN], cc[termios.VTIME] = 1, 0
     termios.tcsetattr(fd, termios.TCSANOW, mode)
     os.set_blocking(fd, False)
 
 
 def _check_rate(fd: int, path: str, baud: int) -> None:
-    """See that the driver took 8N1 and the rate: tcsetattr succeeds if it took anything at all."""
+    """Verify 8N1 and the rate, since tcsetattr succeeds if it could apply anything at all."""
     cflag = termios.tcgetattr(fd)[2]
     wrong = termios.PARENB | termios.CSTOPB | termios.CRTSCTS
     if cflag & wrong or cflag & termios.CSIZE != termios.CS8:
@@ -191,7 +192,7 @@ def _check_rate(fd: int, path: str, baud: int) -> None:
 
 
 def _speed(fd: int) -> int | None:
-    """Return the rate that the driver has set, bit/s; None where it cannot be asked."""
+    """Return the rate that the driver has set, bit/s; None if it cannot be queried."""
     words = array.array("I", [0] * 64)
     try:
         fcntl.ioctl(fd, serialposix.TCGETS2, words)
@@ -225,7 +226,7 @@ def _facts(port: Any, path: str, baud: int, rate_hz: int) -> dict[str, Any]:
 
 
 def _low_latency(port: Any) -> bool:
-    """Ask the driver to pass bytes on at once; a pty and some drivers do not know the word."""
+    """Ask the driver to forward bytes at once; a pty and some drivers do not support it."""
     try:
         port.set_low_latency_mode(True)
     except (ValueError, NotImplementedError):
@@ -234,5 +235,5 @@ def _low_latency(port: Any) -> bool:
 
 
 def _discard(fd: int) -> None:
-    """Throw away what came before the line was ours."""
+    """Discard what arrived before the line was locked."""
     termios.tcflush(fd, termios.TCIFLUSH)

@@ -19,7 +19,7 @@ MODE = 0o600
 
 
 def socket_pair(codec: Codec | None = None) -> tuple[Opened, Opened]:
-    """Return both ends of a link that has no name: controller and drive of one test."""
+    """Return both ends of an unnamed link: controller and drive of one test."""
     codec = codec or wire.can()
     pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     first, second = (_opened(end, "pair", codec, Owned()) for end in pair)
@@ -29,10 +29,10 @@ def socket_pair(codec: Codec | None = None) -> tuple[Opened, Opened]:
 
 
 def connect_socket(path: str | Path, codec: Codec | None = None) -> Opened:
-    """Connect to a virtual drive that listens at a path: the controller's side.
+    """Connect to a virtual drive that listens at a path, as the controller.
 
     Raises:
-        InputError: no program is listening there, another controller has it, no permission.
+        InputError: no program is listening, another controller is connected, or no permission.
     """
     where = str(path)
     with Owned() as owned:
@@ -48,17 +48,18 @@ def connect_socket(path: str | Path, codec: Codec | None = None) -> Opened:
 def listen_socket(
     path: str | Path, codec: Codec | None = None, *, timeout_s: float | None = None
 ) -> Opened:
-    """Wait at a path for a controller and take exactly one: the drive's side.
+    """Wait at a path for a controller and accept exactly one, as the drive.
 
-    The path is for this user alone, and gone as soon as the controller is there.
+    The path is accessible to this user only, and removed as soon as the controller has connected.
 
     Args:
-        path: where; what a dead process left there is removed, anything else is not.
+        path: of the socket; a stale socket of a dead process is removed, anything else is not.
         codec: the frames.
-        timeout_s: how long to wait; ``None``: until somebody comes or a signal ends the wait.
+        timeout_s: how long to wait; ``None``: until a controller connects or a signal ends the
+            wait.
 
     Raises:
-        InputError: the path is in use or cannot be made, or nobody came in time.
+        InputError: the path is in use or cannot be created, or no controller connected in time.
     """
     where = str(path)
     with Owned() as owned:
@@ -110,7 +111,7 @@ def _not_connected(error: OSError, where: str) -> str:
 
 def _bind(listener: socket.socket, where: str) -> None:
     _remove_stale(where)
-    os.fchmod(listener.fileno(), MODE)  # the path comes into being with this mode
+    os.fchmod(listener.fileno(), MODE)  # before bind, which creates the path with this mode
     try:
         listener.bind(where)
     except OSError as error:
@@ -125,7 +126,7 @@ def _bind(listener: socket.socket, where: str) -> None:
 
 
 def _remove_stale(where: str) -> None:
-    """Remove the socket of a process that is gone; InputError for anything else."""
+    """Remove the socket of a dead process; InputError for anything else."""
     try:
         if not stat.S_ISSOCK(os.lstat(where).st_mode):
             raise InputError("already exists and is not a socket; choose another path", where)

@@ -1,8 +1,8 @@
 """The virtual rig as a process of its own: actuator controller and load cell at the wire.
 
-It speaks real frames, has a clock and a watchdog of its own, and lives on while controllers come
-and go. `serve` runs one in this process; `Companion` starts one beside a controller, at the other
-end of a socket pair.
+It exchanges real frames, has its own clock and watchdog, and keeps running while controllers
+connect and disconnect. `serve` runs one in this process; `Companion` starts one beside a
+controller, at the other end of a socket pair.
 """
 
 from rthyb_rt.rig.virtual_rig.companion import Companion

@@ -21,17 +21,17 @@ _PEER_PATIENCE_S: Final = 20.0
 
 
 class Companion:
-    """A virtual rig in a process of its own, at the other end of a socket pair for each axis.
+    """A virtual rig in its own process, at the other end of a socket pair for each axis.
 
-    It is not reached by a Ctrl-C in the terminal, and ends by itself when this process is gone.
+    A Ctrl-C in the terminal does not reach it, and it ends when this process has ended.
 
     Args:
-        rig: what moves and measures.
-        fds: its end of the pair, of several axes of each; stay the caller's, who closes them.
-        rate: of its samples; None: that of the rig file's link.
+        rig: the rig to simulate.
+        fds: its end of each axis's pair; they remain the caller's, who closes them.
+        rate: sample rate; None: that of the rig file's link.
 
     Raises:
-        RthybError: the process did not come to life; with what it said.
+        RthybError: the process did not start; includes its last message.
     """
 
     def __init__(self, rig: RigFile | AxesRig, *fds: int, rate: Rate | None = None) -> None:
@@ -75,13 +75,13 @@ class Companion:
 
     @property
     def pid(self) -> int:
-        """Number of its process."""
+        """Process ID."""
         return self._process.pid
 
     def close(self) -> dict[str, Any] | None:
-        """Wait for its end, which the end of the connection brings; return its summary.
+        """Wait until it ends, which closing the connection causes, and return its summary.
 
-        None: it had to be killed, or said nothing.
+        None: it had to be killed, or returned no summary.
         """
         try:
             out, _ = self._process.communicate(timeout=_PEER_PATIENCE_S)
@@ -95,7 +95,7 @@ class Companion:
 
 
 def be_companion() -> None:
-    """Be the process of a `Companion`."""
+    """Run as the process of a `Companion`."""
     order = json.loads(sys.stdin.readline())
     rig = config.parse_any_rig(order["rig_toml"], "rig")
     lines = [inherited_line(int(fd)) for fd in order["fds"]]
@@ -103,6 +103,6 @@ def be_companion() -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     plan = Plan(rate=Rate(float(order["rate_hz"])))
     result = serve(rig, lines, plan, stop=stop, ready=lambda: print("ready", flush=True))
-    # Its reader may be gone, killed perhaps.
+    # The reader may have been killed.
     with contextlib.suppress(BrokenPipeError):
         print(json.dumps(result.as_json()), flush=True)

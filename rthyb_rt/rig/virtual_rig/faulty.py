@@ -1,4 +1,4 @@
-"""A test at a virtual rig whose drive, sensors and wire fail as they were told, tick by tick."""
+"""A test on a virtual rig whose drive, sensors and link fail at prescribed ticks."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from rthyb_rt.rig.virtual_rig.serving import in_step
 def parse_mishaps(
     texts: Sequence[str], axes: Sequence[str] = (), rate: Rate = STANDARD
 ) -> tuple[loop.Fault, ...]:
-    """Return the faults of a test, in ticks from its first sample; arguments as `parse_faults`.
+    """Return the faults of a test, in ticks from its first sample; arguments as for `parse_faults`.
 
     Raises:
-        InputError: with every text that cannot be understood, or asks for what only a process has.
+        InputError: lists every text that is invalid or needs a virtual rig in its own process.
     """
     faults, cut_s = parse_faults(texts, axes, rate)
     if cut_s is not None:
@@ -43,13 +43,13 @@ def run(
     warn: Callable[[str], None] = lambda _: None,
     save: Callable[[Recording], None] | None = None,
 ) -> Recording:
-    """Run a test with faults: frames, drive and watchdogs are those of a rig, time is not.
+    """Run a test with faults: frames, drive and watchdogs are as on a rig, but time is virtual.
 
-    Limits that no file states act as they do at a rig: the test shows what would happen there.
+    Limits that no file states act as they would on a rig, to show what would happen there.
 
     Args:
-        setup: the test; its link is left out, a socket pair stands in for it.
-        faults: what goes wrong, in ticks from the first sample of the test proper.
+        setup: the test; its link is replaced by a socket pair.
+        faults: the faults, in ticks from the first sample of the test proper.
         progress, operator, warn, save: as in `rthyb_rt.lab.realtime.run`.
 
     Returns:
@@ -66,7 +66,7 @@ def run(
     names = setup.axis_names
     ours, theirs = opening.socket_pairs(names) if names else opening.socket_pair()
     with ours, theirs, in_step(setup.rig_file, theirs, Plan(rate=setup.rate)) as drive:
-        # A fault that is out of range is refused here, and not in the middle of the test.
+        # A fault that is out of range is refused now, not in the middle of the test.
         drive.schedule(faults)
         drive.schedule(())
         begun = False

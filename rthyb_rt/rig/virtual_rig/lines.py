@@ -1,4 +1,4 @@
-"""The rig's end of a wire, whoever is at the other."""
+"""The rig's end of a wire."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from rthyb_rt.rig.links import opening
 from rthyb_rt.rig.links.opened import Opened
 
 _SETTLED_S: Final = 0.05
-"""What a new connection may take to show that it is up."""
+"""Time that a new connection is given to prove that it is up."""
 
 
 class Line:
-    """The rig's end of a wire: a descriptor that stays the same whoever is at the other end.
+    """The rig's end of a wire: a descriptor that stays the same while controllers change.
 
     Args:
         kind: as in `rthyb_rt.core.loop.Link`.
         fd: the descriptor; the line owns it.
         codec: the frames.
         name: for messages.
-        mortal: without the other end there is nothing left to do.
+        mortal: whether the rig has nothing left to do once the other end is gone.
 
     Attributes:
         kind, fd, codec, name: as given.
@@ -44,47 +44,47 @@ class Line:
         self._mortal = mortal
 
     def tend(self, link: loop.Link) -> bool:
-        """Look after the connection; False once there will never be another."""
+        """Tend the connection; return False once there can be no other."""
         return not (self._mortal and link.down == "hung-up")
 
     def close(self) -> None:
-        """Let go of the descriptor; twice does no harm."""
+        """Close the descriptor; may be called more than once."""
         fd, self.fd = self.fd, -1
         if fd >= 0:
             os.close(fd)
 
 
 class OpenedLine(Line):
-    """A line over a link that was opened elsewhere."""
+    """A line over a link that is already open."""
 
     def __init__(self, opened: Opened) -> None:
         super().__init__(opened.kind, opened.fd, opened.codec, opened.name)
         self._opened = opened
 
     def tend(self, link: loop.Link) -> bool:
-        """Look after the connection; False once a thread in between has given up."""
+        """Tend the connection; return False once a thread in between has given up."""
         return self._opened.failure is None
 
     def close(self) -> None:
-        """Give back all that was opened."""
+        """Release everything that was opened."""
         self.fd = -1
         self._opened.close()
 
 
 class ListeningLine(Line):
-    """CAN frames over a socket in the file system that one controller after the other connects to.
+    """CAN frames over a socket in the file system, to which one controller after another connects.
 
     Args:
-        path: where.
+        path: of the socket.
         codec: the frames.
 
     Raises:
-        InputError: another process listens there, or the path cannot be used.
+        InputError: another process is listening there, or the path cannot be used.
     """
 
     def __init__(self, path: Path, codec: wire.Codec) -> None:
         here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        # Nobody is there yet: the same as somebody who has left.
+        # No controller has connected yet: equivalent to one that has left.
         there.close()
         super().__init__("can", here.detach(), codec, str(path))
         self._path = path
@@ -96,19 +96,19 @@ class ListeningLine(Line):
         self._connected_s = -math.inf
 
     def tend(self, link: loop.Link) -> bool:
-        """Give the place of a controller that has left to the next one."""
+        """Accept the next controller when one has left."""
         if link.down == "up" or time.monotonic() < self._connected_s + _SETTLED_S:
             return True
         with contextlib.suppress(BlockingIOError):
             peer, _ = self._listener.accept()
             with peer:
-                # Under the number that the drive has: it changes hands between two system calls.
+                # Replace the descriptor that the drive uses, in between two system calls.
                 os.dup2(peer.fileno(), link.fd, inheritable=False)
             self._connected_s = time.monotonic()
         return True
 
     def close(self) -> None:
-        """Stop listening and take the socket out of the file system."""
+        """Stop listening and remove the socket from the file system."""
         if self.fd >= 0:
             self._listener.close()
             self._path.unlink(missing_ok=True)
@@ -120,7 +120,8 @@ def _listen(path: Path) -> socket.socket:
         listener = undo.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         try:
             _remove_abandoned(path)
-            # Before it has a name: nobody else connects in between.
+            # Listen before the socket has its name, so that no other process can connect in
+            # between.
             os.fchmod(listener.fileno(), 0o600)
             listener.bind(str(path))
             listener.listen(1)
@@ -150,26 +151,26 @@ def _remove_abandoned(path: Path) -> None:
 
 
 def pty_line() -> tuple[Line, str]:
-    """Return a line of serial packets on a new pty, and the path of its other end."""
+    """Return a line of serial packets on a new pty, and the path of the pty's other end."""
     master, slave = os.openpty()
     tty.setraw(slave)
     os.set_blocking(master, False)
     path = os.ttyname(slave)
-    # What nobody reads shall not wait for the first controller: without one the line is dead.
+    # Unread bytes must not wait for the first controller: without one the line is dead.
     os.close(slave)
     return Line("stream", master, wire.serial(), path), path
 
 
 def inherited_line(fd: int) -> Line:
-    """Return the line on a socket that another process left to this one; it ends with that."""
+    """Return the line on a socket inherited from another process; it ends with that process."""
     return Line("can", fd, wire.can(), "socket pair", mortal=True)
 
 
 def lines_of(rig: AxesRig) -> list[Line]:
-    """Open the drives' ends of the links of all axes of a rig.
+    """Open the drive's end of the link of each axis of a rig.
 
     Raises:
-        InputError: what stands against one of them, with the axis.
+        InputError: what prevents one of them, with its axis.
     """
     with contextlib.ExitStack() as undo:
         found = opening.at_each(rig, lambda link, shared: line_of(link, shared=shared), undo)
@@ -181,7 +182,7 @@ def line_of(link: Link, *, shared: bool = False) -> Line:
     """Open the drive's end of a rig file's link; ``shared`` as of `opening.open_link`.
 
     Raises:
-        InputError: what stands against it.
+        InputError: what prevents it.
     """
     codec = (
         None

@@ -23,7 +23,7 @@ _VALUES: Final[dict[str, tuple[float, float, str, float | None]]] = {
     "jump": (-10.0, 10.0, "m", None),
     "force": (-1e9, 1e9, "N", None),
 }
-"""Lowest and highest value of a fault, its unit, and what it is without one."""
+"""Lowest and highest value of a fault, its unit, and the value without a fault."""
 
 _FOR_EVER: Final = 2**62
 _KEYS: Final[dict[str, str]] = {
@@ -34,7 +34,7 @@ _KEYS: Final[dict[str, str]] = {
     "jump": "m",
     "force": "n",
 }
-"""What a fault's value is called."""
+"""Key of the value of each fault."""
 _FAULT = re.compile(
     r"(?P<kind>[a-z-]+)@(?P<at>[0-9.eE+-]+)(?::(?P<for>[0-9.eE+-]+))?(?:=(?P<value>[0-9.eE+-]+))?"
 )
@@ -45,13 +45,13 @@ class Plan:
     """What a virtual rig does besides following its commands.
 
     Attributes:
-        rate: of its samples; None: that of the rig file's link.
-        seed: of sensor noise and of faults; None takes the rig file's.
-        drift_ppm: how much its clock is fast, 199 at most.
-        faults: what goes wrong, in ticks of its own.
-        power_cut_s: when its power goes, s after its start; None: never.
+        rate: sample rate; None: that of the rig file's link.
+        seed: of sensor noise and faults; None: that of the rig file.
+        drift_ppm: by how much its clock is fast, 199 at most.
+        faults: the faults, in ticks of its own clock.
+        power_cut_s: when its power fails, s after its start; None: never.
         seconds: how long it runs; None: until it is stopped.
-        log_ticks: how many ticks the log has room for.
+        log_ticks: capacity of the log, in ticks.
     """
 
     seed: int | None = None
@@ -64,27 +64,27 @@ class Plan:
 
 
 NO_PLAN: Final = Plan()
-"""Nothing goes wrong."""
+"""No faults."""
 
 
 def parse_faults(
     texts: Sequence[str], axes: Sequence[str] = (), rate: Rate = STANDARD
 ) -> tuple[tuple[loop.Fault, ...], float | None]:
-    """Return the faults, and when the power goes.
+    """Return the faults, and the time of a power cut.
 
-    On a rig of several axes each but ``power-cut`` begins with its axis: ``lower.drop@2.5``.
+    On a rig of several axes, all but ``power-cut`` begin with the axis: ``lower.drop@2.5``.
 
-    Each is ``KIND@SECONDS[:DURATION_S][=VALUE]``, or ``KIND[:KEY=NUMBER,...]`` with the keys from
-    and to (s) and that of its value: p of lost frames, ticks of a delay, m of a jump, n of a force.
-    Without an end a fault stays for good; the shortest one lasts a tick.
+    Each is ``KIND@SECONDS[:DURATION_S][=VALUE]``, or ``KIND[:KEY=NUMBER,...]`` with the keys
+    ``from`` and ``to`` (s) and that of its value: p of lost frames, ticks of a delay, m of a jump,
+    n of a force. Without an end, a fault is permanent; the shortest lasts one tick.
 
     Args:
         texts: the faults.
-        axes: names of several axes; () of a rig of one.
-        rate: of the rig, in whose samples a fault begins and lasts.
+        axes: names of the axes; () for a rig of one.
+        rate: sample rate of the rig, in whose samples a fault begins and lasts.
 
     Raises:
-        InputError: with every text that cannot be understood.
+        InputError: lists every text that is invalid.
     """
     faults: list[loop.Fault] = []
     cuts: list[float] = []
@@ -114,7 +114,7 @@ def parse_faults(
 
 
 def _axis_of(text: str, axes: Sequence[str]) -> tuple[int | None, str]:
-    """Return the number of a fault's axis, and the rest of it; None: it names none of several."""
+    """Return the number of a fault's axis, or None if it names none, and the rest of the text."""
     if not axes:
         return 0, text
     name, dot, rest = text.partition(".")

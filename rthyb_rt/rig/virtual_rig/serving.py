@@ -1,4 +1,4 @@
-"""Actuator controller and load cell at the end of a line, with clock and watchdog of their own."""
+"""Actuator controller and load cell at the end of a line, with their own clock and watchdog."""
 
 from __future__ import annotations
 
@@ -27,48 +27,48 @@ from rthyb_rt.rig.virtual_rig.lines import Line
 from rthyb_rt.rig.virtual_rig.plan import NO_PLAN, Plan
 
 LOG_SECONDS: Final = 600.0
-"""Length of the drive log where nothing says how long the rig will run."""
+"""Length of the drive log if the duration of the run is not known."""
 _SERIAL_COMMAND: Final = 12
 """Bytes of a command on the serial line."""
 _LOOK_S: Final = 0.005
 
 Drives = loop.Drive | loop.Drives
-"""Of a rig: one, or those of all its axes."""
+"""The drive of a rig, or those of all its axes."""
 
 
 class Stop:
-    """The wish that a rig ends; a signal's handler may utter it at any instant.
+    """A request to end a rig; it may be set from a signal handler at any instant.
 
-    It takes no lock: `threading.Event.set` would wait for ever for the one that the interrupted
-    thread has while it looks at the event.
+    It takes no lock: `threading.Event.set` would wait forever for the lock that the interrupted
+    thread holds while it inspects the event.
     """
 
     def __init__(self) -> None:
         self._wanted = False
 
     def set(self) -> None:
-        """Have it end."""
+        """Request the end."""
         self._wanted = True
 
     def is_set(self) -> bool:
-        """Whether it is to end."""
+        """Whether the end was requested."""
         return self._wanted
 
 
 @dataclass(frozen=True)
 class Result:
-    """What became of a virtual rig.
+    """Summary of the run of a virtual rig.
 
     Attributes:
-        ticks: samples that it lived through.
-        skipped: samples that its own clock slept through.
-        commands: command frames that came.
-        watchdog_stops: how often it stopped because nothing fresh came.
-        told_stops: how often a controller that tripped told it to stop.
-        phase: one of `rthyb_rt.core.loop.PHASES`, at the end; of drives that differ each by name.
-        power_cut: its power went.
-        privileges: what its thread obtained, names of `rthyb_rt.core.ticker.PRIVILEGES`.
-        log: what it saw and did, `rthyb_rt.core.loop.LOG_DTYPE`, (n,); of several axes (n, axes).
+        ticks: samples executed.
+        skipped: samples skipped because its own clock stalled.
+        commands: command frames received.
+        watchdog_stops: how often it stopped because no new command arrived.
+        told_stops: how often it was stopped by a controller that tripped.
+        phase: one of `rthyb_rt.core.loop.PHASES`, at the end; by name if the drives differ.
+        power_cut: whether its power failed.
+        privileges: obtained by its thread, names of `rthyb_rt.core.ticker.PRIVILEGES`.
+        log: samples and commands, `rthyb_rt.core.loop.LOG_DTYPE`, (n,); of several axes (n, axes).
     """
 
     ticks: int
@@ -82,14 +82,14 @@ class Result:
     log: NDArray[np.void] = field(repr=False)
 
     def as_json(self) -> dict[str, Any]:
-        """Return all of it but the log."""
+        """Return everything except the log."""
         values = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         del values["log"]
         return values | {"privileges": list(self.privileges)}
 
 
 class _Watcher:
-    """Counts how often the drive stops, and why, by looking now and then."""
+    """Counts how often the drive stops, and why, by polling."""
 
     def __init__(self, drives: Sequence[loop.Drive]) -> None:
         self._drives = drives
@@ -107,18 +107,18 @@ class _Watcher:
 
 
 def rate_of(rig: RigFile | AxesRig, plan: Plan) -> Rate:
-    """Return the rate that a virtual rig is sampled at."""
+    """Return the sample rate of a virtual rig."""
     return rig.rate if plan.rate is None else plan.rate
 
 
 def drives_of(
     rig: AxesRig, codecs: Sequence[wire.Codec], links: Sequence[loop.Link], plan: Plan
 ) -> loop.Drives:
-    """Return the drives of all axes of a rig file, each at its end of its link.
+    """Return the drive of each axis of a rig file, each at its end of its link.
 
     Raises:
-        CoreError: the rig, the drift or a fault is refused.
-        InputError: figures that the files' own checks let through and the core does not.
+        CoreError: the rig, the drift or a fault is invalid.
+        InputError: values that pass the checks of the files but not those of the core.
     """
     seed = rig.rig.seed if plan.seed is None else plan.seed
     given = rig.model_copy(update={"rig": rig.rig.model_copy(update={"seed": seed})})
@@ -133,7 +133,7 @@ def drives_of(
                 link,
                 stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(own),
                 log_ticks=plan.log_ticks,
-                # Faults of two drives are not to fall together.
+                # Random faults of two drives must not coincide.
                 seed=seed + k,
                 drift_ppm=plan.drift_ppm,
                 calibration=experiment.calibration(own),
@@ -157,7 +157,7 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> lo
     """Return the drive of a rig file at its end of a link.
 
     Raises:
-        CoreError: the rig, the drift or a fault is refused.
+        CoreError: the rig, the drift or a fault is invalid.
     """
     seed = rig.rig.seed if plan.seed is None else plan.seed
     drive = loop.Drive(
@@ -188,14 +188,14 @@ def in_step(
 
 @contextlib.contextmanager
 def in_step(rig: RigFile | AxesRig, opened: Opened, plan: Plan = NO_PLAN) -> Iterator[Any]:
-    """Give a drive that ticks on the caller's word: for the stepped clock, not in real time.
+    """Yield a drive that ticks when the caller asks: for the stepped clock, not in real time.
 
-    Of a rig of several axes the drives of all.
+    For a rig of several axes, yield the drives of all.
 
     Args:
-        rig: what moves and measures.
-        opened: its end of the link; stays the caller's.
-        plan: what goes wrong when; its times of power cut and end do not count.
+        rig: the rig to simulate.
+        opened: its end of the link; it remains the caller's.
+        plan: faults; its power cut and duration are ignored.
     """
     with contextlib.ExitStack() as owned:
         links = [loop.Link(one.kind, one.fd) for one in opened.all]
@@ -212,17 +212,17 @@ def serve(
     stop: Stop | None = None,
     ready: Callable[[], None] = lambda: None,
 ) -> Result:
-    """Be a virtual rig until told to stop, the time is over, or nobody is left.
+    """Run a virtual rig until it is stopped, its time is over, or the other end is gone.
 
     Args:
-        rig: what moves and measures.
-        line: its end of the wire, of several axes of each; stays the caller's.
-        plan: what goes wrong when.
-        stop: ends it; from any thread, or from a signal's handler.
+        rig: the rig to simulate.
+        line: its end of the wire, one for each axis; they remain the caller's.
+        plan: faults.
+        stop: ends it; may be set from any thread or signal handler.
         ready: called once it ticks.
 
     Raises:
-        CoreError: the rig, the drift or a fault is refused.
+        CoreError: the rig, the drift or a fault is invalid.
     """
     stop = stop or Stop()
     lines = (line,) if isinstance(line, Line) else tuple(line)
@@ -251,7 +251,8 @@ def _run(
 
     def tick() -> None:
         try:
-            # Locking what the process has takes longer than many a tick: its clock starts later.
+            # Locking the process's memory takes longer than many a tick, so the clock starts
+            # afterwards.
             obtained.extend(ticker.become_real_time())
             begins_ns = ticker.now_ns() + 20_000_000
             clocks.append(ticker.Ticker("host", begins_ns, drive.drives[0].rate_hz))
@@ -268,7 +269,7 @@ def _run(
         ready()
         cut = _look_after(drive, ends, plan, stop, watcher)
     finally:
-        # An interrupt may come before there is a clock that could be stopped.
+        # An interrupt may arrive before there is a clock that could be stopped.
         begun.wait()
         for ticking in clocks:
             ticking.stop()
@@ -289,7 +290,7 @@ def _run(
 
 
 def _commands(line: Line, link: loop.Link) -> int:
-    """Return how many command frames have come."""
+    """Return how many command frames have been received."""
     counters = link.counters()
     serial = line.kind == "stream"
     return counters["bytes_in"] // _SERIAL_COMMAND if serial else counters["pieces_in"]
@@ -318,7 +319,7 @@ def _look_after(
             return True
         if plan.seconds is not None and now_s >= plan.seconds:
             return False
-        # Nobody left: what moves is stopped first, as it would be in the room.
+        # The other end is gone: whatever moves is stopped first, as on a real rig.
         left = [line.tend(link) for line, link in ends]
         if not any(left) and all(one.phase == "stopped" for one in drive.drives):
             return False
@@ -326,10 +327,10 @@ def _look_after(
 
 
 def write_log(path: Path, log: NDArray[np.void], rate: Rate = STANDARD) -> None:
-    """Write a drive log, as ``.npy``, or as ``.h5`` with the dataset ``drive_log`` and its rate.
+    """Write a drive log as ``.npy``, or as ``.h5`` with the dataset ``drive_log`` and its rate.
 
     Raises:
-        InputError: the name ends otherwise.
+        InputError: the file name has another suffix.
         RthybError: the file cannot be written.
     """
     if path.suffix not in LOG_SUFFIXES:
