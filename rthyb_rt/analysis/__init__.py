@@ -1,1 +1,1 @@
-"""What signals and settings say: measures, margins, summary."""
+"""Analysis of signals and settings: measures, margins, summary."""

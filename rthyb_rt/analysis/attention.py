@@ -1,8 +1,9 @@
-"""What makes a test one not to be relied on although it went to its end, in figures.
+"""Signs that a test should not be relied on although it was completed, in figures.
 
-Everything is judged over 2 s: long enough for the periods of structures, short enough that a quiet
-end does not hide behind a strong beginning. A test is summed up in eighths of a second as its rows
-come; so a test that runs is judged as one of the past.
+Everything is judged over windows of 2 s: long enough for the periods of structures, and short
+    enough
+that a quiet end does not dilute a strong beginning. Rows are summed up in eighths of a second as
+they arrive, so that a running test is judged exactly as a past one.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ Kind = Literal["response", "delay", "damping", "stiffness"]
 WINDOW_S: Final = 2.0
 BLOCKS_PER_S: Final = 8
 MOVES: Final = 0.02
-"""Of the peak: a root mean square above it is motion, below it is the quiet end of a test."""
+"""Share of the peak: an rms above it is motion, below it is the quiet end of a test."""
 RESPONSE_OFF: Final = 0.2
-"""Difference from the reference, of the reference, both as root mean square of 2 s."""
+"""Difference from the reference over the reference, both as rms of 2 s."""
 WITHOUT_STIFFNESS: Final = 0.25
-"""Share of the motion with a tangent stiffness of zero, which is no force compensation."""
+"""Share of the motion with a tangent stiffness of zero, hence without force compensation."""
 FED: Final = 1.0
-"""Energy fed by the tracking error over what the numerical damping takes out: nothing is left."""
+"""Energy fed by the tracking error over that removed by the numerical damping: 1 cancels it."""
 
 _SIGNALS: Final = ("x_num_m", "x_meas_m", "f_meas_n", "k_t_n_per_m", "alpha")
 _WINDOW: Final = round(WINDOW_S * BLOCKS_PER_S)
@@ -37,16 +38,17 @@ _SENSELESS: Final = 1e100
 
 @dataclass(frozen=True)
 class Subject:
-    """What has to be known of a test to judge it; None switches off what needs it.
+    """What must be known about a test to judge it; None disables the checks that need it.
 
     Attributes:
-        fs_hz: rows a second.
-        peak_m: of the reference simulation; None takes that of the command so far.
+        fs_hz: rows per second.
+        peak_m: of the reference simulation; None: that of the command so far.
         damping_n_s_per_m: of the numerical part.
         k_e_n_per_m: elastic stiffness of the specimen.
-        rfc_enabled: force compensation is on.
-        delay_samples: the rig's, as identified; None also where nothing compensates it.
-        margin_samples: error of alpha that the structure survives (`margins.delay_margin`).
+        rfc_enabled: whether force compensation is on.
+        delay_samples: identified delay of the rig; None also if nothing compensates it.
+        margin_samples: error of alpha at which the structure is still stable
+            (`margins.delay_margin`).
     """
 
     fs_hz: float
@@ -60,15 +62,15 @@ class Subject:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing gone wrong.
+    """Something that went wrong.
 
     Attributes:
-        kind: "response": rms difference from the reference over its rms; "delay": alpha where it
-            is farthest off; "damping": energy that the tracking error fed over what the numerical
-            damping took out; "stiffness": share of the motion with a tangent stiffness of zero.
-        value: the worst, a fraction; of "delay" in samples.
-        allowed: what it may be; of "delay" the error, in samples.
-        from_s, to_s: where that was, from the first sample of the test proper on.
+        kind: "response": rms difference from the reference over its rms; "delay": alpha where its
+            error is greatest; "damping": energy fed by the tracking error over that removed by the
+            numerical damping; "stiffness": share of the motion with a tangent stiffness of zero.
+        value: the worst value, a fraction; for "delay" in samples.
+        allowed: greatest allowed value; for "delay" the allowed error, in samples.
+        from_s, to_s: when it occurred, from the first sample of the test proper.
     """
 
     kind: Kind
@@ -78,12 +80,12 @@ class Finding:
     to_s: float
 
     def meets(self, other: Finding) -> bool:
-        """Return whether both were at the same time."""
+        """Return whether both occurred at the same time."""
         return self.from_s < other.to_s and other.from_s < self.to_s
 
 
 class Judge:
-    """Sums up the rows of the test proper as they come, and says what is wrong so far.
+    """Sums up the rows of the test proper as they arrive, and reports what is wrong so far.
 
     Args:
         subject: what is known of the test.
@@ -99,11 +101,11 @@ class Judge:
     def add(
         self, rows: NDArray[np.void] | Mapping[str, Floats], x_ref_m: ArrayLike | None = None
     ) -> None:
-        """Take rows of the test proper, in order.
+        """Add rows of the test proper, in order.
 
         Args:
             rows: fields as in `recording.UNITS`, shape (n,) each.
-            x_ref_m: reference displacement there, shape (m,) with m <= n; the rest has none.
+            x_ref_m: reference displacement at these rows, (m,) with m <= n; the others have none.
         """
         size = rows["x_meas_m"].size
         if not size:
@@ -114,7 +116,7 @@ class Judge:
         if x_ref_m is not None:
             reference = np.asarray(x_ref_m, dtype=np.float64)
             new[-1, : reference.size] = reference
-        # Each block begins with the row before it, for what happens between two rows.
+        # Each block begins with the previous row, for differences between two rows.
         before = self._rest if self._rest.shape[1] else new[:, :1]
         joined = np.concatenate([before, new], axis=1)
         blocks = (joined.shape[1] - 1) // self._rows
@@ -123,7 +125,7 @@ class Judge:
         self._rest = joined[:, blocks * self._rows :].copy()
 
     def _sum_up(self, signals: Floats, blocks: int) -> Floats:
-        """Return what is judged, a block a column."""
+        """Return the quantities that are judged, one column per block."""
         s = self._subject
         with np.errstate(invalid="ignore"):
             signals = np.where(np.abs(signals) < _SENSELESS, signals, np.nan)
@@ -151,11 +153,11 @@ class Judge:
         )
 
     def findings(self, *, over: bool = True) -> list[Finding]:
-        """Return what is wrong, the gravest first; nothing within the first eighth of a second.
+        """Return what is wrong, the most serious first; nothing in the first eighth of a second.
 
         Args:
-            over: the test is over; else 2 s have to have passed, and a delay estimate that is
-                still on its way to the rig's delay is given its time.
+            over: whether the test is over. Otherwise at least 2 s must have passed, and a delay
+                estimate that is still converging to the rig's delay is not judged yet.
         """
         if not self._sums:
             return []
@@ -175,12 +177,12 @@ class Judge:
 
     @property
     def _moves2(self) -> float:
-        """Sum of squares of a block above which something moves."""
+        """Sum of squares of a block above which there is motion."""
         peak_m = self._subject.peak_m or self._peak_m
         return (MOVES * peak_m) ** 2 * self._rows
 
     def _moving(self, squares: Floats, size: int) -> NDArray[np.bool_]:
-        """Return which windows move in both halves: no quiet one is judged by the other."""
+        """Return which windows contain motion in both halves, so that no quiet half is judged."""
         half = max(1, size // 2)
         moves = _windows(squares, half) > half * self._moves2
         both: NDArray[np.bool_] = moves[: squares.size - size + 1] & moves[size - half :]
@@ -206,7 +208,7 @@ class Judge:
         near = np.flatnonzero(away <= margin)
         if not near.size and not over:
             return None
-        # An estimate that begins elsewhere may take its time to get there.
+        # An estimate that starts elsewhere is given time to converge.
         begun = int(near[0]) if near.size else 0
         off = begun + np.flatnonzero(away[begun:] > margin)
         if not off.size:
@@ -243,24 +245,24 @@ class Judge:
 
 
 class AxesJudge:
-    """The same for several axes: whether each of them follows the reference simulation.
+    """The same for several axes: whether each follows the reference simulation.
 
     Args:
         names: of the axes.
-        fs_hz: rows a second.
-        peak_m: of the reference simulation, over all axes: one that moves by less than ``MOVES``
-            of it is at rest, and its noise is not judged.
+        fs_hz: rows per second.
+        peak_m: of the reference simulation, over all axes: an axis that moves by less than
+            ``MOVES`` times this is at rest, and its noise is not judged.
     """
 
     def __init__(self, names: Sequence[str], fs_hz: float, peak_m: float) -> None:
         self._judges = {name: Judge(Subject(fs_hz, peak_m=peak_m)) for name in names}
 
     def add(self, rows: NDArray[np.void], axis_m: Floats | None = None) -> None:
-        """Take rows of the test proper, in order.
+        """Add rows of the test proper, in order.
 
         Args:
             rows: of the recording, shape (n,).
-            axis_m: reference displacements of the axes there, shape (m, axes) with m <= n.
+            axis_m: reference displacements of the axes at these rows, (m, axes) with m <= n.
         """
         if axis_m is None:
             return
@@ -270,7 +272,7 @@ class AxesJudge:
             judge.add(rest | {"x_meas_m": measured}, axis_m[:, i])
 
     def findings(self, *, over: bool = True) -> list[tuple[str, Finding]]:
-        """Return name and finding of each axis that does not follow; see `Judge.findings`."""
+        """Return name and finding of each axis that does not follow, see `Judge.findings`."""
         return [
             (name, found)
             for name, judge in self._judges.items()
@@ -279,11 +281,12 @@ class AxesJudge:
 
 
 def _windows(values: Floats, size: int) -> Floats:
-    """Return the sums of so many neighbours, shape (n - size + 1,)."""
-    # Neighbours are added, not running sums subtracted: one huge block would swallow the others.
+    """Return the sums of ``size`` neighbouring values, shape (n - size + 1,)."""
+    # Sums of neighbours, not differences of running sums, in which one huge block would swamp
+    # others.
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, size).sum(axis=1))
 
 
 def _ratio(part: Floats, whole: Floats) -> Floats:
-    """Return part / whole, 0 where there is no whole."""
+    """Return part / whole, or 0 where whole is 0."""
     return np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)

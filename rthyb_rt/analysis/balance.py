@@ -1,14 +1,14 @@
-"""Where the energy of a test has gone: input, kinetic, strain, damping, specimen.
+"""Energy balance of a test: input, kinetic, strain, damping, specimen.
 
-The equation of motion in relative coordinates, m a + c v + k x + F = -m a_g, times the velocity and
-summed up over time, with F = f + k_t (x_c - x_m) the force that it was given (Eqn 3.2), f the
-measured one:
+The equation of motion in relative coordinates, m a + c v + k x + F = -m a_g, is multiplied by the
+velocity and integrated over time. F = f + k_t (x_c - x_m) is the force used by the integration
+(Eqn 3.2), f the measured force:
 
     E_input + E_fed = E_kinetic + E_damping + E_strain + E_specimen
 
-E_fed is what the tracking error has put in (`measures.fed_energy`). Uang, C.-M., Bertero, V.V.:
-"Evaluation of seismic energy in structures", Earthquake Engineering & Structural Dynamics 19 (1990)
-77-90, has the balance of a structure without an actuator in it.
+E_fed is the energy fed in by the tracking error (`measures.fed_energy`). The balance of a structure
+without an actuator is given by Uang, C.-M., Bertero, V.V.: "Evaluation of seismic energy in
+structures", Earthquake Engineering & Structural Dynamics 19 (1990) 77-90.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ class EnergyBalance:
 
     Attributes:
         t_s: time of the rows, (n,), s.
-        input_j: put in by the ground motion.
-        fed_j: put in by the tracking error; negative: taken out.
-        kinetic_j, damping_j: of the computed part, in its motion and lost in its damping.
-        strain_j: stored, and given back: in the computed stiffness and in the elastic specimen.
-        specimen_j: lost in the specimen: hysteresis, friction, its own damping.
-        elements_j: lost in nonlinear elements of the computed part.
+        input_j: supplied by the ground motion.
+        fed_j: fed in by the tracking error; negative: removed by it.
+        kinetic_j, damping_j: of the numerical part: in its motion, and dissipated by its damping.
+        strain_j: recoverable: in the numerical stiffness and in the elastic specimen.
+        specimen_j: dissipated by the specimen: hysteresis, friction, its own damping.
+        elements_j: dissipated by nonlinear elements of the numerical part.
     """
 
     t_s: Floats
@@ -54,34 +54,35 @@ class EnergyBalance:
 
     @property
     def rest_j(self) -> Floats:
-        """What is missing to the balance: numerics, and a filter of the force compensation."""
+        """Residual of the balance: discretisation, and the filter of the force compensation."""
         kept = self.kinetic_j + self.damping_j + self.strain_j
         return np.asarray(self.input_j + self.fed_j - kept - self.specimen_j - self.elements_j)
 
     @property
     def gap(self) -> float:
-        """The largest rest as a part of the largest input and strain energy; nan without any."""
+        """Greatest residual over the greatest input and strain energy; nan if there is none."""
         whole = float(np.max(self.input_j, initial=0.0) + np.max(self.strain_j, initial=0.0))
         return float(np.max(np.abs(self.rest_j), initial=0.0)) / whole if whole else float("nan")
 
 
 def of_recording(rec: Recording, given: Setup) -> EnergyBalance | None:
-    """Return the balance of a recording; None where mass, damping or stiffness are not known.
+    """Return the balance of a recording; None if mass, damping or stiffness are not known.
 
-    A structure of many degrees of freedom has that of `structure_balance`. Taken is what was
-    recorded up to the first interruption of the test proper.
+    A structure with many degrees of freedom is handled by `structure_balance`. Only rows up to the
+    first interruption of the test proper are used.
 
     Args:
         rec: the recording.
-        given: what its files say.
+        given: settings from its files.
     """
     test = _parsed(rec.test_toml)
     numerical = test.get("numerical", {})
-    # What a part of the user's own does with its energy, only its maker knows.
+    # What a user's own part does with its energy is not known here.
     if not isinstance(numerical, dict) or numerical.keys() & {"library", "fmu", "python"}:
         return None
     if any(key in numerical for key in ("matrices", "storeys")):
-        # It needs the packages of a structure, which a test of one mass does without.
+        # Imported here: it needs the packages for structures, which a test of one mass does
+        # without.
         from rthyb_rt.analysis import structure_balance
 
         return structure_balance.of_recording(rec)
@@ -104,7 +105,7 @@ def of_recording(rec: Recording, given: Setup) -> EnergyBalance | None:
 
 
 def uninterrupted(rec: Recording) -> NDArray[np.intp]:
-    """Return the numbers of the rows of the test proper up to its first interruption."""
+    """Return the row numbers of the test proper up to its first interruption."""
     rows = np.flatnonzero(rec.running())
     breaks = np.flatnonzero(np.diff(rows) > 1)
     return rows[: breaks[0] + 1] if breaks.size else rows
@@ -122,7 +123,7 @@ def balance(
     k_t_n_per_m: Floats, *, mass_kg: float, damping_n_s_per_m: float, stiffness_n_per_m: float,
     k_e_n_per_m: float, fs_hz: float, compensated: bool = True,
 ) -> EnergyBalance:  # fmt: skip
-    """Return the energies of one degree of freedom.
+    """Return the energies of a structure with one degree of freedom.
 
     Args:
         t_s: time, (n,), s.
@@ -130,7 +131,7 @@ def balance(
         f_meas_n: measured force, (n,), N.
         ag_mps2: ground acceleration, (n,), m/s^2.
         k_t_n_per_m: tangent stiffness of the force compensation, (n,), N/m.
-        mass_kg, damping_n_s_per_m, stiffness_n_per_m: of the computed part.
+        mass_kg, damping_n_s_per_m, stiffness_n_per_m: of the numerical part.
         k_e_n_per_m: elastic stiffness of the specimen, N/m.
         fs_hz: sampling rate, Hz.
         compensated: whether the force was compensated.
@@ -153,5 +154,5 @@ def balance(
             "specimen_j": taken - stored,
             "elements_j": np.zeros_like(f_meas_n),
         }
-        # A test begins at rest: what stands there already is not of this test.
+        # A test begins at rest: any offset at its beginning does not belong to it.
         return EnergyBalance(t_s, **{name: value - value[0] for name, value in found.items()})

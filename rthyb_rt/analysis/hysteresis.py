@@ -1,9 +1,9 @@
-"""What the loops of a prescribed history show: backbone, secant stiffness, energy, damping.
+"""Results from the loops of a prescribed history: backbone, secant stiffness, energy, damping.
 
 A cycle with the peaks (x+, f+) and (x-, f-) has the secant stiffness k = (f+ - f-) / (x+ - x-), the
 energy E = closed integral of f dx, and the equivalent viscous damping ratio
-E / (2 pi k X^2), X = (x+ - x-) / 2: the one with which a linear oscillator in resonance takes out
-as much (Jacobsen, Trans. ASME 52, 1930; Chopra, Dynamics of Structures, section 3.9).
+E / (2 pi k X^2), X = (x+ - x-) / 2: that of a linear oscillator which dissipates the same energy
+in resonance (Jacobsen, Trans. ASME 52, 1930; Chopra, Dynamics of Structures, section 3.9).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from rthyb_rt.record.recording import Recording
 Floats = NDArray[np.float64]
 
 AROUND: Final = 0.01
-"""Of a cycle, on either side of a peak: a mean over so much has little of the sensor's noise, and
-is .07 % below the peak of a sine."""
+"""Share of a cycle on either side of a peak that is averaged: enough to suppress sensor noise, and
+only 0.07 % below the peak of a sine."""
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,10 @@ class Loop:
     """One measured cycle.
 
     Attributes:
-        rows: of the test proper, first and one behind the last.
+        rows: of the test proper, first and one past the last.
         upper, lower: displacement and force at the two peaks, m and N.
         secant_n_per_m: stiffness between them.
-        energy_j: what the specimen took out.
+        energy_j: dissipated by the specimen.
         damping_ratio: equivalent, of critical.
     """
 
@@ -52,11 +52,11 @@ class Loop:
 
 @dataclass(frozen=True)
 class Amplitude:
-    """What the cycles of one amplitude have shown.
+    """Results of the cycles of one amplitude.
 
     Attributes:
-        amplitude_m: that was asked for.
-        loops: its cycles that were carried out, in their order; at least one.
+        amplitude_m: prescribed amplitude.
+        loops: the cycles that were carried out, in order; at least one.
     """
 
     amplitude_m: float
@@ -64,12 +64,12 @@ class Amplitude:
 
     @property
     def first(self) -> Loop:
-        """The first cycle: its peaks are points of the backbone."""
+        """The first cycle, whose peaks are points of the backbone."""
         return self.loops[0]
 
     @property
     def last(self) -> Loop:
-        """The last cycle, after which nothing of the amplitude before is left."""
+        """The last cycle, which no longer depends on the previous amplitude."""
         return self.loops[-1]
 
 
@@ -80,7 +80,7 @@ def amplitudes(rec: Recording) -> tuple[Amplitude, ...]:
         rec: of any test.
 
     Returns:
-        None for a test without cycles: a hybrid test, a sweep, noise, or one of another version.
+        () for a test without cycles: a hybrid test, a sweep, noise, or one of another version.
     """
     plan = plan_of(rec)
     if plan is None or not plan.cycles:
@@ -90,7 +90,7 @@ def amplitudes(rec: Recording) -> tuple[Amplitude, ...]:
     late = _late_rows(np.ascontiguousarray(run["x_num_m"]), x, rec.fs_hz)
     found: dict[int, list[Loop]] = {}
     for cycle in plan.cycles:
-        # The row of a sample holds the command that the sample before has given.
+        # A row contains the command of the previous sample.
         start, stop = cycle.start + 1 + late, cycle.stop + 1 + late
         if stop < x.size and np.isfinite(x[start : stop + 1] + f[start : stop + 1]).all():
             found.setdefault(cycle.step, []).append(_loop(x, f, start, stop))
@@ -99,14 +99,14 @@ def amplitudes(rec: Recording) -> tuple[Amplitude, ...]:
 
 
 def plan_of(rec: Recording) -> histories.Plan | None:
-    """Return the history that a recording was told to follow; None: none that can be read."""
+    """Return the history that a recording followed; None if it has none that can be read."""
     try:
         raw = tomllib.loads(rec.test_toml)
         if "history" not in raw:
             return None
         test = TestFile.model_validate(raw)
         assert test.history is not None
-        # Resolved: with all figures of its limits.
+        # The resolved file contains all values of its limits.
         most = test.limits.path_acceleration_m_per_s2 or 1.0
         return histories.plan(test.history, rec.fs_hz, most, test.test.time_scale)
     except (tomllib.TOMLDecodeError, ValidationError, InputError):
@@ -114,7 +114,7 @@ def plan_of(rec: Recording) -> histories.Plan | None:
 
 
 def _late_rows(x_num: Floats, x_meas: Floats, fs_hz: float) -> int:
-    """Return by how many whole rows the specimen is behind the command."""
+    """Return the delay of the specimen behind the command, rounded to whole rows."""
     delay_s = measures.fei(x_num, x_meas, fs_hz).delay_s
     return max(round(delay_s * fs_hz), 0) if np.isfinite(delay_s) else 0
 

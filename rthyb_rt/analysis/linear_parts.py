@@ -1,4 +1,4 @@
-"""What a numerical part is to its actuator: a linear system, small enough for its roots."""
+"""A numerical part as its actuator experiences it: a linear system, small enough to find roots."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 MOST_MODES: Final = 80
-"""Of a part's modes in its loop; what all others give way by acts at once."""
+"""Modes of a part that its loop includes; the flexibility of all others acts at once."""
 _DIRECT: Final = 16
-"""States up to which a response is solved for at each frequency."""
+"""Number of states up to which a response is solved directly at each frequency."""
 
 
 @dataclass(frozen=True)
 class LinearPart:
-    """s[n+1] = a s[n] + b force[n]; the interface is at c s[n].
+    """s[n+1] = a s[n] + b force[n]; the displacement of the interface is c s[n].
 
     Attributes:
         a, b, c: (n, n), (n,), (n,).
         k_e_n_per_m: elastic stiffness of the specimen.
-        force_delay: samples by which the force is used late.
+        force_delay: samples by which the force is delayed within the part.
     """
 
     a: Floats
@@ -40,10 +40,10 @@ class LinearPart:
 
     @classmethod
     def of(cls, config: DenseConfig | SparseConfig) -> LinearPart:
-        """Return it; elements of a sparse part have their initial stiffness.
+        """Return the linear system of a part; elements of a sparse part have initial stiffness.
 
         Raises:
-            CoreError: nothing holds a motion of a part that has to be condensed.
+            CoreError: the part must be condensed, but has a motion without stiffness.
         """
         if isinstance(config, DenseConfig):
             a, b = DensePart(config).step_matrices()
@@ -82,7 +82,7 @@ class LinearPart:
 
 
 def of_sparse(config: SparseConfig) -> LinearPart:
-    """Return the step of KR-alpha over x and v, with weights before also the last q and force."""
+    """Return one step of KR-alpha in x and v, preceded by weights of the last q and force."""
     n, h, w = config.size, config.period_s, Weights.of(config.integrator, config.rho_inf)
     b = config.interface_rows()[0]
     k_e = config.k_e_n_per_m[0]
@@ -92,7 +92,7 @@ def of_sparse(config: SparseConfig) -> LinearPart:
     gain = (0.5 + w.gamma) * h * h
     now, before = 1.0 - w.alpha_f, w.alpha_f
     in_step = w.gamma * h * c + w.beta * h * h * whole
-    # x and v before the last step, by x, v and q.
+    # x and v before the last step, from x, v and q.
     by_q = w.alpha_m * m + before * (in_step + (h * h - gain) * own - h * c)
     by = np.hstack([own, c - before * h * own, by_q, (before * b)[:, None]])
     s = (1.0 - w.alpha_m) * m + now * in_step
@@ -112,8 +112,8 @@ def of_sparse(config: SparseConfig) -> LinearPart:
 def condensed(config: SparseConfig) -> LinearPart:
     """Return `MOST_MODES` modes of the joined structure, the rest by its residual flexibility.
 
-    With f the force and x the interface, the joined structure is driven by f - k_e x. What the
-    modes that are left out give way by (MacNeal 1971) acts one sample later, as any force does.
+    With f the force and x the interface, the joined structure is driven by f - k_e x. The
+    flexibility of the omitted modes (MacNeal 1971) acts one sample later, as any force does.
     """
     row, k_e = config.interface_rows()[0], config.k_e_n_per_m[0]
     w2, shapes = lowest_modes(config, MOST_MODES)

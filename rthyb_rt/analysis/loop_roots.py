@@ -1,14 +1,14 @@
-"""Whether the whole loop of a test is stable, before it runs: roots, gain margin, delay margin.
+"""Stability of the closed loop of a test, before it runs: roots, gain margin, delay margin.
 
-Round the loop go the numerical part, the control law, the rig as it was identified (response and
-force), and force compensation. All of it is linear as long as the specimen is elastic, so that its
-largest root says whether what is there grows. A phase lead that learns is asked with its first
-settings and with those that the rig's response leads it to; any other law with its first.
+The loop consists of the numerical part, the control law, the rig as identified (response and
+force), and force compensation. It is linear as long as the specimen is elastic, and its largest
+root shows whether motion grows. An adaptive phase lead is examined with its initial settings and
+with those to which the rig's response leads it; any other law with its initial settings.
 
     f* = R x_c + k (LP + tau V) x_c,   R = (Z - k LP) G C,   x_c = -N f*
 
-with N the numerical part, C the law, G the rig, Z the force over x_m, LP the low-pass and tau V the
-lateness of the force compensation, k its tangent stiffness, at k_e.
+with N the numerical part, C the law, G the rig, Z the force over x_m, LP the low-pass, tau V the
+delay of the force compensation and k its tangent stiffness, here k_e.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 ROUNDING: Final = 1e-7
-"""Above 1, of a root that stands on the circle: a structure without damping is not unstable."""
+"""Tolerance above 1 for a root on the unit circle: an undamped structure is not unstable."""
 MOST_GAIN: Final = 4.0
-"""A loop that bears as much is not asked for more."""
+"""Search limit of the gain margin; nobody needs more."""
 THIN_GAIN: Final = 1.25
-"""The plants of the field's benchmark differ by 10 % in what their actuators make of a command."""
+"""The plants of the field's benchmark differ by 10 % in the gain of their actuators."""
 THIN_DELAY_SAMPLES: Final = margins.LEAST_DELAY_MARGIN
-"""Of 1/1024 s: a command that is held moves the delay by as much."""
+"""In samples of 1/1024 s: holding a command changes the delay by as much."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A linear system of one input, s[n+1] = A s[n] + b u[n], y[n] = C s[n] + d u[n]; y (m,)."""
+    """A linear system with one input, s[n+1] = A s[n] + b u[n], y[n] = C s[n] + d u[n]; y (m,)."""
 
     a: Floats
     b: Floats
@@ -64,7 +64,7 @@ class Block:
         return np.asarray((self.c @ states)[:, :, 0] + self.d)
 
     def then(self, other: Block) -> Block:
-        """Return the other fed by the first output of this one."""
+        """Return the series connection: the other system fed by the first output of this one."""
         n, m = len(self.a), len(other.a)
         a = np.zeros((n + m, n + m))
         a[:n, :n], a[n:, n:] = self.a, other.a
@@ -74,7 +74,7 @@ class Block:
         return Block(a, b, c, other.d * self.d[0])
 
     def beside(self, other: Block) -> Block:
-        """Return both on one input, the outputs of this one first."""
+        """Return both systems with a common input, the outputs of this one first."""
         n, m = len(self.a), len(other.a)
         a = np.zeros((n + m, n + m))
         a[:n, :n], a[n:, n:] = self.a, other.a
@@ -83,7 +83,7 @@ class Block:
         return Block(a, np.concatenate([self.b, other.b]), c, np.concatenate([self.d, other.d]))
 
     def weighted(self, *rows: tuple[float, ...]) -> Block:
-        """Return other outputs, each a sum of these."""
+        """Return new outputs, each a weighted sum of the present ones."""
         by = np.array(rows)
         return Block(self.a, self.b, by @ self.c, by @ self.d)
 
@@ -94,7 +94,7 @@ def gain(value: float) -> Block:
 
 
 def rational(top: Floats, bottom: Floats) -> Block:
-    """Return the system of a transfer function in z, highest power first; it must be causal."""
+    """Return the system of a causal transfer function in z, highest power first."""
     bottom = np.trim_zeros(np.asarray(bottom, dtype=np.float64), "f")
     order = bottom.size - 1
     top = np.concatenate([np.zeros(bottom.size - len(top)), top]) / bottom[0]
@@ -128,23 +128,23 @@ def backward_velocity(h: float) -> Block:
 
 
 def rig(model: response.Plant, h: float, hold: str | None) -> Block:
-    """Return command -> x_m and force, as a controller of a sampling period meets them.
+    """Return command -> x_m and force, as seen by a controller with a sampling period.
 
     Args:
-        model: what was identified.
+        model: the identified plant.
         h: sampling period.
-        hold: ``rig.command_hold``, None for a rig that holds nothing.
+        hold: ``rig.command_hold``, None for a rig without a hold.
     """
     order = model.p.size - 1
     late = model.delay_s / h
     if hold == "foh":
-        late += 0.5  # a straight line between two commands is half a sample behind steps
+        late += 0.5  # linear interpolation of commands is half a sample behind a zero-order hold
     whole = math.floor(late + 1e-9)
     part = max(late - whole, 0.0)
     if order == 0:
         one = _delay(whole, part).weighted((1.0 / model.p[0],))
         return one.weighted((1.0,), (model.stiffness_n_per_m,))
-    # Controller form in x, x', x'', ...; the late part of a command acts from within a sample on.
+    # Controller form in x, x', x'', ...; the fractional delay makes commands act within a sample.
     top = model.p[order]
     unit = abs(model.p[0] / top) ** (1.0 / order)
     a = np.diag(np.ones(order - 1), 1)
@@ -153,7 +153,7 @@ def rig(model: response.Plant, h: float, hold: str | None) -> Block:
     b[-1] = 1.0 / (top * unit**order)
     phi, gamma = _held(a * unit, b * unit, h)
     _, first = _held(a * unit, b * unit, h * (1.0 - part))
-    # Over a sample the old command acts for `part`, the new one for the rest.
+    # Within a sample the old command acts for `part`, the new one for the rest.
     old = gamma - first
     c = np.zeros((2, order + 1))
     impedance = (model.stiffness_n_per_m, model.damping_n_s_per_m, model.mass_kg)
@@ -167,7 +167,7 @@ def rig(model: response.Plant, h: float, hold: str | None) -> Block:
 
 
 def _held(a: Floats, b: Floats, h: float) -> tuple[Floats, Floats]:
-    """Return exp(a h) and what a command held for h adds."""
+    """Return exp(a h) and the input matrix of a command held for h."""
     size = len(a)
     whole = np.zeros((size + 1, size + 1))
     whole[:size, :size], whole[:size, size] = a * h, b * h
@@ -182,7 +182,7 @@ def _held(a: Floats, b: Floats, h: float) -> tuple[Floats, Floats]:
 
 
 def _delay(whole: int, part: float) -> Block:
-    """Return a delay in samples, the broken part of one by a straight line."""
+    """Return a delay in samples, with linear interpolation for its fractional part."""
     taps = np.zeros(whole + 2)
     taps[whole], taps[whole + 1] = 1.0 - part, part
     taps = np.trim_zeros(taps, "b")
@@ -190,7 +190,7 @@ def _delay(whole: int, part: float) -> Block:
 
 
 def low_pass(cutoff_hz: float, h: float) -> Block:
-    """Return the Butterworth low-pass of csrc/lowpass.h; cut-off 0: none."""
+    """Return the Butterworth low-pass of csrc/lowpass.h; cut-off 0: no filter."""
     if not cutoff_hz:
         return gain(1.0)
     k = math.tan(math.pi * cutoff_hz * h)
@@ -201,7 +201,7 @@ def low_pass(cutoff_hz: float, h: float) -> Block:
 
 
 def laws(law: LawConfig, model: response.Plant, h: float, hold: str | None) -> list[Block]:
-    """Return a control law as it begins, and as the rig's response leads it to be."""
+    """Return a control law with its initial settings, and as adapted to the rig's response."""
     given = dict(zip((p.key for p in law.law.parameters), law.values(), strict=True))
     table = law.name.replace("-", "_")
     if f"{table}.gain_sigma" in given:
@@ -227,7 +227,7 @@ _SLOW_HZ: Final = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
 
 
 def _learnt(name: str) -> tuple[int, ...]:
-    """Return which of gain, delay and curvature a phase lead learns."""
+    """Return which of gain, delay and curvature a phase lead adapts."""
     return (1, 2) if name == "alpha-beta" else (1,)
 
 
@@ -239,7 +239,7 @@ def _lead(terms: list[float], w1: float, w2: float) -> Block:
 
 
 def _inverse(own: dict[str, float], h: float) -> Block:
-    """Return C(z) of `rthyb_rt.config.response`, pole by pole: one of order five would lose digits.
+    """Return C(z) of `rthyb_rt.config.response`, one pole at a time: order five would lose digits.
 
     With v = d / (1 + r d) it is 1 + sum of b_j / h^j v^j (1 - r v)^(5 - j), a polynomial in v.
     """
@@ -264,14 +264,14 @@ def _inverse(own: dict[str, float], h: float) -> Block:
 
 @dataclass(frozen=True)
 class Loop:
-    """A loop taken apart: -N from f* to x_c, what comes back by the rig, and what does not."""
+    """A loop in parts: -N from f* to x_c, the feedback through the rig, and that without it."""
 
     part: Block
     by_rig: Block
     beside: Block
 
     def roots(self, by: float = 1.0) -> Complexes:
-        """Return the roots of the loop with the rig's answer multiplied."""
+        """Return the roots of the loop with the rig's response multiplied by a factor."""
         back = self.by_rig.weighted((by,)).beside(self.beside).weighted((1.0, 1.0))
         part = self.part
         n, m = len(part.a), len(back.a)
@@ -283,11 +283,11 @@ class Loop:
         return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
 
     def stable(self, by: float = 1.0) -> bool:
-        """Return whether no root lies outside the circle."""
+        """Return whether no root is outside the unit circle."""
         return bool(np.abs(self.roots(by)).max() <= 1.0 + ROUNDING)
 
     def gain_margin(self) -> float:
-        """Return what the rig's answer may be multiplied by; `MOST_GAIN` stands for more."""
+        """Return the factor on the rig's response at which stability ends, at most `MOST_GAIN`."""
         low, high = 1.0, 1.0
         for high in np.geomspace(1.0, MOST_GAIN, 25)[1:]:
             if not self.stable(float(high)):
@@ -301,47 +301,48 @@ class Loop:
         return low
 
     def opened(self, z: Complexes) -> Complexes:
-        """Return L of 1 + L = 0, the loop opened at the rig, at z (k,)."""
+        """Return L of 1 + L = 0, the loop opened at the rig, for z (k,)."""
         moved = self.part.response(z)[:, 0]
         inner = self.beside.response(z)[:, 0]
         return np.asarray(-moved * self.by_rig.response(z)[:, 0] / (1.0 - moved * inner))
 
     def delay_margin(self) -> float:
-        """Return what the rig may be later, samples; inf: any delay."""
+        """Return the additional delay of the rig at which stability ends, samples; inf: none."""
         peaks = np.abs(np.angle(np.concatenate([self.roots(), self.roots(0.0)])))
         return margins.first_crossing(self.opened, peaks, 0)
 
 
 def loop_of(config: ControllerConfig, model: response.Plant, law: Block, hold: str | None) -> Loop:
-    """Put the loop of a test together, the tangent stiffness of force compensation at k_e."""
+    """Assemble the loop of a test, with the tangent stiffness of force compensation at k_e."""
     h, rfc = config.period_s, config.rfc
     k = rfc.k_e_n_per_m if rfc.enabled else 0.0
     table = rig(model, h, hold)
     lead = law if config.lead_enabled else gain(1.0)
     filtered = low_pass(rfc.cutoff_hz, h)
-    # x_m through the low-pass, and the force as it is.
+    # x_m through the low-pass, and the unfiltered force.
     force = table.weighted((0.0, 1.0))
     moved = table.weighted((1.0, 0.0)).then(filtered)
     back = force.beside(moved).weighted((1.0, -k)) if k else force
     late = k * rfc.lateness_s
     beside = filtered.weighted((k,))
     if late:
-        # RK4 has a velocity of its own; this difference of second order is as good for roots.
+        # RK4 has its own velocity; this second-order difference is as good for roots.
         beside = beside.beside(backward_velocity(h)).weighted((1.0, late))
     return Loop(numerical(config), lead.then(back), beside)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a loop comes to.
+    """Stability of a loop.
 
     Attributes:
-        radius: modulus of its largest root.
+        radius: modulus of the largest root.
         frequency_hz: of that root.
-        gain_margin: what the rig's answer may be multiplied by; `MOST_GAIN` stands for more; 0
-            where it is unstable as it is.
-        delay_margin_samples: by how much the rig may be later, of 1/1024 s; inf: any; 0 likewise.
-        swept_hz: up to where the rig's response is known.
+        gain_margin: factor on the rig's response at which stability ends, at most `MOST_GAIN`; 0 if
+            the loop is unstable.
+        delay_margin_samples: additional delay of the rig at which stability ends, in samples of
+            1/1024 s; inf: none; 0 if the loop is unstable.
+        swept_hz: frequency up to which the rig's response is known.
     """
 
     radius: float
@@ -352,21 +353,21 @@ class Verdict:
 
     @property
     def unstable(self) -> bool:
-        """Whether it grows by itself."""
+        """Whether the motion grows without excitation."""
         return self.radius > 1.0 + ROUNDING
 
     @property
     def thin(self) -> bool:
-        """Whether little is missing to that."""
+        """Whether the loop is close to instability."""
         return not self.unstable and (
             self.gain_margin < THIN_GAIN or self.delay_margin_samples < THIN_DELAY_SAMPLES
         )
 
 
 def judge(setup: Setup) -> Verdict | None:
-    """Return what the loop of a test comes to; None where the rig's response is not known.
+    """Return the stability of the loop of a test; None if the rig's response is not known.
 
-    Of the law's first settings and those that the response leads it to, the worse.
+    The worse of the law's initial settings and those to which the response leads it.
     """
     config = setup.controller
     model = response.plant(setup.rig)
@@ -388,7 +389,7 @@ _FAST: Final = (
 
 
 def remark(found: Verdict | None) -> str | None:
-    """Return what a user should know of a loop that is unstable, or nearly; None if nothing."""
+    """Return a remark for the user on an unstable or nearly unstable loop, or None."""
     if found is None or not (found.unstable or found.thin):
         return None
     known = f"the rig's response is known up to {found.swept_hz:g} Hz"
@@ -409,15 +410,15 @@ def remark(found: Verdict | None) -> str | None:
 
 
 def remark_of(setup: Setup) -> str | None:
-    """Return the remark on a test that nothing real can come to harm in."""
+    """Return the remark for a test in which nothing real can be damaged."""
     return remark(judge(setup))
 
 
 def demand(setup: Setup) -> str | None:
-    """Refuse a test on a real link whose loop is unstable; return the remark on any other.
+    """Refuse an unstable test on a real link; return the remark for any other test.
 
     Raises:
-        InputError: the loop is unstable, and something real is at the other end of the rig's link.
+        InputError: the loop is unstable, and the rig's link leads to a real drive.
     """
     found = judge(setup)
     text = remark(found)

@@ -1,8 +1,10 @@
-"""How far a test is from trouble, known before it runs.
+"""Stability margins of a test, known before it runs.
 
-Two things can go wrong whatever the actuator's quality: the delayed force feeds energy into the
-structure until it diverges, and the delay estimator, whose loop contains the delay, oscillates.
-Delays and ``alpha`` are in samples, ``beta`` in samples squared, ``z`` is one sample ahead.
+Two instabilities can occur whatever the quality of the actuator: the delayed force feeds energy
+    into
+the structure until the motion diverges, or the delay estimator, whose loop contains the delay,
+oscillates. Delays and ``alpha`` are in samples, ``beta`` in samples squared; ``z`` is an advance by
+one sample.
 """
 
 from __future__ import annotations
@@ -25,16 +27,16 @@ LITTLE_MARGIN: Final = 0.5
 """Loop gain of the delay estimator above which its estimate rings."""
 
 OSCILLATES: Final = math.pi / 2
-"""Loop gain above which an integrator behind a pure delay is unstable."""
+"""Loop gain above which an integrator with a pure delay is unstable."""
 
 LEAST_DELAY_MARGIN: Final = 1.0
-"""An error of alpha below one sample is none: a command that is held moves the delay by as much."""
+"""Smaller errors of alpha are not significant: holding a command changes the delay by as much."""
 
-# A law's answer to one sample is taken for so long, or until it has died away to this share.
+# An impulse response is computed for this long, or until it has decayed to this share.
 _LONGEST_LEAD: Final = 256
 _SILENT: Final = 1e-12
 
-# A rig is told to be a lag, not a delay, by a tenth: more than the scatter of a sweep.
+# A rig counts as a lag if delay or gain fall below this share; the scatter of a sweep is smaller.
 _FALLS = 0.9
 
 
@@ -42,7 +44,7 @@ _FALLS = 0.9
 class Lead:
     """The phase-lead compensator (Eqn 2.5 with curvature term) at a fixed alpha and beta.
 
-    As created it does nothing: C(z) = 1.
+    As created it has no effect: C(z) = 1.
     """
 
     alpha: float = 0.0
@@ -63,12 +65,12 @@ class Lead:
 
     @property
     def first_sample_gain(self) -> float:
-        """What a step of the command becomes in its first sample: C at infinity."""
+        """Gain of a command step in its first sample: C at infinity."""
         return float(self._gain(math.inf))
 
     @property
     def nyquist_gain(self) -> float:
-        """What the fastest motion that samples can show is multiplied by: C(-1)."""
+        """Gain of the highest frequency that samples can represent: C(-1)."""
         return abs(self._gain(-1.0))
 
     def _gain(self, z: float) -> float:
@@ -80,7 +82,7 @@ class Lead:
 
 @dataclass(frozen=True)
 class SampledLead:
-    """Any control law as it begins, by the response to one sample: C(z) = sum of h[n] z^-n.
+    """Any control law in its initial state, by its impulse response: C(z) = sum of h[n] z^-n.
 
     Attributes:
         response: h, shape (n,).
@@ -90,7 +92,7 @@ class SampledLead:
 
     @property
     def alpha(self) -> float:
-        """The delay that slow motions are led by, samples."""
+        """Lead of slow motions, samples."""
         h = self.response
         return -float(np.arange(h.size) @ h) / float(h.sum())
 
@@ -102,24 +104,24 @@ class SampledLead:
 
     @property
     def first_sample_gain(self) -> float:
-        """What a step of the command becomes in its first sample: C at infinity."""
+        """Gain of a command step in its first sample: C at infinity."""
         return float(self.response[0])
 
     @property
     def nyquist_gain(self) -> float:
-        """What the fastest motion that samples can show is multiplied by: C(-1)."""
+        """Gain of the highest frequency that samples can represent: C(-1)."""
         return abs(float(self.response[::2].sum() - self.response[1::2].sum()))
 
 
 def lead_of(law: LawConfig, period_s: float = PERIOD_S) -> Lead | SampledLead:
-    """Return a control law at its first settings as a linear filter.
+    """Return a control law with its initial settings as a linear filter.
 
     Args:
         law: the law.
         period_s: sampling period.
 
     Raises:
-        CoreError: the law cannot work with its settings.
+        CoreError: the settings of the law are invalid.
     """
     given = dict(zip((p.key for p in law.law.parameters), law.values(), strict=True))
     if {"alpha0", "beta0", "w1", "w2"} <= set(given):
@@ -132,15 +134,15 @@ def lead_of(law: LawConfig, period_s: float = PERIOD_S) -> Lead | SampledLead:
     return SampledLead(response[: heard[-1] + 1])
 
 
-# ---- stability of the structure behind a delay --------------------------------------------------
+# ---- stability of a structure with delay --------------------------------------------------------
 
 
 def compliance(motion: MotionConfig) -> tuple[Floats, Floats]:
     """Return the integrator as a transfer function from net force to displacement.
 
     Args:
-        motion: the numerical part. Its stiffnesses enter only where the integrator's own
-            coefficients hold them (CR, KR-alpha).
+        motion: the numerical part. Its stiffnesses only matter if the integrator's coefficients
+            contain them (CR, KR-alpha).
 
     Returns:
         Numerator and denominator in z, highest power first: x[n+1] from the net force at t_n.
@@ -158,7 +160,7 @@ def compliance(motion: MotionConfig) -> tuple[Floats, Floats]:
         a1 = 4.0 * m / (4.0 * m + 2.0 * h * c + h * h * k)
         return np.array([h * h * a1 / m, 0.0]), _times(one_less, [1.0, h * a1 * c / m - 1.0])
     if motion.integrator == "kr-alpha":
-        # Kolay & Ricles (2014); weighted equilibrium makes the third pole.
+        # Kolay & Ricles (2014); the weighted equilibrium adds the third pole.
         rho = motion.rho_inf
         am, af = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
         gamma = 0.5 - am + af
@@ -167,7 +169,7 @@ def compliance(motion: MotionConfig) -> tuple[Floats, Floats]:
         a1 = m / whole
         a2 = (0.5 + gamma) * a1
         a3 = (am * m + af * gamma * h * c + af * beta * h * h * k) / whole
-        # At rho = 1 both have the factor z + 1, which is no motion of the structure.
+        # At rho = 1 both have the factor z + 1, which is not a motion of the structure.
         weight = np.array([1.0 - af, af] if rho < 1.0 else [0.5])
         inner = _times([1.0 - a3, a3] if rho < 1.0 else [0.5], one_less)
         top = h * h / m * _times([a2, a1 - a2], weight)
@@ -184,31 +186,32 @@ def _times(*factors: ArrayLike) -> Floats:
 
 
 class DelayedStructure(Protocol):
-    """A numerical part and an elastic specimen that feels the compensated command late.
+    """A numerical part and an elastic specimen to which the command is applied with a delay.
 
     The specimen is a spring ``k_e_n_per_m``: f[n] = k_e x_p[n-D]. Restoring-force compensation is
-    left out: with the exact k_e it removes the delay from the equation of motion altogether.
+    not
+    included: with the exact k_e it removes the delay from the equation of motion altogether.
     """
 
     def is_stable(self, delay_samples: int, lead: Lead | SampledLead | None = None) -> bool:
-        """Return whether every characteristic root lies inside the unit circle.
+        """Return whether every characteristic root is inside the unit circle.
 
         Args:
             delay_samples: pure delay between compensated command and motion.
-            lead: the compensator, or None without.
+            lead: the compensator, or None.
         """
 
     def loop(self, lead: Lead | SampledLead) -> tuple[Callable[[Complexes], Complexes], Floats]:
-        """Return L of 1 + L z^-D = 0, of z on the unit circle, (k,), and its narrow peaks.
+        """Return L of 1 + L z^-D = 0 for z on the unit circle, (k,), and its narrow peaks.
 
         The peaks are angles of resonances of the numerical part alone, which can be narrower than
         any grid, (m,).
         """
 
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
-        """Return how the structure would move with a specimen that does not yield, (n,).
+        """Return the motion of the structure with a specimen that does not yield, (n,).
 
-        Yielding slows a structure down, so this is the motion that asks most of an estimator.
+        Yielding slows a structure down, so this motion is the most demanding for an estimator.
 
         Args:
             ag_mps2: ground acceleration, (n,).
@@ -217,7 +220,7 @@ class DelayedStructure(Protocol):
 
 @dataclass(frozen=True)
 class OneDegree:
-    """A `DelayedStructure` of one degree of freedom, by the polynomials of its integrator."""
+    """A `DelayedStructure` with one degree of freedom, by the polynomials of its integrator."""
 
     motion: MotionConfig
 
@@ -229,13 +232,13 @@ class OneDegree:
         return _times(own, lead_bottom), self.motion.k_e_n_per_m * _times(top, lead_top)
 
     def is_stable(self, delay_samples: int, lead: Lead | SampledLead | None = None) -> bool:
-        """As `DelayedStructure` has it."""
+        """See `DelayedStructure`."""
         p, q = self._polynomials(lead or Lead())
         roots = np.roots(np.polyadd(np.concatenate([p, np.zeros(delay_samples)]), q))
         return bool(np.all(np.abs(roots) < 1.0))
 
     def loop(self, lead: Lead | SampledLead) -> tuple[Callable[[Complexes], Complexes], Floats]:
-        """As `DelayedStructure` has it."""
+        """See `DelayedStructure`."""
         p, q = self._polynomials(lead)
 
         def of(z: Complexes) -> Complexes:
@@ -244,26 +247,26 @@ class OneDegree:
         return of, np.abs(np.angle(np.roots(p)))
 
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
-        """As `DelayedStructure` has it."""
+        """See `DelayedStructure`."""
         spring = element("stiffness", k_n_per_m=self.motion.k_e_n_per_m)
         return Motion(self.motion).reference([spring], ag_mps2)[0]
 
 
 def critical_delay(structure: DelayedStructure, lead: Lead | SampledLead | None = None) -> float:
-    """Return the longest pure delay that the structure with an elastic specimen survives.
+    """Return the longest pure delay for which a structure with elastic specimen is stable.
 
     A characteristic root can cross the unit circle only at an angle theta at which
     |L| = 1, and these angles do not depend on the delay (Walton & Marshall 1987); at each, the
-    delays that put a root there are (arg L + pi + 2 pi k) / theta. The first of them above
-    the delay that the compensator is made for ends stability.
+    delays for which a root is there are (arg L + pi + 2 pi k) / theta. Stability ends at the
+    smallest of these above the delay for which the compensator is set.
 
     Args:
-        structure: numerical part and specimen; a lateness of its own comes on top.
-        lead: the compensator at a fixed alpha, or None without; no force compensation.
+        structure: numerical part and specimen; a delay within the part is additional.
+        lead: the compensator at a fixed alpha, or None; without force compensation.
 
     Returns:
-        The delay in samples, in general no whole number; inf if none is too long, 0 if already the
-        delay alpha (no delay at all, without compensator) is too much.
+        The delay in samples, in general not an integer; inf if stable for every delay, 0 if already
+        unstable at the delay alpha (at no delay, without compensator).
     """
     lead = lead or Lead()
     start = round(lead.alpha)
@@ -274,12 +277,12 @@ def critical_delay(structure: DelayedStructure, lead: Lead | SampledLead | None 
 
 
 def first_crossing(loop: Callable[[Complexes], Complexes], peaks: Floats, start: int) -> float:
-    """Return the first delay above `start` at which a root of 1 + loop z^-D crosses the circle.
+    """Return the smallest delay above `start` at which a root of 1 + loop z^-D leaves the circle.
 
     Args:
-        loop: the loop without its delay, of z on the unit circle, (k,).
+        loop: the loop without its delay, for z on the unit circle, (k,).
         peaks: angles of resonances that may be narrower than the grid, (m,).
-        start: a whole delay that is stable, samples.
+        start: an integer delay at which the loop is stable, samples.
     """
     critical = math.inf
     for theta in _crossings(loop, peaks):
@@ -290,18 +293,18 @@ def first_crossing(loop: Callable[[Complexes], Complexes], peaks: Floats, start:
 
 
 def delay_margin(critical_samples: float) -> float:
-    """Return the error of the delay estimate that the structure survives, samples.
+    """Return the error of the delay estimate at which the structure is still stable, samples.
 
-    Whatever is compensated, the error is left over as a pure delay, and force compensation can
-    not be counted on: its tangent stiffness is zero where noise and friction hide it. A delay d of
-    a spring k acts as the damping -k d (Horiuchi et al., EESD 28 (1999) 1121); at the critical
-    delay it has eaten all that the structure has, near 2 zeta / (omega h) with little damping.
+    Whatever is compensated, the error remains as a pure delay. Force compensation cannot be relied
+    on, because its tangent stiffness is zero where noise and friction hide it. A delay d of a
+    spring k acts as the damping -k d (Horiuchi et al., EESD 28 (1999) 1121); at the critical delay
+    it has consumed all damping of the structure, near 2 zeta / (omega h) for light damping.
 
     Args:
         critical_samples: `critical_delay` without compensator.
 
     Returns:
-        The same, at least `LEAST_DELAY_MARGIN`; inf if no delay is too long.
+        The margin, at least `LEAST_DELAY_MARGIN`; inf if stable for every delay.
     """
     return max(critical_samples, LEAST_DELAY_MARGIN)
 
@@ -326,18 +329,17 @@ def _crossings(loop: Callable[[Complexes], Complexes], peaks: Floats) -> list[fl
 def largest_followed_delay(
     structure: DelayedStructure, lead: Lead, most: int, step: int = 1
 ) -> int | None:
-    """Return the largest pure delay that is survived while alpha equals the delay.
+    """Return the largest pure delay at which the test is stable with alpha equal to the delay.
 
     Args:
         structure: numerical part and specimen.
-        lead: the compensator; its alpha is replaced by the delay, and where it has a beta, that by
+        lead: the compensator; alpha is replaced by the delay and beta, if it has one, by
             delay^2 / 2.
-        most: delay at which to stop looking, samples.
-        step: samples from one delay that is tried to the next, until one is too much; the last
-            stretch is then tried sample by sample.
+        most: delay at which the search ends, samples.
+        step: coarse step of the search, samples; the last interval is searched sample by sample.
 
     Returns:
-        The delay, ``most`` if none is too much, None if not even 0 is survived.
+        The delay, ``most`` if stable throughout, None if unstable even at 0.
     """
 
     def survives(delay: int) -> bool:
@@ -353,7 +355,7 @@ def largest_followed_delay(
     return most
 
 
-# ---- the delay estimator's own loop -------------------------------------------------------------
+# ---- loop of the delay estimator ----------------------------------------------------------------
 
 
 def peak_excitation(x_m: ArrayLike, lead: Lead, reference_m: float = 1e-3) -> float:
@@ -372,8 +374,8 @@ def estimator_loop_gain(gain: float, delay_samples: float, phi: float) -> float:
     """Return g = gamma alpha phi^2 / (1 + phi^2) of the paper's delay estimator (Eqn 2.11).
 
     An error of the estimate is corrected at the rate gamma phi^2 / (1 + phi^2) per sample, but
-    shows only alpha samples later: an integrator behind a delay. Above `LITTLE_MARGIN` it rings,
-    above `OSCILLATES` it oscillates on a pure delay.
+    appears only alpha samples later: an integrator with a delay. Above `LITTLE_MARGIN` it rings,
+    above `OSCILLATES` it oscillates, for a pure delay.
 
     Args:
         gain: gamma, per reference displacement squared per sample.
@@ -386,8 +388,8 @@ def estimator_loop_gain(gain: float, delay_samples: float, phi: float) -> float:
 def is_lag(rig: RigFile) -> bool:
     """Return whether the rig behaves as a lag rather than as a pure delay.
 
-    An identified sweep decides: the delay or the amplitude falls with frequency. Without one the
-    kind of actuator does.
+    Decided by the identified sweep, if there is one: delay or gain decrease with frequency.
+    Otherwise decided by the type of actuator.
     """
     found = rig.identified
     if found is not None and len(found.frequency_hz) > 1:

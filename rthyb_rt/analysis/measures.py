@@ -1,8 +1,8 @@
 """Measures of how well a hybrid test went: errors, delay, tracking indicator, energy error.
 
 Every function takes one-dimensional arrays of equal length, sampled at the same instants, and
-returns plain fractions and SI units; per cent and millimetres are for people and made elsewhere.
-Rows in which one of the signals is not finite count for neither.
+returns fractions and SI units; per cent and millimetres are for display and converted elsewhere.
+Rows in which either signal is not finite are ignored.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def _same_shape(*signals: ArrayLike) -> tuple[Floats, ...]:
 
 
 def _not_finite_is_expected() -> np.errstate:
-    """A diverged recording overflows; such steps are left out, without a warning each."""
+    """Suppress warnings: a diverged recording overflows, and such steps are left out anyway."""
     return np.errstate(over="ignore", invalid="ignore")
 
 
@@ -45,7 +45,7 @@ def _ratio(numerator: float, denominator: float) -> float:
 def rms(x: ArrayLike) -> float:
     """Return the root mean square of ``x`` (mean not removed), nan for an empty array.
 
-    The values are scaled by the largest one first: a diverged test may hold 1e200.
+    The values are scaled by the largest first, because a diverged test may contain 1e200.
     """
     values = np.asarray(x, dtype=np.float64)
     if values.size == 0:
@@ -69,7 +69,7 @@ def tracking_nrmse(x_num_m: ArrayLike, x_meas_m: ArrayLike) -> float:
         x_meas_m: measured displacement, x_m, m.
 
     Returns:
-        The fraction; nan when the command never leaves zero.
+        The fraction; nan if the command is always zero.
     """
     return _nrmse(x_num_m, x_meas_m)
 
@@ -77,21 +77,21 @@ def tracking_nrmse(x_num_m: ArrayLike, x_meas_m: ArrayLike) -> float:
 def response_nrmse(x_ref_m: ArrayLike, x_meas_m: ArrayLike) -> float:
     """Return the response error ``rms(x_m - x_exact) / rms(x_exact)``, mean not removed.
 
-    It says nothing without the tracking error beside it: force compensation with the exact
-    stiffness gives the right response even if the specimen does not move.
+    It must be read together with the tracking error: force compensation with the exact stiffness
+    gives the right response even if the specimen does not move.
 
     Args:
         x_ref_m: reference simulation, x_exact, m.
         x_meas_m: measured displacement, x_m, m.
 
     Returns:
-        The fraction; nan when the reference never leaves zero.
+        The fraction; nan if the reference is always zero.
     """
     return _nrmse(x_ref_m, x_meas_m)
 
 
 def peak_difference(wanted: ArrayLike, got: ArrayLike) -> float:
-    """Return ``max |got - wanted|`` in the unit of the signals, nan without a finite row."""
+    """Return ``max |got - wanted|`` in the unit of the signals, nan if no row is finite."""
     a, b = _paired(wanted, got)
     return float(np.max(np.abs(b - a))) if a.size else float("nan")
 
@@ -108,7 +108,7 @@ def accumulated_error(x_ref_m: ArrayLike, x_meas_m: ArrayLike) -> Floats:
     """Return the accumulated error of Eqn 4.3 of Chen & Tsai (2012) up to each row, m.
 
     ``Error_ac[n] = sum_{i<=n} abs(x_m[i] - x_exact[i])``. It is a sum over samples, not an
-    integral over time, so two tests compare only at the same sampling rate.
+    integral over time, so tests can only be compared at the same sampling rate.
 
     Args:
         x_ref_m: reference simulation, x_exact, shape (n,), m.
@@ -124,12 +124,12 @@ def accumulated_error(x_ref_m: ArrayLike, x_meas_m: ArrayLike) -> Floats:
 
 
 class Fei(NamedTuple):
-    """Frequency evaluation index: the actuator seen as one gain and one delay.
+    """Frequency evaluation index: the actuator represented by one gain and one delay.
 
     Attributes:
-        amplitude: |FEI|; 1 is right, below 1 the specimen moves too little.
-        delay_s: equivalent delay, s; positive when the measured displacement lags.
-        f_eq_hz: equivalent frequency at which both hold, Hz.
+        amplitude: |FEI|; ideally 1; below 1 the specimen moves too little.
+        delay_s: equivalent delay, s; positive if the measured displacement lags.
+        f_eq_hz: equivalent frequency to which both apply, Hz.
     """
 
     amplitude: float
@@ -138,7 +138,7 @@ class Fei(NamedTuple):
 
 
 def fei(x_num_m: ArrayLike, x_meas_m: ArrayLike, fs_hz: float, power: float = 2.0) -> Fei:
-    """Return amplitude and delay of the actuator by the frequency evaluation index.
+    """Return gain and delay of the actuator by the frequency evaluation index.
 
     With the spectra X_c(f_j) and X_m(f_j), j = 1 ... N/2,
 
@@ -155,10 +155,10 @@ def fei(x_num_m: ArrayLike, x_meas_m: ArrayLike, fs_hz: float, power: float = 2.
         x_num_m: command of the integration, shape (n,), m.
         x_meas_m: measured displacement, shape (n,), m.
         fs_hz: sampling rate, Hz.
-        power: the exponent l; 2 weighs by energy and is the authors' choice.
+        power: the exponent l; 2, the authors' choice, weights by energy.
 
     Returns:
-        Amplitude, delay and equivalent frequency; all nan when the command has no content. The
+        Amplitude, delay and equivalent frequency; all nan if the command has no content. The
         delay is unambiguous up to half a period of f_eq.
     """
     x_c, x_m = _same_shape(x_num_m, x_meas_m)
@@ -168,13 +168,13 @@ def fei(x_num_m: ArrayLike, x_meas_m: ArrayLike, fs_hz: float, power: float = 2.
     if known.size < 3 or scale == 0.0:
         return unknown
     if known.size < x_c.size:
-        # A straight line over the same gaps in both keeps their phase; cutting rows out would not.
+        # Linear interpolation of the same gaps in both keeps their phase; removing rows would not.
         rows = np.arange(x_c.size)
         x_c, x_m = np.interp(rows, known, x_c[known]), np.interp(rows, known, x_m[known])
     spectrum_c = np.fft.rfft(x_c / scale)[1:]
     spectrum_m = np.fft.rfft(x_m / scale)[1:]
     magnitude = np.abs(spectrum_c)
-    # Round-off in an empty bin would be divided by itself.
+    # Prevents division of round-off by round-off in an empty bin.
     used = magnitude > 1e-12 * np.max(magnitude, initial=0.0)
     if not np.any(used):
         return unknown
@@ -190,7 +190,7 @@ def fei(x_num_m: ArrayLike, x_meas_m: ArrayLike, fs_hz: float, power: float = 2.
 def tracking_indicator(x_num_m: ArrayLike, x_meas_m: ArrayLike) -> Floats:
     """Return the tracking indicator up to each row, m^2.
 
-    Half the difference of the two areas that the trajectory (x_c, x_m) encloses with its axes,
+    Half the difference of the areas that the trajectory (x_c, x_m) encloses with its two axes,
 
         TI[n] = TI[n-1] + 1/2 { 1/2 (x_m[n] + x_m[n-1]) (x_c[n] - x_c[n-1])
                               - 1/2 (x_c[n] + x_c[n-1]) (x_m[n] - x_m[n-1]) }
@@ -198,7 +198,7 @@ def tracking_indicator(x_num_m: ArrayLike, x_meas_m: ArrayLike) -> Floats:
     Mercan, O., Ricles, J.M.: "Stability and accuracy analysis of outer loop dynamics in real-time
     pseudodynamic testing of SDOF systems", Earthquake Engineering & Structural Dynamics 36 (2007)
     1523-1543. A falling TI means that the specimen lags (energy is fed into the structure), a
-    rising one that it leads. A sine of amplitude A with phase lag p loses pi A^2 sin p a cycle;
+    rising one that it leads. A sine of amplitude A with phase lag p loses pi A^2 sin p per cycle;
     an amplitude error alone leaves TI at zero.
 
     Args:
@@ -218,15 +218,15 @@ def tracking_indicator(x_num_m: ArrayLike, x_meas_m: ArrayLike) -> Floats:
 def energy_error(f_meas_n: ArrayLike, x_num_m: ArrayLike, x_meas_m: ArrayLike) -> Floats:
     """Return the energy that the tracking error has fed into the structure up to each row, J.
 
-    Work of the measured force along the measured displacement less that along the command,
+    Work of the measured force along the measured displacement minus that along the command,
 
         E[n] = E[n-1] + 1/2 (f[n] + f[n-1]) { (x_m - x_c)[n] - (x_m - x_c)[n-1] }
 
     Mosqueda, G., Stojadinovic, B., Mahin, S.A.: "Real-time error monitoring for hybrid simulation.
     Part I: methodology and experimental verification", Journal of Structural Engineering 133
     (2007) 1100-1108. Positive: a lagging actuator feeds energy in (negative damping); negative:
-    a leading one takes energy out. A spring k and a sine of amplitude A with phase lag p gain
-    k pi A^2 sin p a cycle.
+    a leading one removes energy. A spring k and a sine of amplitude A with phase lag p gain
+    k pi A^2 sin p per cycle.
 
     Args:
         f_meas_n: measured force, shape (n,), N.
@@ -250,15 +250,15 @@ def fed_energy(
 ) -> Floats:
     """Return the energy that the tracking error has fed into the equation of motion, J.
 
-    The equation of motion is given F = f + k_t (x_c - x_m) (Eqn 3.2) and moves along x_c, the
-    specimen f along x_m. What the specimen has taken and the equation has not given was fed in,
-    but for what is only stored in between, the strain energy f^2 / (2 k_e):
+    The equation of motion uses F = f + k_t (x_c - x_m) (Eqn 3.2) along x_c, the specimen is
+    subjected to f along x_m. The difference of both works was fed in, except for what is merely
+    stored, the strain energy f^2 / (2 k_e):
 
         E[n] = integral f dx_m - integral F dx_c - (f^2 - F^2) / (2 k_e)
 
     Without force compensation (k_t = 0) F is f, and this is `energy_error`, the hybrid simulation
-    error of Mosqueda et al. (2007). With it the energy error counts what the compensation has taken
-    out again: with the exact stiffness nothing is fed, whatever the delay. Positive is negative
+    error of Mosqueda et al. (2007). With it, the energy error also counts what the compensation has
+    removed: with the exact stiffness nothing is fed, whatever the delay. Positive is negative
     damping: a delay d of a spring k acts as the damping -k d (Horiuchi, T., Inoue, M., Konno, T.,
     Namita, Y.: "Real-time hybrid experimental system with actuator delay compensation and its
     application to a piping system with energy absorber", Earthquake Engineering & Structural
@@ -268,8 +268,8 @@ def fed_energy(
         f_meas_n: measured force, shape (n,), N.
         x_num_m: command of the integration, x_c, shape (n,), m.
         x_meas_m: measured displacement, x_m, shape (n,), m.
-        k_t_n_per_m: tangent stiffness that compensated the force, 0 where nothing did, shape (n,).
-        k_e_n_per_m: elastic stiffness; 0 counts what is stored as fed.
+        k_t_n_per_m: tangent stiffness of the force compensation, 0 where it is off, shape (n,).
+        k_e_n_per_m: elastic stiffness; with 0, stored energy counts as fed.
 
     Returns:
         Running sum, shape (n,), J, first value 0. A step that is not finite adds nothing.
@@ -284,7 +284,7 @@ def fed_energy(
 
 
 def damping_energy(x_num_m: ArrayLike, damping_n_s_per_m: float, fs_hz: float) -> Floats:
-    """Return the energy that the numerical damping has taken out up to each row, J.
+    """Return the energy dissipated by the numerical damping up to each row, J.
 
     ``integral c v^2 dt`` with the velocity between two rows.
 
@@ -302,7 +302,7 @@ def damping_energy(x_num_m: ArrayLike, damping_n_s_per_m: float, fs_hz: float) -
 
 
 def input_energy(ag_mps2: ArrayLike, x_num_m: ArrayLike, mass_kg: float) -> Floats:
-    """Return the energy that the ground motion has put into the structure up to each row, J.
+    """Return the energy supplied to the structure by the ground motion up to each row, J.
 
     Relative form: ``E_I = -integral m a_g dx_c``, trapezoidal in a_g.
 
@@ -325,25 +325,25 @@ def hsem(
     f_meas_n: ArrayLike,
     k_e_n_per_m: float,
 ) -> float:
-    """Return the largest energy error as a fraction of the energy in the test.
+    """Return the greatest energy error as a fraction of the energy in the test.
 
-    ``max |E_error| / (max E_input + max E_strain)`` with ``E_strain = f^2 / (2 k_e)``, the strain
-    energy that the specimen can give back. It follows the hybrid simulation error monitor of
-    Mosqueda et al. (2007), with the largest input energy of the whole test in the denominator:
-    the running one may pass zero in a test that diverges.
+    ``max |E_error| / (max E_input + max E_strain)`` with ``E_strain = f^2 / (2 k_e)``, the
+    recoverable strain energy of the specimen. It follows the hybrid simulation error monitor of
+    Mosqueda et al. (2007), but with the greatest input energy of the whole test in the denominator,
+    because the running one may pass zero in a test that diverges.
 
     Args:
         energy_error_j: from `energy_error`, shape (n,), J.
-        input_energy_j: from `input_energy`, shape (n,), J; None when the mass is not known.
+        input_energy_j: from `input_energy`, shape (n,), J; None if the mass is not known.
         f_meas_n: measured force, shape (n,), N.
         k_e_n_per_m: elastic stiffness of the specimen, N/m.
 
     Returns:
-        The fraction; nan when there is no energy in the test.
+        The fraction; nan if there is no energy in the test.
     """
     force = np.asarray(f_meas_n, dtype=np.float64)
     largest_force = float(np.max(np.abs(force[np.isfinite(force)]), initial=0.0))
-    # A product overflows to inf, a power would raise.
+    # A product overflows to inf, whereas a power would raise an exception.
     energy = largest_force * (largest_force / (2.0 * k_e_n_per_m))
     if input_energy_j is not None:
         energy += float(np.max(np.asarray(input_energy_j, dtype=np.float64), initial=0.0))

@@ -1,4 +1,4 @@
-"""What a reader must not miss of a test, in sentences."""
+"""Notices about a test that must not be missed, as sentences."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 class Notice(NamedTuple):
-    """Something about the test that a reader must not miss.
+    """Something about a test that must not be missed.
 
     Attributes:
-        level: "alarm" when the figures may not be what the test was meant to show, "note" else.
-        text: one plain sentence.
+        level: "alarm" if the figures may not be what the test was meant to show, otherwise "note".
+        text: one sentence.
     """
 
     level: Literal["alarm", "note"]
@@ -26,7 +26,7 @@ class Notice(NamedTuple):
 
 
 def not_finite_notices(rows: int) -> list[Notice]:
-    """Return what a reader has to know of so many rows with values that are not finite."""
+    """Return the notice for rows with values that are not finite."""
     if not rows:
         return []
     return [
@@ -38,10 +38,10 @@ def not_finite_notices(rows: int) -> list[Notice]:
 
 
 def flag_notices(flags: Mapping[str, int], test_samples: int, skipped_ticks: int) -> list[Notice]:
-    """Return what the flags of the rows say.
+    """Return the notices for the flags of the rows.
 
     Args:
-        flags: rows with each flag, by name.
+        flags: number of rows with each flag, by name.
         test_samples: rows of the test proper.
         skipped_ticks: ticks without a row.
     """
@@ -56,7 +56,7 @@ def flag_notices(flags: Mapping[str, int], test_samples: int, skipped_ticks: int
     for name, text in flagged.items():
         n = flags.get(name, 0)
         if name in ("not_sent", "predicted"):
-            n -= flags.get("blind", 0)  # which are both, and told as what they are
+            n -= flags.get("blind", 0)  # these have both flags, and a line of their own
         if n:
             share = percent(n / test_samples)
             of = f"{count(n, 'sample')} of {test_samples}"
@@ -67,12 +67,12 @@ def flag_notices(flags: Mapping[str, int], test_samples: int, skipped_ticks: int
 
 
 def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding]) -> str:
-    """Return what has gone wrong in one sentence, with the key to change.
+    """Return one sentence on what has gone wrong, with the key to change.
 
     Args:
         one: the finding.
-        given: of the test.
-        all_found: of the same test: one may be the cause of another.
+        given: settings of the test.
+        all_found: all findings of the test, since one may be the cause of another.
     """
     beside: set[str] = {other.kind for other in all_found if other.meets(one)}
     span, allowed = _span(one), _allowed(one)
@@ -101,10 +101,10 @@ def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding])
 
 
 def axis_attention_in_words(axis: str, one: Finding, controller: str) -> str:
-    """Return in a sentence that an axis did not follow the reference, with what to do.
+    """Return a sentence on an axis that did not follow the reference, with the remedy.
 
     Args:
-        axis: its name.
+        axis: name of the axis.
         one: the finding, of the kind "response".
         controller: ``controller.type`` of the test.
     """

@@ -1,4 +1,4 @@
-"""How long a delay a numerical part of many degrees of freedom survives, as `margins` has it."""
+"""Critical delay of numerical parts with many degrees of freedom; see `margins`."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Complexes = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class ManyDegrees:
-    """A `margins.DelayedStructure` by the matrices of one step; the part's lateness comes on top.
+    """A `margins.DelayedStructure` by the matrices of one step; the part's own delay is additional.
 
-    The specimen's mass and damping are left out of its roots.
+    Mass and damping of the specimen are not included.
     """
 
     structure: Structure | SparseStructure
 
     @functools.cached_property
     def linear(self) -> LinearPart:
-        """The part as the loop meets it."""
+        """The part as a linear system."""
         return LinearPart.of(self.structure.part)
 
     def is_stable(self, delay_samples: int, lead: Lead | SampledLead | None = None) -> bool:
-        """As `margins.DelayedStructure` has it."""
+        """See `margins.DelayedStructure`."""
         part = self.linear
         a, b = part.a, part.b
         rows = len(a)
@@ -64,17 +64,17 @@ class ManyDegrees:
         return bool(np.all(np.abs(np.linalg.eigvals(m)) < 1.0))
 
     def loop(self, lead: Lead | SampledLead) -> tuple[Callable[[Complexes], Complexes], Floats]:
-        """As `margins.DelayedStructure` has it."""
+        """See `margins.DelayedStructure`."""
         part, (top, bottom) = self.linear, lead.polynomials()
 
         def of(z: Complexes) -> Complexes:
             lead_gain = np.polyval(top, z) / np.polyval(bottom, z)
-            # The part's b has the force's sign.
+            # The part's b has the sign of the force.
             moved = -part.k_e_n_per_m * part.response(z)
             return np.asarray(moved * lead_gain * z**-part.force_delay)
 
         return of, np.abs(np.angle(np.linalg.eigvals(part.a)))
 
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
-        """As `margins.DelayedStructure` has it."""
+        """See `margins.DelayedStructure`."""
         return self.structure.elastic_displacement_m(ag_mps2)

@@ -1,11 +1,11 @@
-"""Response spectra: what oscillators of one degree of freedom make of a motion.
+"""Response spectra: peak response of oscillators with one degree of freedom to a motion.
 
-An oscillator of period T and damping ratio zeta stands on a base that accelerates by a(t); its
+An oscillator of period T and damping ratio zeta is on a base with the acceleration a(t); its
 pseudo-acceleration is (2 pi / T)^2 times the largest magnitude of its displacement relative to the
 base (Chopra, A.K.: "Dynamics of structures", 4th ed. (2012), chapter 6).
 
-All oscillators answer in the frequency domain, where a motion that is known as a displacement need
-not be differentiated: (i w)^2 is one more factor.
+The response is computed in the frequency domain, where a motion that is given as a displacement
+need not be differentiated: (i w)^2 is merely a further factor.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Floats = NDArray[np.float64]
 
 PERIODS_S: Final = np.geomspace(0.05, 3.0, 50)
 DAMPING: Final = 0.05
-"""Of critical, as codes draw their spectra."""
+"""Damping ratio, as in the spectra of design codes."""
 _QUIET: Final = 1e-3
-"""What is left of a free vibration after the zeros behind the motion, of its beginning."""
+"""Share of a free vibration that remains after the zeros appended to the motion."""
 _SAMPLES: Final = 16
-"""Of a period of the stiffest oscillator: its peak is read 2 % too low at most."""
+"""Samples per period of the stiffest oscillator: its peak is at most 2 % too low."""
 
 
 def pseudo_acceleration(
@@ -37,10 +37,10 @@ def pseudo_acceleration(
     Args:
         fs_hz: sampling rate, Hz.
         acceleration_mps2: acceleration of the base, (n,), m/s^2.
-        displacement_m: displacement of the base, (n,), m; both given, they add up: ground, and
-            floor over ground.
+        displacement_m: displacement of the base, (n,), m; if both are given, they are added:
+            ground, and floor relative to ground.
         periods_s: of the oscillators, (k,), s.
-        damping: as a part of critical, above 0.
+        damping: damping ratio, above 0.
     """
     given = [np.asarray(one, np.float64) for one in (acceleration_mps2, displacement_m)
              if one is not None]  # fmt: skip
@@ -53,7 +53,7 @@ def pseudo_acceleration(
         base += np.fft.rfft(_finite(acceleration_mps2), long)
     if displacement_m is not None:
         base -= w**2 * np.fft.rfft(_finite(displacement_m), long)
-    # As many points as the stiffest oscillator needs: a low-pass far above it.
+    # Enough points for the stiffest oscillator: a low-pass far above it.
     wanted_hz = _SAMPLES / float(periods_s.min())
     less = max(1, 1 << max(0, math.floor(math.log2(fs_hz / wanted_hz))))
     short = long // less
@@ -67,7 +67,7 @@ def pseudo_acceleration(
 
 
 def _finite(values: ArrayLike) -> Floats:
-    """Return a motion without what is no number; bridged, so that no step is put in."""
+    """Return a motion with non-finite values bridged by interpolation, so that no step arises."""
     given = np.asarray(values, np.float64)
     good = np.flatnonzero(np.isfinite(given))
     if good.size == given.size or not good.size:

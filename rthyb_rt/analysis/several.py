@@ -1,4 +1,4 @@
-"""What a test on a rig of several axes came to: each axis, each direction of the interface."""
+"""Results of a test on a rig with several axes: each axis, each direction of the interface."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class OfAxis:
 
     Attributes:
         name: of the axis.
-        tracking_nrmse: rms(x_meas - where the numerical part wants the axis) / rms of that.
-        tracking_peak_m: largest of that difference.
-        peak_command_m, peak_measured_m, peak_force_n: largest sizes.
-        delay_samples: what its control law reports last; None: a law without, or matrices.
+        tracking_nrmse: rms(x_meas - command of the numerical part) / rms of that command.
+        tracking_peak_m: greatest of these differences.
+        peak_command_m, peak_measured_m, peak_force_n: greatest magnitudes.
+        delay_samples: last value reported by its control law; None: a law without, or matrices.
     """
 
     name: str
@@ -62,11 +62,11 @@ class OfDirection:
     """One direction of the interface, m or rad.
 
     Attributes:
-        name, turns: of it.
-        peak: of what the numerical part asked for.
-        tracking_nrmse: rms(measured - asked for) / rms(asked for).
+        name, turns: its name, and whether it is a rotation.
+        peak: of the command of the numerical part.
+        tracking_nrmse: rms(measured - command) / rms(command).
         response_nrmse: rms(measured - reference) / rms(reference).
-        response_peak: largest of that difference.
+        response_peak: greatest of these differences.
         reference_peak: of the reference.
     """
 
@@ -81,13 +81,13 @@ class OfDirection:
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """Rows of the test proper, n of them.
+    """Signals over the n rows of the test proper.
 
     Attributes:
         time_s: (n,).
         wanted_m, command_m, measured_m, force_n: of the axes, (n, axes) each.
         x_num, x_meas: along the interface, (n, axes) each.
-        reference: of the same rows.
+        reference: at the same rows.
     """
 
     time_s: Floats
@@ -102,20 +102,20 @@ class Signals:
 
 @dataclass(frozen=True, eq=False)
 class AxesSummary:
-    """What a test came to.
+    """Results of a test.
 
     Attributes:
-        test_name, description, rig_name, controller: of the files.
+        test_name, description, rig_name, controller: from the files.
         end_reason, final_state: as recorded.
-        rows, lost: of the test proper; of them without a pair on some axis.
+        rows, lost: rows of the test proper, and how many of them lack a pair on some axis.
         flags: rows of the test proper with each flag, by name.
         skipped_ticks: ticks without a row.
         not_finite_rows: rows with a value that is not finite.
         attention: axes that did not follow the reference simulation, with what was found.
         fs_hz: sample rate.
-        axes, directions: each.
-        live: how it went in real time; None: in virtual time.
-        signals: behind them.
+        axes, directions: results of each.
+        live: how the test went in real time; None: in virtual time.
+        signals: the underlying signals.
         structure: the numerical part.
     """
 
@@ -156,15 +156,15 @@ class AxesSummary:
 
 
 def summarize_any(rec: Recording) -> Summary | AxesSummary:
-    """Return what a recording shows, of one axis or of several; see `summarize` of either."""
+    """Return the results of a recording, of one axis or of several; see both `summarize`."""
     return summarize(rec) if rec.axis_names else summary.summarize(rec)
 
 
 def summarize(rec: Recording) -> AxesSummary:
-    """Return what a recording of several axes shows.
+    """Return the results of a recording of several axes.
 
     Raises:
-        InputError: it is of one axis, its files are another version's, or the test never ran.
+        InputError: it is of one axis, its files are of another version, or the test never ran.
     """
     rig, test = files(rec)
     structure = derive_axes(test, rig).structure
@@ -203,10 +203,10 @@ def summarize(rec: Recording) -> AxesSummary:
 
 
 def files(rec: Recording) -> tuple[AxesRig, config.TestFile]:
-    """Return rig and test file of a recording of several axes.
+    """Return rig and test file from a recording of several axes.
 
     Raises:
-        InputError: it is of one axis, or its files are another version's.
+        InputError: it is of one axis, or its files are of another version.
     """
     rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
     if not isinstance(rig, AxesRig):
@@ -215,7 +215,7 @@ def files(rec: Recording) -> tuple[AxesRig, config.TestFile]:
 
 
 def axes_judge(rig: AxesRig, reference: AxesReference, fs_hz: float) -> AxesJudge:
-    """Return what judges the axes of a rig by a reference simulation."""
+    """Return the judge of the axes of a rig, given a reference simulation."""
     peak_m = float(np.max(np.abs(reference.axis_m), initial=0.0))
     return AxesJudge(rig.names, fs_hz, peak_m)
 
@@ -268,7 +268,7 @@ def _signals(rec: Recording, rig: AxesRig, whole: AxesReference) -> Signals:
 
 
 def _peak(values: Floats) -> float:
-    """Return the largest size; what was asked for in a tick that was slept through is not known."""
+    """Return the greatest magnitude, ignoring the unknown commands of skipped ticks."""
     return float(np.nanmax(np.abs(values)))
 
 
@@ -304,12 +304,12 @@ def _of_direction(signals: Signals, j: int, name: str, turns: bool) -> OfDirecti
 
 
 def size_of(value: float, turns: bool) -> str:
-    """Return a displacement or a rotation in words."""
+    """Return a displacement or a rotation with its unit."""
     return quantity(value, "mrad" if turns else "mm", 1e3)
 
 
 def table(s: AxesSummary) -> list[Row]:
-    """Return the result in rows: label, value, what it is."""
+    """Return the results as rows: label, value, definition."""
     rows = [
         Row("Rows of the test", f"{s.rows} ({number(s.rows / s.fs_hz, 4)} s)", f"{s.lost} lost")
     ]
@@ -343,7 +343,7 @@ def table(s: AxesSummary) -> list[Row]:
 
 
 def notices(s: AxesSummary) -> list[Notice]:
-    """Return what a reader must not miss, the gravest first."""
+    """Return the notices, the most serious first."""
     found = []
     if s.end_reason != "completed":
         found.append(Notice("alarm", f"The test did not complete: {s.end_reason}."))
@@ -359,7 +359,7 @@ def notices(s: AxesSummary) -> list[Notice]:
 
 
 def verdict(s: AxesSummary) -> str:
-    """Return in a sentence how the test ended and how near it came to its reference."""
+    """Return one sentence on how the test ended and how close it came to the reference."""
     worst = max(s.directions, key=lambda one: one.response_nrmse)
     if s.end_reason != "completed":
         return f"The test did not complete: {s.end_reason}."

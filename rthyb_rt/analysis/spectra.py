@@ -1,7 +1,7 @@
-"""How one signal answers another over frequency: transfer function, coherence, spectra, delay.
+"""Relation of two signals over frequency: transfer function, coherence, spectra, delay.
 
-By Welch's method, with the averages of `scipy.signal.welch`, `csd` and `coherence` (Hann window,
-halves overlapping, the mean of each segment taken off); done here, so that a report needs no scipy.
+By Welch's method, with the averages of `scipy.signal.welch`, `csd` and `coherence` (Hann window, 50
+% overlap, mean removed from each segment); implemented here so that a report does not need SciPy.
 
 Welch, P.: "The use of fast Fourier transform for the estimation of power spectra", IEEE
 Transactions on Audio and Electroacoustics 15 (1967) 70-73; Bendat, J.S., Piersol, A.G.: "Random
@@ -21,26 +21,26 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 SURE: Final = 0.95
-"""Coherence from which on gain and delay are drawn: with it and ten segments the gain is known to
+"""Coherence from which gain and delay are drawn: with ten segments, the gain is then known to
 5 % (one standard error, Bendat & Piersol, Eqn 9.90)."""
 FAINT: Final = 1e-6
-"""Part of the largest power of the input below which there is nothing to answer to."""
+"""Share of the greatest input power below which there is no input to respond to."""
 _LEAST_SEGMENTS: Final = 8
 _LONGEST_S: Final = 4.0
 
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """What a signal makes of another, by frequency.
+    """Response of one signal to another, by frequency.
 
     Attributes:
-        frequency_hz: (k,), from one line of the resolution up; the mean is left out.
+        frequency_hz: (k,), from the first line of the resolution; without the mean.
         response: H1 = S_xy / S_xx, complex, output over input, (k,).
-        coherence: |S_xy|^2 / (S_xx S_yy), 0 to 1, (k,); of a single segment it says nothing.
-        input_psd, output_psd: one-sided power spectral densities, unit of the signal squared a
+        coherence: |S_xy|^2 / (S_xx S_yy), 0 to 1, (k,); meaningless for a single segment.
+        input_psd, output_psd: one-sided power spectral densities, unit of the signal squared per
             hertz, (k,).
-        known: where the output follows from the input: coherence `SURE` or more, input not faint.
-        segments: how many were averaged.
+        known: where the output follows from the input: coherence `SURE` or more, significant input.
+        segments: number of averaged segments.
     """
 
     frequency_hz: Floats
@@ -58,7 +58,7 @@ class FrequencyResponse:
 
     @property
     def phase_rad(self) -> Floats:
-        """Phase of the output against the input without leaps, where `known`, else nan, (k,)."""
+        """Phase of the output against the input, unwrapped, where `known`, otherwise nan, (k,)."""
         phase = np.full(self.response.size, np.nan)
         known = np.flatnonzero(self.known)
         phase[known] = np.unwrap(np.angle(self.response[known]))
@@ -66,14 +66,14 @@ class FrequencyResponse:
 
     @property
     def delay_s(self) -> Floats:
-        """Lateness of the output, -phase / (2 pi f), where `known`, else nan, (k,), s."""
+        """Delay of the output, -phase / (2 pi f), where `known`, otherwise nan, (k,), s."""
         return -self.phase_rad / (2.0 * math.pi * self.frequency_hz)
 
 
 def segment_rows(rows: int, fs_hz: float) -> int:
-    """Return the length of a segment, samples: long ones resolve, many of them average.
+    """Return the length of a segment, samples: a compromise between resolution and averaging.
 
-    The largest power of two that leaves eight segments, up to 4 s: lines 0.25 Hz apart.
+    The greatest power of two that gives eight segments, up to 4 s: lines 0.25 Hz apart.
     """
     most = min(2.0 * rows / (_LEAST_SEGMENTS + 1), _LONGEST_S * fs_hz)
     return 1 << max(3, math.floor(math.log2(max(most, 8.0))))
@@ -82,11 +82,11 @@ def segment_rows(rows: int, fs_hz: float) -> int:
 def frequency_response(
     given: ArrayLike, answer: ArrayLike, fs_hz: float, segment: int | None = None
 ) -> FrequencyResponse | None:
-    """Return how one signal answers another; None where there is too little of them, or no motion.
+    """Return the response of one signal to another; None for too few samples, or no motion.
 
     Args:
         given: the input, (n,); of a command and a measurement, the command.
-        answer: the output, (n,). Rows in which one of both is no number are bridged in both.
+        answer: the output, (n,). Rows in which either is not finite are interpolated in both.
         fs_hz: sampling rate, Hz.
         segment: length of a segment, samples; None: `segment_rows`.
     """
@@ -103,7 +103,7 @@ def frequency_response(
     scale = float(np.abs(x).max()), float(np.abs(y).max())
     if not all(0.0 < one < math.inf for one in scale):
         return None
-    # Scaled to one: of a test that has diverged the squares would overflow.
+    # Scaled to one: the squares of a diverged test would overflow.
     xs, ys = _transforms(x / scale[0], size), _transforms(y / scale[1], size)
     density = np.float64(2.0 / (fs_hz * float(np.sum(_hann(size) ** 2))))
     s_xx, s_yy = (np.mean(np.abs(one) ** 2, axis=0)[1:] for one in (xs, ys))
@@ -128,7 +128,7 @@ def frequency_response(
 
 
 def _one_sided(power: Floats) -> Floats:
-    """Halve the line at half the rate, which has no mirror image to be counted with it."""
+    """Halve the line at half the rate, which has no mirror image that must be added."""
     out = power.astype(np.float64)
     out[-1] *= 0.5
     return out

@@ -1,16 +1,17 @@
-"""The energy balance of a structure of many degrees of freedom, and of several interfaces.
+"""Energy balance of a structure with many degrees of freedom, and of several interfaces.
 
-A recording has what happened at the interfaces. Between two samples the numerical part is linear in
-the forces that it is given, so that they follow from where it went next: driven by them and by the
-recorded ground motion, the part goes through the test once more, and every degree of freedom is
-seen. The energies are those of `rthyb_rt.analysis.balance`, as sums over the degrees of freedom:
+A recording contains only the motion of the interfaces. Between two samples the numerical part is
+linear in the forces applied to it, so that these follow from its next position: driven by them and
+    by
+the recorded ground motion, the part repeats the test and every degree of freedom becomes known. The
+energies are those of `rthyb_rt.analysis.balance`, as sums over the degrees of freedom:
 
     E_input = -integral load' a_g dx        E_kinetic = v' M v / 2      E_damping = integral v' C dx
     E_strain = x' K x / 2 + sum of r^2 / (2 k) + F' K_e^-1 F / 2
 
 with r the forces of the nonlinear elements within the structure, k their initial stiffness, F the
-forces that the part was given at its interfaces and K_e the elastic stiffness of the specimen. What
-else an element has taken, integral r du - r^2 / (2 k), is lost in it.
+forces applied at the interfaces, and K_e the elastic stiffness of the specimen. The remaining work
+on an element, integral r du - r^2 / (2 k), is dissipated in it.
 """
 
 from __future__ import annotations
@@ -35,13 +36,13 @@ Floats = NDArray[np.float64]
 PartConfig = DenseConfig | SparseConfig
 
 _BLOCK: Final = 1024
-"""Rows whose degrees of freedom are held at a time."""
+"""Rows whose degrees of freedom are kept in memory at a time."""
 
 
 def of_recording(rec: Recording) -> EnergyBalance | None:
-    """Return the balance of a recording of a structure; None of another, or of one that never ran.
+    """Return the balance of a recording of a structure; None for others, or if it never ran.
 
-    Taken is what was recorded up to the first interruption of the test proper, less its last row.
+    Only rows up to the first interruption of the test proper, less the last row, are used.
     """
     from rthyb_rt.analysis.summary import recorded_structure
 
@@ -55,14 +56,14 @@ def of_recording(rec: Recording) -> EnergyBalance | None:
 
 
 def of_axes(rec: Recording, structure: SparseStructure) -> EnergyBalance | None:
-    """Return the balance of a recording of several axes; None of one that never ran.
+    """Return the balance of a recording of several axes; None if it never ran.
 
     Args:
         rec: the recording.
-        structure: its numerical part, as its summary has it.
+        structure: its numerical part, as in its summary.
 
     Raises:
-        InputError: its files are another version's.
+        InputError: its files are of another version.
     """
     from rthyb_rt import config
 
@@ -80,7 +81,7 @@ def of_axes(rec: Recording, structure: SparseStructure) -> EnergyBalance | None:
     )
     x_meas, f_meas = np.empty_like(x_axes), np.empty_like(f_axes)
     for n, (at, force) in enumerate(zip(x_axes, f_axes, strict=True)):
-        # Pins turn with the pose: forces are those of the pose that was found last.
+        # Pins rotate with the pose: forces are those of the latest pose.
         x_meas[n], _ = tie.pose(at)
         f_meas[n], _ = tie.forces(force)
     return balance(structure.part, rec.time_s()[rows], s["ag_mps2"], x_num, x_meas, f_meas)
@@ -96,13 +97,13 @@ def balance(
         config: the numerical part.
         t_s: time, (n,), s.
         ag_mps2: ground acceleration, (n,), m/s^2.
-        x_num_m, x_meas_m: where the part is along its interfaces and where the specimen is, (n, m),
-            m or rad.
+        x_num_m, x_meas_m: position of the part along its interfaces, and of the specimen, (n, m), m
+            or rad.
         f_meas_n: forces of the specimen along them, (n, m), N or N m.
 
     Returns:
-        The balance of all rows but the last, whose force nothing follows; None where the part does
-        not begin where the recording does, or a number is missing.
+        The balance of all rows but the last, whose force affects no further row; None if the part
+        does not begin where the recording does, or if a value is missing.
     """
     rows = _whole(ag_mps2, x_num_m, x_meas_m, f_meas_n)
     if rows < 4:
@@ -132,14 +133,14 @@ def balance(
 
 
 def _whole(*signals: Floats) -> int:
-    """Return how many rows come before the first number that is missing."""
+    """Return the number of rows before the first missing value."""
     fine = np.logical_and.reduce([np.isfinite(s).reshape(len(s), -1).all(axis=1) for s in signals])
     missing = np.flatnonzero(~fine)
     return int(missing[0]) if missing.size else len(fine)
 
 
 def _flexibility(config: PartConfig) -> Floats:
-    """Return K_e^-1, (m, m); 0 where the specimen has no stiffness that could store anything."""
+    """Return K_e^-1, (m, m); 0 where the specimen has no stiffness to store energy."""
     if isinstance(config, DenseConfig):
         k_e = np.array([[config.k_e_n_per_m]])
     else:
@@ -155,7 +156,7 @@ def _stored(force: Floats, flexibility: Floats) -> Floats:
 
 
 def _work(force: Floats, along: Floats, *, held: bool = False) -> Floats:
-    """Return the running work of forces, (n, m) each; ``held``: each is held for a sample."""
+    """Return the running work of forces, (n, m) each; ``held``: each is held for one sample."""
     mean = force[:-1] if held else 0.5 * (force[1:] + force[:-1])
     return _running(np.einsum("ni,ni->n", mean, np.diff(along, axis=0)))
 
@@ -165,11 +166,11 @@ def _running(steps: Floats) -> Floats:
 
 
 class _Run:
-    """A part that goes once more where a recording says that it went.
+    """Runs a part again along the recorded positions.
 
     Attributes:
-        begins: it begins where the recording does.
-        used: the forces that it was given, (n - 1, m), after `energies`.
+        begins: whether it begins where the recording does.
+        used: the forces applied to it, (n - 1, m), after `energies`.
     """
 
     def __init__(self, config: PartConfig, ag: Floats, x: Floats) -> None:
@@ -177,7 +178,7 @@ class _Run:
         self.joints = config.joints if isinstance(config, SparseConfig) else ()
         self.parts: list[DensePart | SparsePart]
         if isinstance(config, DenseConfig):
-            # What the part was given: a force that is delayed was another sample's.
+            # Forces applied to the part: with a force delay, those of an earlier sample.
             self.config: PartConfig = replace(config, force_delay=0)
             self.parts = [DensePart(self.config, float(x[0, 0]))]
         else:
@@ -201,7 +202,7 @@ class _Run:
             v = (x[2:] - x[:-2]) / (2.0 * h)
             kinetic[here] = 0.5 * np.einsum("ni,ni->n", v, (m @ v.T).T)
             strain[here] = 0.5 * np.einsum("ni,ni->n", x[1:-1], (k @ x[1:-1].T).T)
-            # The integrators' own damping: of the velocity at the sample, not between two.
+            # The integrators' own damping uses the velocity at the sample, not between two.
             lost[here] = np.einsum("ni,ni->n", v, c_times(v.T).T) * h
             moved[here] = (x[1:-1] - x[:-2]) @ load
             for i, joint in enumerate(self.joints):
@@ -223,10 +224,10 @@ class _Run:
         }
 
     def _blocks(self) -> Iterator[tuple[int, Floats]]:
-        """Give blocks of rows with the row before and the one after: (number of the first, x)."""
+        """Yield blocks of rows with one row before and one after: (number of the first row, x)."""
         rows = len(self.ag) - 1
         now = self.parts[0].displacements()
-        # The row before the first is as far from it as the one after: it begins at rest.
+        # The row before the first mirrors the one after it, since the part begins at rest.
         held, first = [now, now], 0
         for n in range(rows):
             held.append(self._step(n))
@@ -257,7 +258,7 @@ class _Run:
 
 
 def _telling(config: SparseConfig) -> list[SparseConfig]:
-    """Return the part as often as it takes for every element to tell its force."""
+    """Return copies of the part that together report the force of every element."""
     names = [Response(f"element_{i}", "N", joints=((i, 1.0),)) for i in range(len(config.joints))]
     groups: Sequence[Sequence[Response]] = [
         names[i : i + RESPONSES_MAX] for i in range(0, len(names), RESPONSES_MAX)
@@ -274,7 +275,7 @@ def _interface_rows(config: PartConfig) -> Floats:
 
 
 def _matrices(config: PartConfig) -> tuple[Any, Any, Callable[[Floats], Floats], Floats]:
-    """Return M, K, what C makes of velocities (n, k), and the load, (n,), of the part alone."""
+    """Return M, K, the product of C with velocities (n, k), and the load (n,) of the part."""
     load = np.asarray(config.load_kg, np.float64)
     if isinstance(config, SparseConfig):
         m, k = config.mass_kg.matrix(), config.stiffness_n_per_m.matrix()

@@ -1,4 +1,4 @@
-"""What a recording says, in numbers and in plain words; shared by command line and report."""
+"""Results of a recording as figures and sentences, shared by command line and report."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ Floats = NDArray[np.float64]
 NAN = float("nan")
 
 USELESS_NRMSE = 0.5
-"""Above half of the motion as error nothing of a test can be used."""
+"""With an error of more than half of the motion, no result of a test can be used."""
 FARTHEST_M = 2.0
-"""No laboratory's actuator goes farther: a motion beyond it has run away."""
+"""No actuator in a laboratory moves farther: a motion beyond this has diverged."""
 _MOVING = [STATES.index(name) for name in ("RAMP_IN", "RUNNING", "HOLD", "RAMP_OUT")]
 OUT_OF_RANGE = 1 << 1
 """Bit of the field ``code``: a value was implausible and was discarded."""
@@ -46,13 +46,13 @@ OUT_OF_RANGE = 1 << 1
 
 @dataclass(frozen=True)
 class Setup:
-    """What the measures and figures need from the test and rig file; None where it is not said.
+    """Settings from test and rig file for measures and figures; None if not given.
 
     Attributes:
         controller: name of the controller.
-        plc_enabled: the delay was compensated.
-        estimator_enabled: the delay estimate was allowed to change.
-        rfc_enabled: force compensation was on.
+        plc_enabled: whether the delay was compensated.
+        estimator_enabled: whether the delay estimate could change.
+        rfc_enabled: whether force compensation was on.
         alpha_min: lower bound of the delay estimate, samples.
         alpha_max: upper bound of the delay estimate, samples.
         alpha_identified: delay found by identification of the rig, samples.
@@ -60,20 +60,20 @@ class Setup:
         mass_kg: mass of the numerical part, kg.
         period_s: period of the whole structure, s.
         damping_n_s_per_m: damping of the numerical part, N s/m.
-        damping_ratio: the same as a part of critical.
-        critical_delay_samples: longest pure delay that the structure survives; inf: any.
+        damping_ratio: the same as a fraction of critical damping.
+        critical_delay_samples: longest pure delay for which the structure is stable; inf: any.
         window_samples: window T0 of the tangent stiffness.
-        tangent: how the tangent stiffness is found.
-        gain: what the delay estimator adapts by, in words with its unit.
-        limits: value of each limit of the test that is set, by key, SI.
+        tangent: method of finding the tangent stiffness.
+        gain: adaptation gain of the delay estimator with its unit, as text.
+        limits: value of each limit that is set, by key, SI.
         reference_peak_m: of the reference simulation; None without one.
-        reference_peak_n: the same of its force.
+        reference_peak_n: the same for its force.
         description: the test file's.
         rig_name: name of the rig.
-        fs_hz: sample rate of the test, by which delays in samples become milliseconds.
-        history: what was prescribed, in words; "": a hybrid test.
-        time_scale: seconds in the laboratory per second of the structure; masses, dampings and
-            periods are those of the laboratory's time.
+        fs_hz: sample rate of the test, which relates samples to milliseconds.
+        history: the prescribed history, as text; "": a hybrid test.
+        time_scale: seconds in the laboratory per second of the structure; masses, damping and
+            periods are given in the laboratory's time.
     """
 
     controller: str | None
@@ -103,9 +103,9 @@ class Setup:
 
 
 def setup(rec: Recording) -> Setup:
-    """Return what the measures need from the two resolved files.
+    """Return the settings that the measures need from the two resolved files.
 
-    Reads leniently: a recording of another version must still give a report.
+    Tolerant, since a recording of another version must still give a report.
     """
     test, rig = _parse(rec.test_toml), _parse(rec.rig_toml)
     name = _get(test, "controller", "type")
@@ -116,7 +116,7 @@ def setup(rec: Recording) -> Setup:
     period = _positive(_get(test, "numerical", "period_s"))
     damping = _number(_get(test, "numerical", "damping_n_s_per_m"))
     ratio = _number(_get(test, "numerical", "damping_ratio"))
-    # One of mass and period is given, the other follows with the stiffness of both parts.
+    # Either mass or period is given; the other follows with the stiffness of both parts.
     if k_e is not None:
         k = k_e + (_number(_get(test, "numerical", "stiffness_n_per_m")) or 0.0)
         if period is None and mass is not None and k > 0.0:
@@ -147,7 +147,7 @@ def setup(rec: Recording) -> Setup:
     plc = compensated and _get(test, "controller", "plc_enabled") is not False
     estimator = ("controller", "delay_estimator")
     law = LAWS.get(controller or "")
-    # The table is there whatever the law; a law that this version has not may read it.
+    # The table exists for every law; a law unknown to this version may have its own keys.
     bounded = law is None or law.parameter("delay_estimator.alpha_min") is not None
     return Setup(
         controller=controller,
@@ -184,7 +184,7 @@ def setup(rec: Recording) -> Setup:
 
 
 def recorded_structure(rec: Recording) -> Structure | SparseStructure | None:
-    """Return a recording's numerical part where it has many degrees of freedom, else None."""
+    """Return the numerical part of a recording if it has many degrees of freedom, else None."""
     test, rig = _parse(rec.test_toml), _parse(rec.rig_toml)
     k_e = _positive(_get(rig, "rig", "elastic_stiffness_n_per_m"))
     return structure_of_recording(test, k_e, Rate(rec.fs_hz))
@@ -193,10 +193,10 @@ def recorded_structure(rec: Recording) -> Structure | SparseStructure | None:
 def structure_of_recording(
     test: dict[str, Any], k_e: float | None, rate: Rate
 ) -> Structure | SparseStructure | None:
-    """Return a numerical part of many degrees of freedom; None where there is none to be read.
+    """Return a numerical part with many degrees of freedom; None if there is none to be read.
 
     Args:
-        test: the test file as it was recorded.
+        test: the test file as recorded.
         k_e: elastic stiffness of the specimen, N/m.
         rate: of the test.
     """
@@ -212,7 +212,7 @@ def structure_of_recording(
         slow = _positive(_get(test, "test", "time_scale")) or 1.0
         return structure_of(Matrices.model_validate(matrices), k_e, rate.period_s).slowed(slow)
     except (ValueError, InputError):
-        # Another version's.
+        # From another version.
         return None
 
 
@@ -223,7 +223,7 @@ def _critical_delay(
     k_e: float | None,
     rate: Rate,
 ) -> float | None:
-    """Return what `rthyb check` knows of the structure; None where the files do not say enough."""
+    """Return the critical delay as in `rthyb check`; None if the files are incomplete."""
     integrator = _get(test, "numerical", "integrator")
     if mass is None or damping is None or k_e is None or not isinstance(integrator, str):
         return None
@@ -239,7 +239,7 @@ def _critical_delay(
     try:
         return margins.critical_delay(margins.OneDegree(motion))
     except ValueError:
-        # An integrator that this version has not.
+        # An integrator unknown to this version.
         return None
 
 
@@ -258,12 +258,12 @@ def _reference_peak(rec: Recording, name: str) -> float | None:
 
 
 def _gain(law: Law | None, controller: Any, rate: Rate) -> str | None:
-    """Return in words what a control law's own table wants said of its settings."""
+    """Return the setting that a control law's table declares for display, as text."""
     said = []
     for parameter in law.parameters if law else ():
         value = _number(_get(controller, *parameter.key.split(".")))
         if value is not None and parameter.words is not None:
-            # A file's sample is one of 1/1024 s whatever the rate of its test.
+            # In files, samples are always of 1/1024 s, whatever the rate of the test.
             of = " of 1/1024 s" if parameter.words.endswith("sample") and rate.pace != 1.0 else ""
             said.append(parameter.words.format(f"{value:g}") + of)
     return ", ".join(said) or None
@@ -302,24 +302,24 @@ def _positive(value: Any) -> float | None:
 
 @dataclass(frozen=True)
 class Live:
-    """How a test in real time went, besides its figures.
+    """How a test in real time went, apart from its results.
 
     Attributes:
-        in_real_time: False where the ticks came on another's word: the stepped clock, or a link
+        in_real_time: False if ticks were triggered externally: by the stepped clock, or by a link
             with a Python thread in between.
-        cause: what ended the test, in the station's word.
+        cause: what ended the test, as named by the station.
         link: name of the link.
-        wake_p50_ns, wake_p99_ns, wake_max_ns: woken after the tick was due.
-        sent_p99_ns: from being awake to the command being sent.
-        skipped_ticks: that nobody executed.
+        wake_p50_ns, wake_p99_ns, wake_max_ns: delay of the wake-up after the due time.
+        sent_p99_ns: from wake-up to sending of the command.
+        skipped_ticks: ticks that were not executed.
         lost_pairs: ticks of the motion without a pair from the drive.
-        slips: how often the drive's clock gained or lost a sample in the motion.
-        link_delay_samples: from command to feedback on the wire, median of the test proper; -1:
-            not known.
+        slips: how often the drive's clock gained or lost a sample during the motion.
+        link_delay_samples: from command to feedback on the wire, median of the test proper; -1: not
+            known.
         link_delay_ms: the same in milliseconds; None: not known.
-        missed_rows: rows that the recorder came too late for.
-        privileges: what the tick thread obtained.
-        remedy: what to do about such an end; "" where there is nothing to say.
+        missed_rows: rows that were overwritten before the recorder read them.
+        privileges: obtained by the tick thread.
+        remedy: what to do about the cause; "" if nothing.
     """
 
     in_real_time: bool
@@ -340,7 +340,7 @@ class Live:
 
 
 def live(rec: Recording) -> Live | None:
-    """Return how a test in real time went; None for one in virtual time."""
+    """Return how a test in real time went; None for a test in virtual time."""
     facts = rec.meta.get("real_time")
     if not isinstance(facts, dict):
         return None
@@ -369,19 +369,19 @@ def live(rec: Recording) -> Live | None:
 
 
 def _motion(rec: Recording) -> NDArray[np.bool_]:
-    """Return which rows something moved in, ramps and all, shape (n,)."""
+    """Return which rows contain motion, including ramps, shape (n,)."""
     mask: NDArray[np.bool_] = np.isin(rec.samples["state"], _MOVING)
     return mask
 
 
 @dataclass(frozen=True)
 class Summary:
-    """The figures of a test; fractions and SI units, nan or None where there is nothing to say.
+    """Results of a test; fractions and SI units, nan or None if not defined.
 
-    ``attention`` is what went wrong although the test may have completed, the gravest first;
-    ``ended_by`` the cause that took it off its course, None if none did; ``loops`` what the cycles
-    of a prescribed history have shown, by amplitude. Errors, indices and flags are taken over the
-    rows of the test proper.
+    ``attention`` lists what went wrong although the test may have completed, the most serious
+    first; ``ended_by`` the cause that interrupted it, or None; ``loops`` the results of the cycles
+    of a prescribed history, by amplitude. Errors, indices and flags are taken over the rows of the
+    test proper.
     """
 
     test_name: str
@@ -427,7 +427,7 @@ class Summary:
 
     @property
     def ending(self) -> str:
-        """The limit that ended the test, with its figures and what was known of it; "": none."""
+        """The limit that ended the test, with its value and further facts; "" if none did."""
         return "" if self.ended_by is None else trips.sentence(self.ended_by, self.setup)
 
     @property
@@ -436,7 +436,7 @@ class Summary:
         return self.live is not None and self.test_samples == 0
 
     def as_json(self) -> dict[str, Any]:
-        """Return the figures for a JSON document: nan, which JSON has not, becomes None."""
+        """Return the results as a JSON document: nan, which JSON does not have, becomes None."""
         return {key: _json_value(value) for key, value in asdict(self).items()}
 
 
@@ -461,20 +461,20 @@ _NEVER: dict[str, Any] = dict.fromkeys(
         "accumulated_error_m", "energy_error_relative", "input_energy_j",
     )
 )  # fmt: skip
-"""Figures that only the test proper has."""
+"""Results that exist for the test proper only."""
 
 
 def _bare(found: Summary) -> Summary:
-    """Return the summary of a test that never began: what rest and ramps show is none of it."""
+    """Return the summary of a test that never began, without figures of rest and ramps."""
     return replace(found, duration_s=0.0, attention=(), **_NEVER)
 
 
 def ending(rec: Recording, running: int) -> str:
-    """Return the limit that ended a test with its figures, by a recording without its rows.
+    """Return the limit that ended a test, with its value, from a recording without its rows.
 
     Args:
-        rec: the recording; its rows are not looked at.
-        running: rows of the test proper that came.
+        rec: the recording; its rows are not used.
+        running: number of rows of the test proper.
 
     Returns:
         As `Summary.ending`.
@@ -485,7 +485,7 @@ def ending(rec: Recording, running: int) -> str:
 
 
 def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
-    """Return the rows that have a reference and the reference displacement there, m.
+    """Return the rows with a reference and the reference displacement at these rows, m.
 
     Row k of the reference belongs to the k-th row of the test proper. None without a reference.
     """
@@ -497,7 +497,7 @@ def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
 
 
 def subject(given: Setup, fs_hz: float) -> Subject:
-    """Return what has to be known of a test to judge it, its rows apart."""
+    """Return what must be known about a test to judge its rows."""
     critical = given.critical_delay_samples
     return Subject(
         fs_hz=fs_hz,
@@ -511,10 +511,10 @@ def subject(given: Setup, fs_hz: float) -> Subject:
 
 
 def summarize(rec: Recording) -> Summary:
-    """Return the figures of a recording.
+    """Return the results of a recording.
 
-    The energy error is taken from the recording's own signals, not from the core's running
-    value, so that recordings from elsewhere are judged alike.
+    The energy error is computed from the recorded signals, not taken from the core's running value,
+    so that recordings from other sources are judged in the same way.
     """
     given = setup(rec)
     samples = rec.samples
@@ -524,7 +524,7 @@ def summarize(rec: Recording) -> Summary:
     flagged = np.ascontiguousarray(run["flags"])
     if how is not None and not (run["state"] == RUNNING).any():
         flagged = flagged[:0]
-    # Each is read a dozen times; a row of the recording is longer than a line of the cache.
+    # Contiguous copies: each is read a dozen times, and a recorded row exceeds a cache line.
     x_num, x_meas, force = (
         np.ascontiguousarray(run[name]) for name in ("x_num_m", "x_meas_m", "f_meas_n")
     )
@@ -596,7 +596,7 @@ def summarize(rec: Recording) -> Summary:
 
 
 def _selected(samples: NDArray[np.void], mask: NDArray[np.bool_]) -> NDArray[np.void]:
-    """Return the rows of a mask; without a copy where they stand in a row, as they do in a test."""
+    """Return the rows of a mask, without a copy if they are contiguous, as in a normal test."""
     count = int(np.count_nonzero(mask))
     first = int(np.argmax(mask)) if count else 0
     if mask[first : first + count].all():
@@ -607,17 +607,17 @@ def _selected(samples: NDArray[np.void], mask: NDArray[np.bool_]) -> NDArray[np.
 def stiffness_shares(
     k_t: Floats, k_e: float | None, fs_hz: float, step_s: float = 1.0
 ) -> tuple[Floats, Floats]:
-    """Return where the tangent stiffness stood, step by step of the test.
+    """Return the bounds at which the tangent stiffness was, for each step of the test.
 
     Args:
-        k_t: tangent stiffness, shape (n,); values that are not finite count as between.
-        k_e: its upper bound in the same unit, None where it is not known.
+        k_t: tangent stiffness, shape (n,); non-finite values count as between the bounds.
+        k_e: upper bound in the same unit, None if not known.
         fs_hz: sample rate.
         step_s: length of a step, s.
 
     Returns:
-        Edges of the steps from the first sample on, s, shape (m + 1,), and the share of the samples
-        of each step at 0, between the bounds, and at k_e, shape (3, m). The last step may be short.
+        Edges of the steps from the first sample, s, shape (m + 1,), and the share of samples per
+        step at 0, between the bounds, and at k_e, shape (3, m). The last step may be short.
     """
     width = max(round(step_s * fs_hz), 1)
     starts = np.arange(0, k_t.size, width)
@@ -633,7 +633,7 @@ def stiffness_shares(
 
 
 def _clamped_rows(samples: NDArray[np.void]) -> int:
-    """Count the rows in which a computed value was held back; a lost feedback is told elsewhere."""
+    """Count the rows in which a computed value was discarded; lost feedback is counted apart."""
     held = (samples["code"] & OUT_OF_RANGE) != 0
     return int(np.count_nonzero(held & ((samples["flags"] & FLAGS["predicted"]) == 0)))
 
@@ -671,7 +671,7 @@ def _share_at_bound(alpha: Floats, given: Setup) -> float:
 
 
 def verdict(s: Summary) -> str:
-    """Return the result in one plain sentence, the response never without the tracking."""
+    """Return the result in one sentence, with the tracking beside any response error."""
     if s.never_began:
         return "The test proper never began: there is nothing to evaluate."
     if np.isnan(s.peak_command_m):
@@ -710,7 +710,7 @@ def _mm(value_m: float | None) -> str:
 
 
 def notices(s: Summary) -> list[Notice]:
-    """Return what a reader must not miss, the gravest first."""
+    """Return the notices, the most serious first."""
     found: list[Notice] = []
     if s.end_reason != "completed":
         how = f", {s.ending}" if s.ending else f" after {s.duration_s:.2f} s"
@@ -744,7 +744,7 @@ def notices(s: Summary) -> list[Notice]:
 
 
 def live_notices(found: Live | None) -> list[Notice]:
-    """Return what the user should know of a test in real time."""
+    """Return the notices about a test in real time."""
     if found is None:
         return []
     notices = []
@@ -767,7 +767,7 @@ def live_notices(found: Live | None) -> list[Notice]:
 
 
 def _useless(s: Summary) -> list[Notice]:
-    """Return why the figures of a test that diverged or failed altogether mean nothing."""
+    """Return why the results of a diverged or failed test are meaningless."""
     texts = []
     peak_m = max(np.nan_to_num([s.peak_command_m, s.peak_measured_m], nan=0.0))
     if peak_m > FARTHEST_M:
@@ -798,9 +798,9 @@ def _useless(s: Summary) -> list[Notice]:
 
 
 def key_figures(s: Summary) -> list[str]:
-    """Return what was tested in a few words: structure or history, controller, window.
+    """Return the key properties of a test as short texts: structure or history, controller, window.
 
-    Period, mass and damping are those of the structure's own time.
+    Period, mass and damping are given in the structure's own time.
     """
     given, slow = s.setup, s.setup.time_scale
     figures = [
@@ -824,7 +824,7 @@ def key_figures(s: Summary) -> list[str]:
 
 
 class Row(NamedTuple):
-    """One row of the result table: what, how much, by which formula."""
+    """One row of the result table: label, value, definition."""
 
     label: str
     value: str
@@ -832,9 +832,9 @@ class Row(NamedTuple):
 
 
 def result_table(rec: Recording) -> list[Row]:
-    """Return the result table of a recording: label, value with unit, formula.
+    """Return the result table of a recording: label, value with unit, definition.
 
-    The formulas are explained, with their sources, in `rthyb_rt.analysis.measures`.
+    Definitions and sources are given in `rthyb_rt.analysis.measures`.
     """
     return table(summarize(rec))
 
@@ -929,7 +929,7 @@ def _limit_rows(met: Met | None) -> list[Row]:
 
 
 def live_rows(found: Live | None) -> list[Row]:
-    """Return how a test in real time went, in rows; none for one in virtual time."""
+    """Return the result rows of a test in real time; none for a test in virtual time."""
     if found is None:
         return []
     wake = ", ".join(
@@ -954,7 +954,7 @@ def live_rows(found: Live | None) -> list[Row]:
         f"{count(found.lost_pairs, 'pair')} lost, {count(found.slips, 'slip')}, delay {delay}",
         found.link,
     )
-    # On a stepped clock nothing is ever late.
+    # With a stepped clock nothing is ever late.
     return [punctuality, link] if found.wake_max_ns else [link]
 
 
@@ -986,6 +986,6 @@ def _samples(s: Summary) -> str:
     ]
     if s.skipped_ticks:
         flagged.append(f"{count(s.skipped_ticks, 'tick')} skipped")
-    # With ramps and rest the rows are more than those that are judged.
+    # With ramps and rest there are more rows than those that are judged.
     rows = f"{s.samples}" if s.samples == s.test_samples else f"{s.test_samples} of {s.samples}"
     return f"{rows}, " + (", ".join(flagged) if flagged else "none flagged")
