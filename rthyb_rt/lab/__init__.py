@@ -1,1 +1,1 @@
-"""One test from its files to its end: preparation, reference, course, operator, replay."""
+"""One test from its files to its end: preparation, reference, conduct, operator, replay."""

@@ -1,4 +1,4 @@
-"""The virtual rig of several axes that a rig file describes."""
+"""The virtual rig with several axes, as described by a rig file."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from rthyb_rt.lab import experiment
 
 
 def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
-    """Return the virtual rig of several axes at a sample rate.
+    """Return the virtual rig with several axes at a sample rate.
 
     Raises:
-        CoreError: kinematics that leave a direction free, which a file that was read has not.
+        CoreError: the kinematics leave a direction undetermined, which files are checked for.
     """
     rate, n = Rate(fs_hz), len(rig.axis)
     given = rig.specimen
@@ -59,7 +59,7 @@ def virtual_rig(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRig:
     """Return the virtual rig at rest.
 
     Raises:
-        InputError: figures that the files' own checks let through and the core does not, such as a
+        InputError: values that pass the checks of the files but not those of the core, such as a
             specimen too stiff for the substeps.
     """
     try:

@@ -1,4 +1,4 @@
-"""How far a test runs on when it is held or ramped out: the station's brake along the reference."""
+"""How far a test moves on when it is held or ramped out at any instant of its reference."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 TURN_S, LEAST_TURN_S = 16 / STANDARD_HZ, 2 / STANDARD_HZ
-"""In which the deceleration comes and goes: csrc/station.c, station_ticks."""
+"""Time in which the deceleration builds up and fades: csrc/station.c, station_ticks."""
 
 _PIECES = 33
-"""Points at which the way of a brake is looked at."""
+"""Points at which a braking path is evaluated."""
 _INSTANTS = 8
-"""Worst instants, by displacement and by force each, at which the specimen is simulated."""
+"""Number of worst instants, each by displacement and by force, that are simulated."""
 _APART = 16
-"""Ticks between two of them: the neighbours of the worst one are as bad and tell nothing."""
+"""Least ticks between two of them: direct neighbours of the worst are almost equal to it."""
 
 
 @dataclass(frozen=True)
 class Course:
     """Displacement, velocity and acceleration of a command at every tick, (n,), m and s.
 
-    Both derivatives are those that the station has when it begins to brake.
+    Both derivatives are those that the station knows when it begins to brake.
     """
 
     x: Floats
@@ -42,7 +42,7 @@ class Course:
 
     @classmethod
     def of(cls, x_m: ArrayLike, rate: Rate = STANDARD) -> Course:
-        """Return the course of displacements at a rate that begin at rest."""
+        """Return the course of displacements at a rate; it begins at rest."""
         h = rate.period_s
         x = np.asarray(x_m, dtype=np.float64)
         padded = np.concatenate([np.full(2, x[0] if x.size else 0.0), x])
@@ -53,10 +53,10 @@ class Course:
 
 @dataclass(frozen=True)
 class Brake:
-    """The way to rest from a state, or from each of many, as `brake` of csrc/station.c plans it.
+    """The braking path from one state or from many, as planned by `brake` of csrc/station.c.
 
-    The acceleration goes from ``a`` to ``end_a`` in ``turn_s``, stays there for ``steady_s``, and
-    goes to 0 in ``turn_s``.
+    The acceleration changes from ``a`` to ``end_a`` in ``turn_s``, is constant for ``steady_s``,
+    and changes to 0 in ``turn_s``.
     """
 
     x: Floats
@@ -75,7 +75,7 @@ class Brake:
         most_m_per_s2: float,
         rate: Rate = STANDARD,
     ) -> Brake:
-        """Return the brake with so much deceleration at a rate."""
+        """Return the brake with a given deceleration, at a rate."""
         h, most = rate.period_s, most_m_per_s2
         way = np.where(np.asarray(v) < 0, -1.0, 1.0)
         speed, ahead = np.abs(v), np.clip(way * np.asarray(a), -most, most)
@@ -90,11 +90,11 @@ class Brake:
 
     @property
     def lasts_s(self) -> Floats:
-        """How long it takes."""
+        """Total duration."""
         return np.asarray(2 * self.turn_s + self.steady_s)
 
     def at(self, t_s: ArrayLike) -> tuple[Floats, Floats, Floats]:
-        """Return displacement, velocity and acceleration after so long."""
+        """Return displacement, velocity and acceleration at times after the beginning."""
         x, v, a, left = self.x, self.v, self.a, np.asarray(t_s, np.float64)
         zero = np.zeros_like(self.end_a)
         for lasts, end in (
@@ -111,12 +111,12 @@ class Brake:
 
 @dataclass(frozen=True)
 class RunOn:
-    """Where a test gets to at most when it is braked at the worst instant of its reference.
+    """Farthest point of a test that is braked at the worst instant of its reference.
 
     Attributes:
         brake_m_per_s2: the deceleration.
-        displacement_m, displacement_at_s: largest displacement, and when the brake begins for it.
-        force_n, force_at_s: the same of the force that the specimen's elements then have.
+        displacement_m, displacement_at_s: greatest displacement, and when its braking begins.
+        force_n, force_at_s: the same for the force of the specimen's elements.
     """
 
     brake_m_per_s2: float
@@ -127,7 +127,7 @@ class RunOn:
 
 
 def run_on(setup: Setup) -> RunOn:
-    """Brake the reference simulation of a test at every tick, and return the worst.
+    """Brake the reference simulation of a test at every tick and return the worst case.
 
     Args:
         setup: the test, with its reference.
@@ -139,7 +139,7 @@ def run_on(setup: Setup) -> RunOn:
     brakes = Brake.of(course.x, course.v, course.a, most, rate)
     shares = np.linspace(0, 1, _PIECES)
     reach = np.max([np.abs(brakes.at(u * brakes.lasts_s)[0]) for u in shares], axis=0)
-    # Where it may be worst, by the elastic stiffness; how bad it is there, by the elements.
+    # Candidates are found with the elastic stiffness, then simulated with the elements.
     k_e = setup.derived.k_e_n_per_m
     elastic = np.abs(setup.reference["f_ref_n"] + k_e * (brakes.at(brakes.lasts_s)[0] - course.x))
     instants = sorted({*_worst(reach), *_worst(elastic)})
@@ -155,7 +155,7 @@ def run_on(setup: Setup) -> RunOn:
 
 
 def _worst(values: Floats) -> list[int]:
-    """Return the ticks of the largest values, each some way from the others."""
+    """Return the ticks of the greatest values, at some distance from each other."""
     left, found = values.copy(), list[int]()
     for _ in range(min(_INSTANTS, math.ceil(values.size / _APART))):
         n = int(np.argmax(left))
@@ -165,7 +165,7 @@ def _worst(values: Floats) -> list[int]:
 
 
 def _force(setup: Setup, course: Course, n: int, most_m_per_s2: float) -> float:
-    """Return the largest force of the specimen on its way to rest from tick n on."""
+    """Return the greatest force of the specimen while braking from tick n."""
     h = setup.rate.period_s
     brake = Brake.of(course.x[n], course.v[n], course.a[n], most_m_per_s2, setup.rate)
     ticks = round(float(brake.lasts_s) / h)

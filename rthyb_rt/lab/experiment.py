@@ -1,4 +1,4 @@
-"""One hybrid test from its files to the core's settings, and the recording as it begins."""
+"""One hybrid test: from its files to the core's settings, and its empty recording."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ _B = TypeVar("_B")
 
 @dataclass(frozen=True)
 class Group:
-    """What a test on a rig of several axes has beside that of its first axis.
+    """What a test on a rig with several axes has in addition to its first axis.
 
     Attributes:
-        rig, derived: the rig file, and what follows of it and of the test.
+        rig, derived: the rig file, and values derived from it and the test.
         virtual_rig: settings of the core.
-        reference: what the reference simulation asks of interface and axes.
+        reference: motion of the interface and the axes in the reference simulation.
     """
 
     rig: AxesRig
@@ -61,20 +61,20 @@ class Group:
 
 @dataclass(frozen=True)
 class Setup:
-    """A test with every figure resolved, ready to run.
+    """A test with all values resolved, ready to run.
 
     Attributes:
-        test, rig, derived: the files, the test with every default written out, and what follows.
+        test, rig, derived: the files, the test with every default filled in, and derived values.
         motion: the scaled record before resampling.
-        ag_mps2: ground acceleration at every tick of the test, shape (n,), as it is in the
-            laboratory's time: over the square of the time scale. Of a test that follows a
-            displacement: that displacement, m.
+        ag_mps2: ground acceleration at every tick of the test, shape (n,), in the laboratory's
+            time: divided by the square of the time scale. For a prescribed history: the
+            displacement, m.
         controller, virtual_rig: settings of the core.
-        notes: what the user should know and need not act on.
-        reference: the reference simulation as the test file wants it, shape (n,).
-        channels: named values that its rows have beside the record.
+        notes: for the user; none requires action.
+        reference: the reference simulation requested by the test file, shape (n,).
+        channels: named values that are recorded in addition to the standard record.
         plan: of a prescribed history; None: a hybrid test.
-        group: of a rig of several axes, whose first one ``rig`` and ``derived`` are then of.
+        group: for a rig with several axes; ``rig`` and ``derived`` then belong to the first one.
     """
 
     test: TestFile
@@ -102,19 +102,19 @@ class Setup:
 
     @property
     def rigs(self) -> tuple[RigFile, ...]:
-        """The rig of each axis by itself: one, or those of the group."""
+        """The rig of each axis: a single one, or those of the group."""
         if self.group is None:
             return (self.rig,)
         return tuple(self.group.rig.of_axis(name) for name in self.group.rig.names)
 
     @property
     def rig_file(self) -> RigFile | AxesRig:
-        """The rig file itself, of one axis or of several."""
+        """The rig file, of one axis or of several."""
         return self.rig if self.group is None else self.group.rig
 
     @property
     def axis_names(self) -> tuple[str, ...]:
-        """Names of the axes of a group; () of one axis, which has none."""
+        """Names of the axes of a group; () for a single axis, which has no name."""
         return () if self.group is None else self.group.rig.names
 
 
@@ -126,16 +126,17 @@ def prepare(
     real_time: bool = False,
     record: GroundMotion | None = None,
 ) -> Setup:
-    """Read the ground motion and work out every setting of the core.
+    """Read the ground motion and determine all settings of the core.
 
     Args:
         test, rig: the two files.
-        real_time: the test will run over a link, where limits that no file states act as well: a
-            note names them.
-        record: the ground motion as it was read already, not cut, not scaled; None reads it.
+        real_time: whether the test will run over a link, where derived limits act as well; a note
+            names them.
+        record: the ground motion if it has been read already, neither cut nor scaled; None: read
+            it.
 
     Raises:
-        InputError: with what is wrong in the files, the record, or between them.
+        InputError: everything that is wrong in the files, in the record, or between them.
     """
 
     def read() -> GroundMotion:
@@ -157,7 +158,7 @@ def prepare(
         lasts_s = motion.duration_s + test.test.free_vibration_s
     slow = test.test.time_scale
     refuse_long(lasts_s, derived.fs_hz, slow)
-    # Sampled more densely in the structure's time, which is as dense in the laboratory's.
+    # Sampled more densely in the structure's time, hence at the tick rate in the laboratory's.
     ag = ground_motion.resample(
         motion, derived.fs_hz * slow, method=test.ground_motion.interpolation, duration_s=lasts_s
     )
@@ -180,7 +181,7 @@ def prepare(
         core.Rig(setup.virtual_rig)
         expected = reference(setup)
     except core.CoreError as error:
-        # The files' own checks come first; what is left is a combination that they do not know.
+        # The checks of the files come first, so this is a combination that they do not cover.
         raise InputError(
             f"{error}; check the largest and smallest values of both files",
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
@@ -189,17 +190,17 @@ def prepare(
 
 
 def _noted(setup: Setup, real_time: bool) -> Setup:
-    """Return a test with what its reference and its limits give to note."""
+    """Return a test with the notes that follow from its reference and limits."""
     further = derived_notes(setup.derived.limits) if real_time else []
     notes = (*setup.notes, *_range_notes(setup.rig, setup.reference), *further)
     return replace(setup, notes=notes)
 
 
 def refuse_long(lasts_s: float, rate_hz: float, slow: float) -> None:
-    """Refuse what a recording has no room for: a slow test of many hours.
+    """Refuse a test too long for a recording: a slow test of many hours.
 
     Raises:
-        InputError: with how it fits.
+        InputError: states how it would fit.
     """
     if slow > 1.0 and lasts_s * slow * rate_hz > histories.MOST_SAMPLES:
         raise InputError(
@@ -213,10 +214,10 @@ def refuse_long(lasts_s: float, rate_hz: float, slow: float) -> None:
 
 
 def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
-    """Return a test that follows a prescribed history, ready to go.
+    """Return a test that follows a prescribed history, ready to run.
 
     Raises:
-        InputError: with what is wrong in the files, or which limit the history goes beyond.
+        InputError: everything that is wrong in the files, or each limit that the history exceeds.
     """
     assert test.history is not None
     derived = config.derive(test, rig)
@@ -257,7 +258,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
 
 
 def _along(rig: RigFile, plan: histories.Plan) -> NDArray[np.void]:
-    """Return what the rig file's specimen, and its table, do along a history, as a reference."""
+    """Return the response of the rig file's specimen and table to a history, as a reference."""
     h, x = 1.0 / plan.rate_hz, plan.path_m
     v, a = np.gradient(x, h), np.zeros_like(x)
     a[1:-1] = np.diff(x, 2) / h**2
@@ -267,15 +268,15 @@ def _along(rig: RigFile, plan: histories.Plan) -> NDArray[np.void]:
 
 
 def _refuse_beyond(setup: Setup) -> None:
-    """Refuse a history that a limit would not let pass as it is: all of it is known before.
+    """Refuse a history that a limit would alter, since all of it is known in advance.
 
     Raises:
-        InputError: with every limit that it goes beyond, and both values.
+        InputError: every limit that is exceeded, with both values.
     """
     assert setup.plan is not None
     plan, limits, slow = setup.plan, setup.test.limits, setup.test.test.time_scale
     if setup.derived.plc_enabled:
-        # What leaves is what the control law makes of it.
+        # The drive receives the output of the control law.
         law = core.Law(setup.controller.law, period_s=setup.rate.period_s)
         plan = replace(plan, path_m=law.run(plan.path_m))
     position, velocity = limits.command_position_m, limits.command_velocity_m_per_s
@@ -305,12 +306,12 @@ def _refuse_beyond(setup: Setup) -> None:
 
 
 def refuse_other_rate(test: TestFile, rig: RigFile | AxesRig) -> None:
-    """Refuse real time at a rate that no clock has, or that is not the drive's.
+    """Refuse real time at a rate that no clock provides, or that is not the drive's.
 
-    Without a link the virtual rig at the other end goes at the test's rate.
+    Without a link, the virtual rig at the other end runs at the rate of the test.
 
     Raises:
-        InputError: with both rates.
+        InputError: both rates.
     """
     hz, key = test.test.sample_rate_hz, "test.sample_rate_hz"
     if hz != round(hz):
@@ -330,14 +331,14 @@ def refuse_other_rate(test: TestFile, rig: RigFile | AxesRig) -> None:
 
 
 def refuse_python(test: TestFile, elements: Sequence[Any]) -> None:
-    """Refuse classes in Python, each with what takes its place.
+    """Refuse classes in Python, each with an alternative.
 
     Args:
         test: the test file.
         elements: of the rig's specimen.
 
     Raises:
-        InputError: with all of them.
+        InputError: lists all of them.
     """
     found = []
     if test.numerical.python is not None:
@@ -362,7 +363,7 @@ def refuse_python(test: TestFile, elements: Sequence[Any]) -> None:
 
 
 def follow_reference(setup: Setup) -> Setup:
-    """Fill in what limits follow from the reference simulation, as far as no file says them.
+    """Fill in the limits that follow from the reference simulation, unless a file states them.
 
     Args:
         setup: the test with its reference, and the limits of its files.
@@ -385,7 +386,7 @@ def with_sensors(
     rate: Rate,
     expected: NDArray[np.void] | None = None,
 ) -> limits_file.Resolved:
-    """Fill in the limits that follow from sensors and link, and from a reference."""
+    """Fill in the limits that follow from sensors, link and reference."""
     peak, step = 0.0, 0.0
     if expected is not None:
         peak = float(np.abs(expected["v_ref_mps"]).max(initial=0.0))
@@ -395,7 +396,7 @@ def with_sensors(
 
 
 def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
-    """Name the sensors that the reference simulation already drives to their stop."""
+    """Return a note for each sensor whose range even the reference simulation exceeds."""
     displacement, force = rig.sensors.displacement, rig.sensors.force
     channels = (
         ("displacement.range_m", displacement.range_m, displacement.bias_m, "x_ref_m", "mm", 1e3),
@@ -414,7 +415,7 @@ def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
 
 
 def derived_notes(limits: limits_file.Resolved) -> list[str]:
-    """Name the velocity limit that the test has for want of one in its files."""
+    """Return a note on the velocity limit that is derived because no file states one."""
     velocity = limits.derived.get("command_velocity_m_per_s")
     if velocity is None:
         return []
@@ -427,10 +428,10 @@ def derived_notes(limits: limits_file.Resolved) -> list[str]:
 
 
 def refuse_slow(structure: Structure | SparseStructure | OwnStructure | None) -> None:
-    """Refuse a structure whose step does not leave half of the sampling period to everything else.
+    """Refuse a structure whose step leaves less than half of the sampling period to the rest.
 
     Raises:
-        InputError: with the time that it takes on this computer.
+        InputError: states the time that a step takes on this computer.
     """
     if structure is None or isinstance(structure.part, core.DenseConfig):
         return
@@ -454,7 +455,7 @@ def refuse_slow(structure: Structure | SparseStructure | OwnStructure | None) ->
 
 
 def both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
-    """Return what both give, or raise the faults of both at once."""
+    """Return the results of both functions, or raise the errors of both together."""
     try:
         a = first()
     except InputError as error:
@@ -467,7 +468,7 @@ def both(first: Callable[[], _A], second: Callable[[], _B]) -> tuple[_A, _B]:
 
 
 def load_motion(test: TestFile) -> GroundMotion:
-    """Read the ground motion that a test names, as it stands in its file; a history has rest."""
+    """Read the ground motion of a test, unscaled; for a history, return a motion at rest."""
     if test.history is not None:
         return GroundMotion(test.history.title, "history", 1.0 / core.FS_HZ, np.zeros(1))
     wanted = test.ground_motion
@@ -494,16 +495,16 @@ controller = {{ type = "none" }}
 def prescribed(
     rig: RigFile, name: str, path_m: NDArray[np.float64], rate: Rate | None = None
 ) -> Setup:
-    """Return a displacement that is followed as it stands, as the setup of a test.
+    """Return the setup of a test that follows a given displacement.
 
     Args:
-        rig: whose limits hold.
-        name: what it is for.
+        rig: the rig, whose limits apply.
+        name: for messages.
         path_m: displacement at every tick, (n,).
         rate: of the ticks; None: that of the rig in real time.
 
     Raises:
-        InputError: the rig file's own figures do not fit together.
+        InputError: the values of the rig file are inconsistent.
     """
     test = config.parse_test(_PRESCRIBED.format(name=name, hz=(rate or rig.rate).hz), name)
     derived = config.derive(test, rig)
@@ -525,7 +526,7 @@ def prescribed(
     )
 
 
-# ---- from the files' terms to the core's --------------------------------------------------------
+# ---- from the terms of the files to those of the core -------------------------------------------
 
 
 def controller_config(
@@ -571,7 +572,7 @@ def law_config(test: TestFile, derived: Derived) -> core.LawConfig:
 
 
 def motion_config(test: TestFile, derived: Derived) -> core.MotionConfig:
-    """Return the settings of the numerical part's equation of motion."""
+    """Return the settings of the equation of motion of the numerical part."""
     return core.MotionConfig(
         integrator=test.numerical.integrator,
         mass_kg=derived.mass_kg,
@@ -600,9 +601,9 @@ WATCHES: Final[dict[str, str]] = {
     "skipped_ticks_share": "skips",
     "skipped_ticks_warning_share": "skip_warning",
 }
-"""What the station calls the limits of the files."""
+"""Names in the station of the limits of the files."""
 RIG_WATCHES: Final = {key: f"rig_{WATCHES[key]}" for key in limits_file.BEFORE_TARE}
-"""And those of the rig file that act before the tare."""
+"""The same for the limits of the rig file that act before the tare."""
 _TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
     "command_increment_m": Rate.increment,
     "sensor_stuck_samples": Rate.samples,
@@ -610,14 +611,14 @@ _TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
     "sensor_jump_m": Rate.leap,
     "force_jump_n": Rate.leap,
 }
-"""Limits that a file counts in samples of 1/1024 s, and what they are at another rate."""
+"""Limits that a file counts in samples of 1/1024 s, with their conversion to another rate."""
 
 
 def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
-    """Return the channels of what the rig measures beside displacement and force.
+    """Return the channels of everything that the rig measures besides displacement and force.
 
     Raises:
-        InputError: one has a name that the record has already.
+        InputError: a channel has a name that the record uses already.
     """
     taken = set(core.RECORD_DTYPE.names or ()) | {"x_true_m", "f_true_n"}
     for i, one in enumerate(rig.sensors.extra):
@@ -631,12 +632,12 @@ def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
 
 
 def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:
-    """Return the channels of what a control law reports beside alpha and beta."""
+    """Return the channels of everything that a control law reports besides alpha and beta."""
     return tuple(core.Channel(value.name, value.unit) for value in law.law.beside)
 
 
 def part_channels(derived: Derived) -> tuple[core.Channel, ...]:
-    """Return the channels of what the test has recorded of its structure, by name."""
+    """Return the channels of the responses of the structure that the test records, by name."""
     part = derived.structure.part if derived.structure is not None else None
     if part is None or isinstance(part, core.DenseConfig):
         return ()
@@ -648,11 +649,11 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
 
     Args:
         setup: the test.
-        real: there is a link, and something behind it that may break: limits that are derived, and
-            that no file states, act as they say. Else they only indicate.
+        real: whether there is a link to something that may break, so that derived limits, which no
+            file states, act. Otherwise they only indicate.
     """
     if setup.group is not None:
-        # That module is built on this one.
+        # Imported here, because that module depends on this one.
         from rthyb_rt.lab import several
 
         return several.station_config(setup, setup.group, real=real)
@@ -660,10 +661,10 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
 
 
 def axis_station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
-    """Return the settings of the station of one axis; arguments as of `station_config`."""
+    """Return the settings of the station of one axis; arguments as for `station_config`."""
     limits, resolved, rate = setup.test.limits, setup.derived.limits, setup.rate
     given = {cause: _watched(limits, resolved, key, real) for key, cause in WATCHES.items()}
-    # Those that are derived are of the test's own samples already.
+    # Derived limits are already in samples of the test.
     stated = {WATCHES[key] for key in _TIMED if getattr(limits, key) is not None}
     keys = {cause: key for key, cause in WATCHES.items()}
     for key, cause in RIG_WATCHES.items():
@@ -683,7 +684,8 @@ def axis_station_config(setup: Setup, *, real: bool = False) -> core.StationConf
                 limit.action,
             )
             for cause, limit in given.items()
-            # Switched off is not left out: the station has its own for skipped ticks.
+            # Disabled is not the same as omitted: the station has its own default for skipped
+            # ticks.
             if limit is not None and (limit.acts or cause == "skips")
         },
         path_velocity_m_per_s=resolved.path_velocity_m_per_s,
@@ -703,25 +705,25 @@ def axis_station_config(setup: Setup, *, real: bool = False) -> core.StationConf
 
 
 def _first_channel(setup: Setup, own: tuple[core.Channel, ...]) -> int:
-    """Return which of a row's channels is the first of some that stand together."""
+    """Return the number of the first of a contiguous group of a row's channels."""
     return setup.channels.index(own[0]) if own else 0
 
 
 def _law_channel_count(setup: Setup) -> int:
-    """Return how many of a row's channels, behind all others, are what the law reports."""
+    """Return how many of a row's channels, after all others, are reports of the law."""
     own = law_channels(setup.controller.law)
     return len(own) if own and setup.channels[-len(own) :] == own else 0
 
 
 def at_rate(key: str, value: float, rate: Rate) -> float:
-    """Return what a file's limit comes to at a rate, in samples of that."""
+    """Return a file's limit in samples of a rate."""
     timed = _TIMED.get(key)
     value = float(value) if timed is None else timed(rate, float(value))
     return float(max(2, round(value))) if key.endswith("_samples") else value
 
 
 def _tare_most(setup: Setup, key: str) -> float:
-    """Return how large a tare may be beside the rig's own limit; 0: any."""
+    """Return the greatest allowed tare, by the rig's own limit; 0: any."""
     limit: Limit | None = getattr(setup.rig.limits, key)
     if limit is None or not limit.acts:
         return 0.0
@@ -729,10 +731,10 @@ def _tare_most(setup: Setup, key: str) -> float:
 
 
 def _watched(limits: Limits, resolved: limits_file.Resolved, key: str, real: bool) -> Limit | None:
-    """Return a limit as a file states it, else as it is derived."""
+    """Return a limit as stated in a file, or else as derived."""
     given: Limit | None = getattr(limits, key)
     derived = resolved.derived.get(key)
-    # A velocity limit acts by itself, whatever its action.
+    # A velocity limit always acts, whatever its action.
     acts = derived is not None and (derived.ends or isinstance(derived, VelocityLimit))
     if given is not None or derived is None or real or not acts:
         return derived if given is None else given
@@ -740,9 +742,9 @@ def _watched(limits: Limits, resolved: limits_file.Resolved, key: str, real: boo
 
 
 def first_parameters(setup: Setup, station: core.StationConfig) -> dict[str, Any]:
-    """Return the settings that a recording begins with, generation 0 of its parameters.
+    """Return the settings at the beginning of a recording, generation 0 of its parameters.
 
-    All of them, so that a replay has nothing to derive: another version may derive it otherwise.
+    They are complete, because another version might derive them differently in a replay.
     """
     values = {"rfc_end_tick": setup.controller.rfc.end_tick, "station": station.plain()}
     return {"generation": 0, "tick": 0, "values": values}
@@ -751,8 +753,8 @@ def first_parameters(setup: Setup, station: core.StationConfig) -> dict[str, Any
 def calibration(rig: RigFile) -> core.Calibration:
     """Return the six factors between the wire and the structure.
 
-    The channels of the rig file lead from the wire to the specimen, its similitude from there to
-    the structure; a command goes the same way back.
+    The channels of the rig file convert from the wire to the specimen, its similitude from the
+    specimen to the structure; a command is converted in the opposite direction.
     """
     given = rig.calibration
     x, f, command = given.displacement, given.force, given.command or given.displacement
@@ -768,13 +770,13 @@ def calibration(rig: RigFile) -> core.Calibration:
 
 
 def stop_decel_m_per_s2(rig: RigFile) -> float:
-    """Return how a rig's drive brakes by itself; without a link as it would behind one."""
+    """Return the deceleration of the drive's own stop, assumed to be the same without a link."""
     default: float = Link.model_fields["stop_decel_m_per_s2"].default
     return default if rig.link is None else rig.link.stop_decel_m_per_s2
 
 
 def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
-    """Return the virtual rig that a rig file describes, at a sample rate."""
+    """Return the virtual rig of a rig file at a sample rate."""
     displacement, force = sensor_configs(rig.sensors)
     return core.RigConfig(
         servo=servo_config(rig, Rate(fs_hz)),
@@ -793,7 +795,7 @@ def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
 
 
 def sensor_configs(sensors: Sensors) -> tuple[core.SensorConfig, core.SensorConfig]:
-    """Return what a virtual rig has of a displacement sensor and of a load cell."""
+    """Return the settings of the displacement sensor and the load cell of a virtual rig."""
     x, f = sensors.displacement, sensors.force
     return (
         core.SensorConfig(x.noise_std_m, x.lsb_m, x.bias_m, x.range_m or 0.0),
@@ -802,9 +804,9 @@ def sensor_configs(sensors: Sensors) -> tuple[core.SensorConfig, core.SensorConf
 
 
 def servo_config(rig: RigFile, rate: Rate) -> core.ServoConfig:
-    """Translate the actuator; whatever its kind, transport is the core's ``delay_samples``.
+    """Return the settings of the actuator; its transport delay becomes ``delay_samples``.
 
-    Its substeps are those of a sample of 1/1024 s: at another rate they are as long.
+    Substeps are given for samples of 1/1024 s and have the same length at another rate.
     """
     given = rig.actuator.model_dump(exclude=set(TOLERANCES))
     samples = given.pop("delay_samples", 0) + given.pop("extra_delay_samples", 0)
@@ -825,15 +827,16 @@ def specimen_elements(rig: RigFile) -> tuple[core.ElementConfig, ...]:
 
 
 def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.void]:
-    """Simulate the same structure with the specimen joined to it: no actuator, no sensor.
+    """Simulate the same structure joined to the specimen, without actuator and sensors.
 
-    Of a slow test it is what the structure does in its own time, stretched to the laboratory's:
-    the specimen's elements that depend on velocity have their whole force in it.
+    For a slow test this is the response of the structure in its own time, stretched to the
+    laboratory's: velocity-dependent elements of the specimen contribute their full force.
 
     Args:
         setup: the test.
-        table_forces: include what a load cell at the actuator's end also sees of the table (moving
-            mass, friction, viscous force); None takes ``reference.table_forces`` of the test file.
+        table_forces: whether to include the forces of the table (moving mass, friction, viscous
+            force) that a load cell at the actuator also measures; None: ``reference.table_forces``
+            of the file.
 
     Returns:
         ``x_ref_m``, ``v_ref_mps``, ``f_ref_n`` at every tick, shape (n,).
@@ -843,7 +846,7 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
     if structure is not None:
         from rthyb_rt.config.own_structure import OwnStructure
 
-        # The model's elements are slowed themselves, so that nothing of them is lacking.
+        # The elements of the model are slowed down as well, so that their force is complete.
         whole = (
             structure
             if isinstance(structure, OwnStructure)
@@ -852,8 +855,8 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
         return _rows_of_reference(*whole.reference(elements, setup.ag_mps2))
     rigid = [e for e in elements if e.kind not in _IMPLICIT]
     motion = motion_config(setup.test, setup.derived)
-    # As a force, mass would need the acceleration that it decides, and a damper the velocity: both
-    # go where the integrator treats them implicitly.
+    # An inertial force would need the acceleration that it affects, a damper the velocity: both are
+    # added where the integrator treats them implicitly.
     motion = replace(
         motion,
         added_mass_kg=sum(e.params[0] for e in elements if e.kind == "inertia"),
@@ -872,7 +875,7 @@ def _rows_of_reference(
 
 
 _IMPLICIT: Final = ("inertia", "viscous")
-"""Elements that the reference joins to the structure's own mass and damping."""
+"""Elements that the reference adds to the mass and damping of the structure."""
 
 
 def _reference_elements(setup: Setup, table_forces: bool | None) -> list[core.ElementConfig]:
@@ -884,12 +887,12 @@ def _reference_elements(setup: Setup, table_forces: bool | None) -> list[core.El
 
 
 def reference_elements(setup: Setup) -> list[core.ElementConfig]:
-    """Return what the force of the reference simulation comes from."""
+    """Return the elements that produce the force of the reference simulation."""
     return [e for e in _reference_elements(setup, None) if e.kind not in _IMPLICIT]
 
 
 def table_elements(rig: RigFile) -> list[core.ElementConfig]:
-    """Return what a load cell at the actuator's end sees of the table besides the specimen."""
+    """Return the elements of the table that a load cell at the actuator measures as well."""
     actuator = rig.actuator
     if actuator.kind != "servo-hydraulic" or rig.rig.load_cell != "actuator-end":
         return []
@@ -906,11 +909,11 @@ def table_elements(rig: RigFile) -> list[core.ElementConfig]:
 
 
 def blank(setup: Setup, clock: str) -> recording.Recording:
-    """Return the recording of a test as it is before its first sample.
+    """Return the recording of a test before its first sample.
 
     Args:
         setup: the test.
-        clock: what the test goes by: "virtual", or a clock of `rthyb_rt.core.ticker`.
+        clock: "virtual", or a clock of `rthyb_rt.core.ticker`.
     """
     return recording.Recording(
         samples=np.zeros(0, dtype=core.row_dtype(setup.channels, setup.controller.axis_count)),
@@ -918,7 +921,7 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
         fs_hz=setup.derived.fs_hz,
         ag_mps2=setup.ag_mps2,
         ground_motion=_provenance(setup),
-        # A history is its own reference: nothing else is expected of the specimen's motion.
+        # A history is its own reference: no other motion of the specimen is expected.
         reference=setup.reference if setup.plan is None else None,
         test_toml=config.dump(setup.test),
         rig_toml=config.dump(setup.rig_file),
@@ -952,7 +955,7 @@ def _provenance(setup: Setup) -> dict[str, Any]:
 
 @functools.cache
 def _git_hash() -> str:
-    """Return the commit of the checkout that this package runs from, or "" for an installed one."""
+    """Return the commit of the checkout that contains this package, or "" if it is installed."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return ""
@@ -969,15 +972,15 @@ def _git_hash() -> str:
 
 @dataclass(frozen=True)
 class Replay:
-    """What came of running a recording's inputs through this core again.
+    """Result of running the inputs of a recording through this core again.
 
     Attributes:
-        identical: every computed field agrees bit for bit.
-        rows: rows compared.
-        first_row, field: where it departs first, None when it does not.
-        largest: largest difference by field, for the fields that differ, in the field's unit.
-        same_build: the core that recorded is the core that replays: of the same sources, made by
-            the same compiler for the same architecture.
+        identical: whether every computed field agrees bit for bit.
+        rows: number of compared rows.
+        first_row, field: first difference, or None.
+        largest: greatest difference by field, for fields that differ, in the field's unit.
+        same_build: whether recording and replay used the same core: same sources, same compiler,
+            same architecture.
     """
 
     identical: bool
@@ -989,16 +992,16 @@ class Replay:
 
 
 def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
-    """Compare every field that was recorded with the rows that were computed again, shape (n,)."""
+    """Compare every recorded field with the rows that were computed again, shape (n,)."""
     samples = rec.samples
     first_row: int | None = None
     first_field: str | None = None
     largest: dict[str, float] = {}
-    # What its version did not record yet was derived from the rest.
+    # Fields that its version did not record were derived from the others.
     further = [name for name in samples.dtype.names or () if "." in name]
     for name in (*recording.fields_of(rec.version), *further):
         recorded, computed = samples[name], again[name]
-        # Bits, not values: -0.0 is not 0.0 here, and a NaN equals itself.
+        # Bits, not values: -0.0 differs from 0.0, and a NaN equals itself.
         bits = _bits(name)
         differs = np.nonzero(recorded.view(bits) != computed.view(bits))[0]
         if not differs.size:

@@ -11,16 +11,16 @@ from rthyb_rt.errors import InputError
 
 
 def codec_of(rig: RigFile, codec: Codec) -> Codec:
-    """Return the codec of a rig's link with the rig's extra channels.
+    """Return the codec of a rig's link, extended by the rig's extra channels.
 
-    Both ends of the link have it: what measures, and what records.
+    Both ends of the link use it: the drive that measures, and the controller that records.
 
     Args:
-        rig: whose extra channels.
-        codec: of its link as it was opened.
+        rig: the rig, for its extra channels.
+        codec: of its link, as opened.
 
     Raises:
-        InputError: a channel has no place in the frames of the rig's DBC file.
+        InputError: a channel does not exist in the frames of the rig's DBC file.
     """
     extras = []
     for i, one in enumerate(rig.sensors.extra):

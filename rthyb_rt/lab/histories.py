@@ -1,9 +1,9 @@
 """The displacements of a prescribed history, sample by sample.
 
-Every history begins and ends at rest at zero, and its velocity has no step: cyclic ones go from
-turning point to turning point along half a cosine, the others have cosine tapers. For such a way
-of length L and duration T the largest velocity is pi L / (2 T), the largest acceleration
-pi^2 L / (2 T^2); differences between samples are means of these and so never larger.
+Every history begins and ends at rest at zero, and its velocity is continuous: cyclic histories
+connect turning points by half-cosine ramps, the others have cosine tapers. A half-cosine ramp of
+length L and duration T has the peak velocity pi L / (2 T) and the peak acceleration
+pi^2 L / (2 T^2); differences between samples are means of these and therefore never larger.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from rthyb_rt.errors import InputError
 Floats = NDArray[np.float64]
 
 REST_S: Final = 1.0
-"""At rest behind a history, of the laboratory's time: the longest delay of a rig."""
+"""Rest after a history, in the laboratory's time: the longest delay of a rig."""
 MOST_SAMPLES: Final = 3600 * 4096
-"""An hour at the highest rate, which is the longest hybrid test; four hours at 1024 Hz."""
+"""An hour at the highest rate, as for the longest hybrid test; four hours at 1024 Hz."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class Cycle:
 
     Attributes:
         step: number of its amplitude, from 0.
-        amplitude_m: that amplitude.
-        start, stop: its rows of the path; both begin with the displacement rising through zero.
+        amplitude_m: its amplitude.
+        start, stop: its rows of the path; both are where the displacement rises through zero.
     """
 
     step: int
@@ -54,8 +54,8 @@ class Plan:
 
     Attributes:
         path_m: displacement, (n,); the first and the last are zero.
-        cycles: whole cycles of one amplitude each, in their order; none for a sweep or noise.
-        rate_hz: samples a second of the laboratory's time.
+        cycles: whole cycles, each of one amplitude, in order; none for a sweep or noise.
+        rate_hz: samples per second of the laboratory's time.
     """
 
     path_m: Floats
@@ -64,17 +64,17 @@ class Plan:
 
     @property
     def peak_m(self) -> float:
-        """The largest displacement, m."""
+        """Greatest displacement, m."""
         return float(np.abs(self.path_m).max(initial=0.0))
 
     @property
     def peak_m_per_s(self) -> float:
-        """The largest velocity, by the differences between samples, m/s."""
+        """Greatest velocity, from differences between samples, m/s."""
         return float(np.abs(np.diff(self.path_m)).max(initial=0.0)) * self.rate_hz
 
     @property
     def peak_m_per_s2(self) -> float:
-        """The largest acceleration, by second differences, rest before and behind, m/s^2."""
+        """Greatest acceleration, from second differences, with rest before and after, m/s^2."""
         padded = np.pad(self.path_m, 2)
         return float(np.abs(np.diff(padded, 2)).max(initial=0.0)) * self.rate_hz**2
 
@@ -85,19 +85,18 @@ def plan(
     """Return the displacements of a history.
 
     Args:
-        given: of the test file.
-        rate_hz: samples a second.
-        acceleration_m_per_s2: of the laboratory, for ways that are told by their velocity and say
-            no acceleration themselves.
+        given: the history in the test file.
+        rate_hz: samples per second.
+        acceleration_m_per_s2: in the laboratory, for ramps that are given by their velocity without
+            an acceleration.
         time_scale: seconds in the laboratory per second of the history.
 
     Raises:
-        InputError: it has more than `MOST_SAMPLES` samples, or frequencies that are too high for
-            the rate.
+        InputError: it has more than `MOST_SAMPLES` samples, or frequencies too high for the rate.
     """
     own_hz = rate_hz * time_scale
     _check_frequency(given, own_hz)
-    # In the history's own time, in which the laboratory's acceleration is so much larger.
+    # In the history's own time, in which accelerations are larger by the square of the time scale.
     lasts_s = _duration_s(given, own_hz, acceleration_m_per_s2 * time_scale**2)
     count = lasts_s * own_hz + REST_S * rate_hz
     if count > MOST_SAMPLES:
@@ -119,7 +118,7 @@ def plan(
 
 
 def _check_frequency(given: History, own_hz: float) -> None:
-    """Refuse a frequency that has fewer than eight samples a period."""
+    """Refuse a frequency with fewer than eight samples per period."""
     keys = ("frequency_hz", "from_hz", "to_hz")
     found = [(key, value) for key in keys if (value := getattr(given, key, None)) is not None]
     for key, value in found:
@@ -140,9 +139,9 @@ def _duration_s(given: History, own_hz: float, most_m_per_s2: float) -> float:
 
 
 def taper(t: Floats, lasts_s: float, taper_s: float) -> Floats:
-    """Return the factor that takes something from rest to its full size and back.
+    """Return the factor that fades in from 0 to 1 and out again.
 
-    Half a cosine over ``taper_s`` at either end of ``lasts_s``: its velocity has no step.
+    Half a cosine over ``taper_s`` at either end of ``lasts_s``, so that the velocity is continuous.
     """
     share = np.clip(np.minimum(t, lasts_s - t) / taper_s, 0.0, 1.0)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * share))
@@ -152,7 +151,7 @@ def _instants(lasts_s: float, own_hz: float) -> Floats:
     return np.arange(math.ceil(lasts_s * own_hz)) / own_hz
 
 
-# ---- from turning point to turning point --------------------------------------------------------
+# ---- with turning points ------------------------------------------------------------------------
 
 
 def _turns(given: CyclicHistory) -> Floats:
@@ -164,7 +163,7 @@ def _turns(given: CyclicHistory) -> Floats:
 
 
 def _ways(given: CyclicHistory, own_hz: float, most_m_per_s2: float) -> tuple[Floats, Floats]:
-    """Return the turning points, and how long the way from each to the next takes, s."""
+    """Return the turning points, and the duration of the ramp from each to the next, s."""
     turns = _turns(given)
     if given.frequency_hz is not None:
         return turns, np.full(turns.size - 1, 0.5 / given.frequency_hz)
@@ -174,7 +173,7 @@ def _ways(given: CyclicHistory, own_hz: float, most_m_per_s2: float) -> tuple[Fl
     lasts = np.maximum(
         np.pi * way / (2.0 * given.velocity_m_per_s), np.pi * np.sqrt(way / (2.0 * most))
     )
-    # Up to whole samples, so that each turning point is one.
+    # Rounded up to whole samples, so that each turning point is a sample.
     return turns, np.ceil(lasts * own_hz - 1e-9) / own_hz
 
 
@@ -184,7 +183,7 @@ def _of_turns(
     turns, lasts = _ways(given, own_hz, most_m_per_s2)
     begins = np.concatenate([[0.0], np.cumsum(lasts)])
     t = _instants(begins[-1], own_hz)
-    # Rounded up, lest a turning point that is a sample belongs to the way before it.
+    # Rounded up, so that a turning point that is a sample does not belong to the previous ramp.
     at = np.clip(np.searchsorted(begins, t + 1e-9 / own_hz, side="right") - 1, 0, lasts.size - 1)
     share = np.clip((t - begins[at]) / lasts[at], 0.0, 1.0)
     path = turns[at] + np.diff(turns)[at] * (0.5 - 0.5 * np.cos(np.pi * share))
@@ -197,7 +196,7 @@ def _cycles_of_turns(
     rising = [0.0]
     for i in range(2, turns.size - 1, 2):
         low, high = -turns[i], turns[i + 1]
-        # Where -low + (low + high) (1 - cos) / 2 is zero.
+        # Zero of -low + (low + high) (1 - cos) / 2.
         rising.append(begins[i] + lasts[i] / np.pi * math.acos(1.0 - 2.0 * low / (low + high)))
     rows = [round(moment * own_hz) for moment in (*rising[: (turns.size - 2) // 2], begins[-1])]
     found = list[Cycle]()
@@ -234,7 +233,7 @@ def _sweep(given: SweepHistory, own_hz: float) -> Floats:
         turns = given.duration_s * first / rate * np.expm1(rate * share)
     size = np.full(t.size, given.amplitude_m)
     if given.velocity_m_per_s is not None:
-        # A smooth minimum of both, below each of them everywhere.
+        # A smooth minimum of both, below either of them everywhere.
         over = given.amplitude_m * 2.0 * np.pi * f / given.velocity_m_per_s
         size = given.amplitude_m / (1.0 + over**4) ** 0.25
     return np.asarray(
@@ -243,9 +242,9 @@ def _sweep(given: SweepHistory, own_hz: float) -> Floats:
 
 
 def _noise(given: RandomHistory, own_hz: float) -> Floats:
-    """Return lines of equal size and random phase between two frequencies, tapered.
+    """Return spectral lines of equal size and random phase between two frequencies, tapered.
 
-    Lines lie 1 / T apart, so that nothing is outside the band but what the tapers add.
+    Lines are 1 / T apart, so that only the tapers contribute outside the band.
     """
     t = _instants(given.duration_s, own_hz)
     first = math.ceil(given.from_hz * t.size / own_hz)
@@ -257,7 +256,7 @@ def _noise(given: RandomHistory, own_hz: float) -> Floats:
             "history.to_hz",
         )
     spectrum = np.zeros(t.size // 2 + 1, np.complex128)
-    # The bit stream itself, which NumPy promises to keep, and no distribution, which it does not.
+    # NumPy guarantees the raw bit stream across versions, but not that of its distributions.
     bits = np.random.PCG64(given.seed).random_raw(last - first + 1)
     spectrum[first : last + 1] = np.exp(2j * np.pi * (np.asarray(bits) >> 11) * 2.0**-53)
     path = np.fft.irfft(spectrum, t.size) * taper(t, given.duration_s, given.taper_s)

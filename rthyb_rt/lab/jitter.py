@@ -1,7 +1,8 @@
-"""Is this PC punctual enough? Timing of a thread, the facts of the machine, a verdict.
+"""Is this PC punctual enough? Timing of a thread, facts about the machine, and a verdict.
 
-Every figure stands beside that of a bare reference thread of the same priority, half a period
-apart in the same seconds: what both share is the machine's, what only one has is the program's.
+Every figure is shown beside that of a bare reference thread of the same priority, half a period
+apart within the same seconds: what both have in common is due to the machine, the rest to the
+program.
 """
 
 from __future__ import annotations
@@ -39,18 +40,18 @@ TELEMETRY_HZ: Final = 50.0
 """How often a dashboard reads the ring."""
 
 REPEAT_ABOVE_NS: Final = 10_000_000
-"""A reference thread that was later than this tells of the machine; the run is repeated."""
+"""If the reference thread was later than this, the machine was disturbed: the run is repeated."""
 ATTEMPTS: Final = 3
 FIT_SHARE: Final = 0.25
-"""Of a period within which a command must be sent: feedback and command take 34-42 % of it on CAN
-at 1 Mbit/s, the drive's own sampling up to another part."""
+"""Share of a period within which a command must be sent: feedback and command take 34-42 % of it
+on CAN at 1 Mbit/s, and the drive's own sampling needs a further part."""
 FIT_PERCENT: Final = 99.9
 
 Progress = Callable[[int, int], None]
 
 
 def criterion(rate: Rate = STANDARD) -> str:
-    """Return what a PC must meet to be fit for a rate."""
+    """Return the requirement that a PC must meet at a rate."""
     return (
         f"no tick skipped and {FIT_PERCENT} % of the commands sent within "
         f"{FIT_SHARE * 1e6 * rate.period_s:.0f} µs ({100 * FIT_SHARE:.0f} % of a tick) after they "
@@ -60,11 +61,11 @@ def criterion(rate: Rate = STANDARD) -> str:
 
 @dataclass(frozen=True)
 class Load:
-    """What the timed thread carries: one sample a tick, by default that of the built-in test.
+    """Work of the timed thread: one sample per tick, by default that of the built-in test.
 
     Attributes:
-        controller, rig, excitation: of the sample.
-        rate: at which samples are carried, and for which they are.
+        controller, rig, excitation: settings of the sample.
+        rate: rate of the samples.
     """
 
     controller: core.ControllerConfig
@@ -94,7 +95,7 @@ class Case:
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """Title for tables and plots."""
         payload = {
             "none": "no payload",
             "sample": "one sample a tick",
@@ -119,8 +120,8 @@ class Result:
     """A finished run.
 
     Attributes:
-        attempts: how often it was run, the last of which counts.
-        disturbed: the reference thread was too late in that one too.
+        attempts: number of attempts, of which the last one counts.
+        disturbed: whether the reference thread was too late in that one as well.
         rate: of both threads.
     """
 
@@ -140,8 +141,8 @@ class Result:
 
     @property
     def late_ns(self) -> int:
-        """Within how long after being due FIT_PERCENT of the commands were sent, at most."""
-        # Half of the exceptions may be late in waking, the others late in sending.
+        """Upper bound of the time after which FIT_PERCENT of the commands had been sent."""
+        # Half of the exceptions may be late wake-ups, the other half late sends.
         each = 0.5 * (100.0 + FIT_PERCENT)
         return self.measured.wake.percentile_ns(each) + self.measured.sent.percentile_ns(each)
 
@@ -151,7 +152,7 @@ class Result:
 
 @contextmanager
 def busy_python() -> Iterator[None]:
-    """Keep a Python thread busy that gives the GIL away only when it must."""
+    """Keep a Python thread busy that releases the GIL only when forced to."""
 
     def burn(done: threading.Event) -> None:
         while not done.is_set():
@@ -163,10 +164,10 @@ def busy_python() -> Iterator[None]:
 
 @contextmanager
 def telemetry_ring(rate: Rate = STANDARD) -> Iterator[Ring]:
-    """Give a ring for the tick thread and read it 50 times a second, as a dashboard does.
+    """Yield a ring for the tick thread, and read it 50 times per second, as a dashboard does.
 
     Raises:
-        RthybError: there is no room for a ring.
+        RthybError: there is no space for a ring.
     """
     folder = claim(default_folder())
     with tempfile.TemporaryDirectory(prefix="jitter-", dir=folder) as own, ExitStack() as owned:
@@ -184,7 +185,7 @@ def _bare_session(rate: Rate) -> Recording:
 
 @contextmanager
 def _read_steadily(reader: Reader) -> Iterator[None]:
-    """Turn what is new in a ring into JSON, every 20 ms, in a thread of its own."""
+    """Convert new rows of a ring to JSON every 20 ms, in a separate thread."""
 
     def follow(done: threading.Event) -> None:
         last = False
@@ -199,7 +200,7 @@ def _read_steadily(reader: Reader) -> Iterator[None]:
 
 @contextmanager
 def _beside(name: str, work: Callable[[threading.Event], None]) -> Iterator[None]:
-    """Do something in a thread of its own, until the event says that it is enough."""
+    """Run a function in a separate thread until its event is set."""
     done = threading.Event()
     thread = threading.Thread(target=work, args=(done,), name=name, daemon=True)
     thread.start()
@@ -213,17 +214,17 @@ def _beside(name: str, work: Callable[[threading.Event], None]) -> Iterator[None
 def measure(
     case: Case, ticks: int, load: Load | None, cpu: int = -1, progress: Progress | None = None
 ) -> Result:
-    """Time one kind of run; again, at most three times in all, if the reference thread was late.
+    """Time one kind of run; repeat it, up to three times in all, if the reference thread was late.
 
     Args:
-        case: what runs.
-        ticks: length, as many a second as the load's rate has.
-        load: what is carried; None will do for a case without payload, at 1024 Hz.
-        cpu: processor of the two timed threads; -1 leaves it to the kernel.
-        progress: called with (ticks done, ticks of the run) four times a second.
+        case: kind of run.
+        ticks: length, at the rate of the load.
+        load: work of the timed thread; may be None for a case without a sample, at 1024 Hz.
+        cpu: processor of the two timed threads; -1: any.
+        progress: called with (ticks done, ticks of the run) four times per second.
 
     Raises:
-        RthybError: the system refused a thread.
+        RthybError: the system denied a thread.
     """
     for attempt in range(1, ATTEMPTS + 1):
         run = _run_once(case, ticks, load, cpu, progress or (lambda done, total: None))
@@ -259,7 +260,7 @@ def _run_once(case: Case, ticks: int, load: Load | None, cpu: int, progress: Pro
 
 
 def _follow(run: JitterRun, ticks: int, progress: Progress) -> None:
-    """Run in a thread of its own, so that this one shows progress and hears Ctrl-C."""
+    """Run in a separate thread, so that this one can show progress and receive Ctrl-C."""
     failures: list[Exception] = []
 
     def work() -> None:
@@ -282,7 +283,7 @@ def _follow(run: JitterRun, ticks: int, progress: Progress) -> None:
 
 
 def choose_cpu(facts: Mapping[str, Any]) -> int:
-    """Return the processor to stay on: an isolated one, else the last; -1 if there is only one."""
+    """Return the processor to use: an isolated one, else the last; -1 if there is only one."""
     allowed = facts["cpus_allowed"]
     if len(allowed) < 2:
         return -1
@@ -294,17 +295,17 @@ def choose_cpu(facts: Mapping[str, Any]) -> int:
 
 
 def machine_facts(root: Path = Path("/")) -> dict[str, Any]:
-    """Return what punctuality depends on; None where the system does not say.
+    """Return facts that affect punctuality; None if the system does not report one.
 
     Args:
-        root: where /proc, /sys and /etc are.
+        root: folder that contains /proc, /sys and /etc.
     """
     cpu = root / "sys/devices/system/cpu"
     cpuinfo = _read(root / "proc/cpuinfo") or ""
     arguments = (_read(root / "proc/cmdline") or "").split()
     given = dict(word.partition("=")[::2] for word in arguments)
     throttle = _read(root / "proc/sys/kernel/sched_rt_runtime_us")
-    # What is isolated from the scheduler is no longer among the processors that a process has.
+    # Processors isolated from the scheduler are not among those that a process may use.
     isolated = cpu_list(_read(cpu / "isolated"))
     return {
         "kernel": platform.release(),
@@ -340,7 +341,7 @@ def _read(path: Path) -> str | None:
 
 
 def cpu_list(text: str | None) -> list[int]:
-    """Return the processors of a list as the kernel writes it, "2-3,6"; (null) is none."""
+    """Return the processors of a list in the kernel's format, "2-3,6"; (null) is empty."""
     found: list[int] = []
     for part in (text or "").split(","):
         first, _, last = part.strip().partition("-")
@@ -357,14 +358,14 @@ def _preemption(root: Path) -> str:
     models = [word for word in version if word.startswith("PREEMPT")]
     if not models:
         return "none"
-    # In debugfs, for root only: "none voluntary (full) lazy".
+    # In debugfs, readable by root only: "none voluntary (full) lazy".
     chosen = _read(root / "sys/kernel/debug/sched/preempt") or ""
     _, found, rest = chosen.partition("(")
     return f"{models[0]} ({rest.partition(')')[0]})" if found else models[0]
 
 
 def processor() -> str:
-    """Return the name of this PC's processor, else its architecture."""
+    """Return the name of this PC's processor, or else its architecture."""
     return _cpu_model(_read(Path("/proc/cpuinfo")) or "")
 
 
@@ -391,11 +392,11 @@ def _limit(which: int) -> int | None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a PC is fit.
+    """Whether a PC is punctual enough.
 
     Attributes:
-        sentence: that, why, and what to change, in one sentence.
-        faults: what did not meet the criterion.
+        sentence: the result, its reason, and what to change, in one sentence.
+        faults: requirements that were not met.
         remedies: what to change, each as (keyword, how to do it).
     """
 
@@ -406,7 +407,7 @@ class Verdict:
 
 
 def judge(results: Sequence[Result], facts: Mapping[str, Any]) -> Verdict:
-    """Hold the runs against the criterion."""
+    """Compare the runs with the criterion."""
     faults = tuple(_faults(results))
     ticks = min(result.measured.counts.elapsed for result in results)
     rate = results[0].rate
@@ -448,7 +449,7 @@ def _faults(results: Sequence[Result]) -> Iterator[str]:
 
 
 def privileges_of_all(results: Sequence[Result]) -> set[str]:
-    """Return what the measured thread had in every run, by name."""
+    """Return the privileges that the measured thread had in every run, by name."""
     return set.intersection(*(set(result.measured.privileges) for result in results))
 
 
@@ -517,7 +518,7 @@ def _core_of_its_own(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def document(
     results: Sequence[Result], facts: Mapping[str, Any], verdict: Verdict
 ) -> dict[str, Any]:
-    """Return everything for programs; times in ns, histograms as [begin, end, count]."""
+    """Return all results as a document; times in ns, histograms as [begin, end, count]."""
     return {
         "schema": SCHEMA,
         "fit": verdict.fit,

@@ -1,4 +1,4 @@
-"""A test that is kept: its recording, and the settings as they were used."""
+"""Storing a test: its recording, and the settings that were used."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from rthyb_rt.record.recording import Recording
 
 
 def keep(folder: Path, setup: Setup, rec: Recording) -> None:
-    """Write recording, test and rig into a folder that is there; the test names the rig beside it.
+    """Write recording, test and rig to an existing folder; the test refers to that rig file.
 
     Raises:
         RthybError: the recording cannot be written.
-        OSError: a settings file cannot.
+        OSError: a settings file cannot be written.
     """
     recording.write(folder / recording.FILE_NAME, rec)
     test = config.dump(setup.test.model_copy(update={"rig": "rig.toml"}))

@@ -102,7 +102,7 @@ class Run:
             setup=setup, config=config, station=station, bare=bare, parameters=parameters, **more
         )
 
-    # ---- the book -------------------------------------------------------------------------------
+    # ---- the log --------------------------------------------------------------------------------
 
     def take(self, samples: NDArray[np.void]) -> None:
         """Add rows to the log, in order, shape (n,)."""
@@ -139,7 +139,7 @@ class Run:
         """Samples of the test proper so far, and of the whole test."""
         return min(self.running, self.setup.ticks), self.setup.ticks
 
-    # ---- what the recording is to know ----------------------------------------------------------
+    # ---- for the recording ----------------------------------------------------------------------
 
     def known(self) -> Recording:
         """Return the recording without its rows, with the current tares and commands."""

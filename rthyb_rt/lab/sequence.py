@@ -91,7 +91,7 @@ class Sequence:
         hold_s: time after which a held test is stopped; inf if an operator is present.
         way_out_s: time for which a ramp-out is followed.
         progress: called with (ticks done, ticks of the test) now and then.
-        warn: takes a sentence that the user should read while the test runs.
+        warn: called with a sentence for the user while the test runs.
     """
 
     def __init__(

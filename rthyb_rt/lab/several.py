@@ -1,4 +1,4 @@
-"""A test on a rig of several axes, from its files to the core's settings."""
+"""A test on a rig with several axes, from its files to the core's settings."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from rthyb_rt.lab.experiment import Group, Setup
 Floats = NDArray[np.float64]
 
 NEVER: Final = 1e6
-"""Times the noise at rest: what does not move so much teaches a lead nothing."""
+"""Multiple of the noise at rest that is never reached, so that a lead does not adapt."""
 
 
 def prepare_any(test: TestFile, rig: RigFile | AxesRig) -> Setup:
-    """Return a test in virtual time ready to go, on a rig of one axis or of several.
+    """Return a test in virtual time, ready to run, on a rig of one axis or of several.
 
     Raises:
-        InputError: with what is wrong in the files, the record, or between them.
+        InputError: everything that is wrong in the files, in the record, or between them.
     """
     return prepare(test, rig) if isinstance(rig, AxesRig) else experiment.prepare(test, rig)
 
@@ -53,15 +53,16 @@ def prepare(
     real_time: bool = False,
     record: GroundMotion | None = None,
 ) -> Setup:
-    """Read the ground motion and work out every setting of the core.
+    """Read the ground motion and determine all settings of the core.
 
     Args:
         test, rig: the two files.
-        real_time: as of `experiment.prepare`.
-        record: the ground motion as it was read already, not cut, not scaled; None reads it.
+        real_time: as for `experiment.prepare`.
+        record: the ground motion if it has been read already, neither cut nor scaled; None: read
+            it.
 
     Raises:
-        InputError: with what is wrong in the files, the record, or between them.
+        InputError: everything that is wrong in the files, in the record, or between them.
     """
     _refuse_what_is_of_one(test)
     if real_time:
@@ -139,9 +140,9 @@ def _refuse_what_is_of_one(test: TestFile) -> None:
 
 
 def following(rig: AxesRig, derived: AxesDerived, axis_m: Floats, pushed: Floats) -> AxesDerived:
-    """Fill in the limits that follow from what the reference asks of each axis.
+    """Fill in the limits that follow from the reference motion of each axis.
 
-    HOLD and ramp-out brake all axes alike, as hard as the one that needs it most.
+    HOLD and ramp-out brake all axes together, at the highest deceleration that any of them needs.
     """
     rate, found = derived.rate, list[Derived]()
     for i, own in enumerate(derived.axis):
@@ -164,7 +165,7 @@ def following(rig: AxesRig, derived: AxesDerived, axis_m: Floats, pushed: Floats
 
 
 def _range_notes(group: Group) -> list[str]:
-    """Name the sensors that the reference already drives to their stop."""
+    """Return a note for each sensor whose range even the reference exceeds."""
     notes = []
     for i, axis in enumerate(group.rig.axis):
         for what, values, reach, unit, factor in (
@@ -182,7 +183,7 @@ def _range_notes(group: Group) -> list[str]:
 
 
 def _derived_notes(group: Group) -> list[str]:
-    """Name the velocity limits that axes have for want of one in the files."""
+    """Return a note for each velocity limit that is derived because no file states one."""
     return [
         f"axis {name}: {note}"
         for name, own in zip(group.rig.names, group.derived.axis, strict=True)
@@ -211,13 +212,13 @@ storey = {storey}
 
 
 def at_rest(rig: AxesRig) -> Setup:
-    """Return a setup in whose IDLE state the drives of a rig stay where they stand.
+    """Return a setup in whose state IDLE the drives of a rig remain where they are.
 
-    Its structure, a mass a direction that the specimen's stiffness lets swing about once a second,
-    is never asked for anything.
+    Its structure, one mass per direction with a period of about one second on the specimen's
+    stiffness, is never used.
 
     Raises:
-        InputError: the rig file's own figures do not fit together.
+        InputError: the values of the rig file are inconsistent.
     """
     storeys = range(1, len(rig.directions) + 1)
     masses = np.diag(rig.k_e) / (2.0 * np.pi) ** 2
@@ -234,13 +235,13 @@ def at_rest(rig: AxesRig) -> Setup:
     return replace(setup, ag_mps2=np.zeros(1))
 
 
-# ---- from the files' terms to the core's ---------------------------------------------------------
+# ---- from the terms of the files to those of the core --------------------------------------------
 
 
 def controller_config(
     test: TestFile, rig: AxesRig, derived: AxesDerived, end_tick: int
 ) -> core.ControllerConfig:
-    """Return the core's settings; ``end_tick`` as of `experiment.controller_config`."""
+    """Return the core's settings; ``end_tick`` as for `experiment.controller_config`."""
     first = derived.structure.first()
     views = [
         experiment.controller_config(
@@ -294,7 +295,7 @@ def _interfaces(
 
 
 def _matrix_rfc(test: TestFile, rig: AxesRig, derived: AxesDerived, k_e: Floats) -> MatrixRfcConfig:
-    """Return the force compensation: directions that one specimen couples share a matrix."""
+    """Return the force compensation; directions coupled by one specimen share a matrix."""
     own = derived.axis[0]
     enabled = test.controller.rfc.enabled and test.controller.type != "none"
     noise_m = np.array([axis.rest_noise_displacement_m for axis in derived.axis])
@@ -311,10 +312,10 @@ def _matrix_rfc(test: TestFile, rig: AxesRig, derived: AxesDerived, k_e: Floats)
 
 
 def _matrix_lead(test: TestFile, rig: AxesRig, derived: AxesDerived) -> MatrixLeadConfig:
-    """Return the lead of all axes by what identification has found of them.
+    """Return the lead of all axes, from the results of identification.
 
     Raises:
-        InputError: no inverse fits.
+        InputError: no inverse can be fitted.
     """
     from rthyb_rt.config.axes_response import response_of_rig
 
@@ -341,7 +342,7 @@ def _matrix_lead(test: TestFile, rig: AxesRig, derived: AxesDerived) -> MatrixLe
 
 
 def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.StationConfig:
-    """Return the settings of the station: what `experiment.station_config` has, for every axis."""
+    """Return the settings of the station, as `experiment.station_config`, for every axis."""
     names, rig = group.rig.names, group.rig
     views = [
         experiment.axis_station_config(

@@ -161,7 +161,7 @@ def _row(rec: Recording) -> int:
 
 
 def _cause_of(rows: NDArray[np.void]) -> str:
-    """Return the cause that the last row's code names: a recording of virtual time before 0.2."""
+    """Return the cause in the code of the last row, for virtual-time recordings before 0.2."""
     code = int(rows["code"][-1]) if rows.size else 0
     if not code & STATUS["trip"]:
         return ""

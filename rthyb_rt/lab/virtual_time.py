@@ -23,7 +23,7 @@ from rthyb_rt.record.ring import AFTER_TRIP
 WAY_OUT_S: Final = 120.0
 """Time for which a ramp-out is followed: after divergence without limits it would take hours."""
 HOLD_S: Final = 1.0
-"""Time after which a held test is stopped: there is nobody who could resume it."""
+"""Time after which a held test is stopped, because nobody could resume it."""
 
 TRUTH: Final = (Channel("x_true_m", "m"), Channel("f_true_n", "N"))
 """True values of the virtual rig's sensors, without their errors."""
@@ -71,7 +71,7 @@ class Bench:
         freedoms: bool = False,
     ) -> None:
         places = freedom_channels(setup) if freedoms else ()
-        # The core has what it adds itself before everything else.
+        # The core needs its own additional channels before all others.
         seen = truth_channels(setup) if truth else ()
         setup = replace(setup, channels=seen + places + setup.channels)
         self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
@@ -87,7 +87,7 @@ class Bench:
     def _plant(
         self, setup: Setup, rig: core.RigConfig | None, extras: int
     ) -> core.Rig | CoupledRig:
-        """Return the virtual rig; extra sensors of one axis are told from that channel on."""
+        """Return the virtual rig; extra sensors of one axis are recorded from that channel on."""
         if setup.group is not None:
             return CoupledRig(setup.group.virtual_rig)
         virtual = core.Rig(rig or setup.virtual_rig)

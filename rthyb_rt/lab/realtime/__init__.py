@@ -1,11 +1,11 @@
-"""A hybrid test in real time: the tick thread, and all that Python does around it.
+"""A hybrid test in real time: the tick thread, and everything that Python does around it.
 
-A `LiveRun` is a station with its ring and the book of its records. A `Conductor` has wire, link,
-loop and the run that ticks: it begins, commands, waits, publishes parameters, accounts and ends. A
-`Session` is one for a single test, with a thread that keeps every record and gives the sign of
-life; the service's engine is one that goes from test to test. `run` conducts a whole test, from
-the first reading back to rest. With the stepped clock the same test runs tick by tick on the
-caller's word, which is not real time.
+A `LiveRun` is a station with its ring and the log of its records. A `Conductor` owns wire, link,
+loop and the active run: it starts the ticks, commands, waits, publishes parameters, collects
+statistics and ends. A `Session` is a conductor for a single test, with a thread that collects every
+record and sends the heartbeat; the service's engine is one for many tests. `run` conducts a
+complete test, from the first reading to rest. With the stepped clock the same test runs tick by
+tick when the caller asks for it, which is not real time.
 """
 
 from rthyb_rt.lab.end_reasons import TIMING_CAUSES, RefusedError, TimingError, end_reason

@@ -13,13 +13,13 @@ from rthyb_rt.lab.realtime.live_run import LiveRun
 
 RECORDER_PERIOD_S: Final = 0.02
 SILENCE_S: Final = 5.0
-"""Without a record: then the tick thread stands still, or all of this process did."""
+"""Time without a record after which the tick thread, or this whole process, has stalled."""
 SURE_S: Final = 0.1
-"""Of running time on top, in which the recorder would find what came: then it is the thread."""
+"""Further running time for the collector to find records: then it is the tick thread."""
 LOOK_MOST_S: Final = 0.05
-"""Counted between two looks; a longer way from one to the next was no running time."""
+"""Greatest interval between two checks that counts as running time."""
 ABSENCE_S: Final = 1.0
-"""Of the operator's thread: then no heartbeat is sent, and the test ramps out."""
+"""Absence of the operator's thread after which no heartbeat is sent and the test ramps out."""
 
 
 class Collector:
@@ -53,7 +53,7 @@ class Collector:
                 return
 
     def attended(self) -> None:
-        """Note that the thread that passes on a stop is there; from then on it has to be."""
+        """Note that the thread that forwards a stop is present; from now on it must remain so."""
         self._attended_s = time.monotonic()
 
     def turn(self) -> None:
@@ -66,11 +66,11 @@ class Collector:
             self._last_s = time.monotonic()
 
     def check(self) -> None:
-        """Raise what went wrong.
+        """Raise any failure.
 
         Raises:
             RthybError: the recorder failed.
-            TimingError: the tick thread stands still.
+            TimingError: the tick thread has stalled.
         """
         if self._failure is not None:
             raise RthybError(
@@ -80,11 +80,11 @@ class Collector:
         now_s = time.monotonic()
         passed_s, self._looked_s = now_s - self._looked_s, now_s
         silent_s = now_s - self._last_s
-        # After a trip the ring stands still, as it is meant to.
+        # After a trip the ring stops, as intended.
         if not self._thread.is_alive() or silent_s <= SILENCE_S or self._run.reader.frozen:
             self._silent_s = 0.0
             return
-        # Where all of the process was stopped, this thread may go on before the others.
+        # If the whole process was stopped, this thread may resume before the others.
         self._silent_s += min(passed_s, LOOK_MOST_S)
         if self._silent_s > LOOK_MOST_S + SURE_S:
             raise TimingError(
@@ -94,7 +94,7 @@ class Collector:
             )
 
     def stop(self) -> None:
-        """End the thread and keep what the producer, which has ended, has left."""
+        """End the thread and collect the rows that the producer, which has ended, has left."""
         self._done.set()
         if self._thread.is_alive():
             self._thread.join()

@@ -26,7 +26,7 @@ _LOCK_S = 20.0
 _STANDS_S = 2.0
 """Time after which a drive that receives commands but does not follow is considered stopped."""
 _STANDS_RESET_S = 0.25
-"""The same where it may be reset: too early does no harm."""
+"""The same if it may be reset: a premature reset is harmless."""
 
 
 def run(
@@ -122,7 +122,7 @@ def _no_progress(_: int, __: int) -> None:
 def _judge(session: Session, zeroed: Callable[[Session], None]) -> None:
     zeroed(session)
     if session.clock != "stepped":
-        # It may have taken its time: a sign of life before anything moves.
+        # The caller may have taken long: send a heartbeat before anything moves.
         session.wait(2 * RECORDER_PERIOD_S)
 
 

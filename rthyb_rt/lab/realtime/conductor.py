@@ -78,7 +78,7 @@ class Conductor:
     Commands, waiting and closing must come from one thread.
 
     Args:
-        opened: the link, which stays the caller's.
+        opened: the link, which remains the caller's.
         clock: "host"; "link": the ticks follow the drive's samples; or "stepped", which is not real
             time: waiting executes the ticks.
         before_tick: stepped clock: called before every tick, for example the drive's own tick;
@@ -88,8 +88,8 @@ class Conductor:
     Attributes:
         opened, clock: as given.
         run: the run whose station is active.
-        loop, wire, link: the loop, and wire and link of the first axis; see their modules for what
-            may be read.
+        loop, wire, link: the loop, and wire and link of the first axis; see their modules for the
+            readable attributes.
         ways: wire, link and calibration of every axis.
         commands_before: number of the command before the first; 0 if the drive starts from 0.
         rate: rate of the ticks; a run at another rate is not accepted.
@@ -138,7 +138,7 @@ class Conductor:
             undo.pop_all()
         first.counted = self._count()
 
-    # ---- its life -------------------------------------------------------------------------------
+    # ---- life cycle -----------------------------------------------------------------------------
 
     def start(self) -> None:
         """Start the ticks, in state IDLE.
@@ -180,7 +180,7 @@ class Conductor:
             name = self.opened.name
             warn(f"{name}: a Python thread exchanges its frames, which is not real time")
         end = time.monotonic() + _FIRST_TICK_S
-        # They are known once the thread, which locks memory first, has come to its first tick.
+        # They are known once the thread, which first locks memory, has reached its first tick.
         while not self.loop.counts.elapsed and time.monotonic() < end:
             self._pass(_LOOK_S)
         missing = [name for name in NEEDED if name not in self.privileges]
@@ -196,7 +196,7 @@ class Conductor:
         """End the tick thread and release everything; a second call has no effect.
 
         A motion is tripped first, so that the drive stops at once and not by its watchdog. A drive
-        at rest is told that the commands end on purpose.
+        at rest is informed that the commands end on purpose.
         """
         if self._closed:
             return
@@ -239,7 +239,7 @@ class Conductor:
             time.sleep(_LOOK_S)
         time.sleep(_TRIP_TICKS * self.rate.period_s)
 
-    # ---- looking --------------------------------------------------------------------------------
+    # ---- state ----------------------------------------------------------------------------------
 
     @property
     def state(self) -> str:
@@ -457,7 +457,7 @@ class Conductor:
         generation = self.loop.set_parameters(parameters)
         tick = self.loop.counts.elapsed - self.loop.load_tick
         values = dataclasses.asdict(parameters)
-        # At once: its rows may be on their way already.
+        # At once: rows with this generation may already be arriving.
         run.parameters.append({"generation": generation, "tick": tick, "values": values})
         taken = self._wait_for(lambda: self.loop.set_taken(generation))
         if not taken:
@@ -600,7 +600,7 @@ class Conductor:
             f"displacement and force {self.rate.hz:g} times per second?"
         )
 
-    # ---- how it went ----------------------------------------------------------------------------
+    # ---- statistics -----------------------------------------------------------------------------
 
     def wire_counters(self) -> dict[str, int]:
         """Return the counters of the wire by name; with several axes, their sum."""

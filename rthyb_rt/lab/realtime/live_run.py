@@ -22,7 +22,7 @@ from rthyb_rt.record.ring import Reader, Ring
 
 LOOK_BACK_TICKS: Final = 64
 GOOD_PAIRS: Final = 48
-"""Of the last `LOOK_BACK_TICKS`, with a drive that follows: then a test begins."""
+"""Valid pairs among the last `LOOK_BACK_TICKS` that a test needs to begin."""
 
 _NOT_FOLLOWING: Final = FLAGS["stopped"] | FLAGS["down"]
 _CHUNK: Final = 256
@@ -59,7 +59,7 @@ class Counted:
 
 @dataclass(kw_only=True)
 class LiveRun(Run):
-    """A station and its ring; `make` makes it.
+    """A station and its ring; created by `make`.
 
     One thread reads the rows (`news`); any thread may read the log.
 
@@ -109,7 +109,7 @@ class LiveRun(Run):
             more: fields of a subclass.
 
         Raises:
-            RthybError: there is no room for the ring.
+            RthybError: there is no space for the ring.
             CoreError: a setting is rejected.
         """
         config = config or experiment.station_config(setup, real=True)
@@ -138,7 +138,7 @@ class LiveRun(Run):
         """Write the session file beside the ring, for a recorder or a recovery."""
         self.ring.renew_session(self.known())
 
-    # ---- the book -------------------------------------------------------------------------------
+    # ---- the log --------------------------------------------------------------------------------
 
     def news(self) -> Iterator[NDArray[np.void]]:
         """Read new rows, and yield them in parts, each of shape (n,)."""
@@ -178,6 +178,6 @@ class LiveRun(Run):
         rec.samples = ring.joined(self._parts)
         rec.replay.skips = ring.skips(rec.samples)
         if self.missed:
-            # Row k of the reference belongs to the k-th row of the test, which no longer holds.
+            # Row k of the reference belongs to the k-th row of the test, which is no longer true.
             rec.reference = None
         return rec

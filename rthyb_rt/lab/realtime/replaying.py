@@ -117,7 +117,7 @@ def _settings(
     if "station" in values:
         return core.StationConfig.of(values["station"])
     derived = config.derive(test, rig)
-    # Before settings were recorded there were no limits but those of the files.
+    # Recordings from before settings were recorded have only the limits of the files.
     derived = replace(derived, limits=replace(derived.limits, derived={}))
     setup = Setup(
         test=test,

@@ -35,7 +35,7 @@ class Session(Conductor):
         facts: further facts for the recording, by name.
 
     Raises:
-        RthybError: there is no room for the ring, or the descriptor cannot be used.
+        RthybError: there is no space for the ring, or the descriptor cannot be used.
         CoreError: a setting is rejected.
     """
 
@@ -95,7 +95,7 @@ class Session(Conductor):
         self.run.close()
 
     def discard(self) -> None:
-        """Delete the ring and its session file: the recording has all of it."""
+        """Delete the ring and its session file, because the recording contains everything."""
         self.run.remove()
 
     def wait(self, seconds: float) -> None:
@@ -121,7 +121,7 @@ class Session(Conductor):
 
     def settle(self) -> None:
         """Wait for the rows that are recorded after a test."""
-        # Of a trip somewhat more, so that the black box is full: it counts rows at any rate.
+        # Longer after a trip, so that the black box is full: it counts rows at any rate.
         tripped = self.state == "TRIPPED"
         kept_s = 1.1 * AFTER_TRIP / self.rate.hz if tripped else REST_TICKS / core.FS_HZ
         end_s = self.now_s + kept_s
