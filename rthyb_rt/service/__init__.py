@@ -1,5 +1,6 @@
-"""The lab's service: one daemon that runs many tests at one rig, and a recorder beside it.
+"""The service of a laboratory: a daemon that runs many tests on one rig, and a recorder.
 
-`engine` has the rig and its tests, `control` the socket that an operator drives it by, `daemon` the
-process of both; `recorder` is the other process, which reads the telemetry ring and writes files.
+`engine` controls the rig and its tests, `control` provides the socket for operators, and `daemon`
+is the process of both. `recorder` is a separate process that reads the telemetry ring and writes
+files.
 """

@@ -1,4 +1,4 @@
-"""A test on whatever rig there is, of one axis or of several."""
+"""Tests on a rig of one axis or of several."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from rthyb_rt.lab.experiment import Setup
 
 
 def prepare(test: TestFile, rig: RigFile | AxesRig, record: GroundMotion) -> Setup:
-    """Return a test in real time with every setting of the core, and notes on its whole loop.
+    """Return a test in real time with all settings of the core, and notes on the closed loop.
 
     Args:
         test, rig: the two files.
-        record: the ground motion as read, not cut, not scaled.
+        record: the ground motion as read, neither cut nor scaled.
 
     Raises:
-        InputError: with what is wrong in the files, the record, or between them.
+        InputError: everything that is wrong in the files, in the record, or between them.
     """
     if isinstance(rig, AxesRig):
         return several.prepare(test, rig, real_time=True, record=record)
@@ -31,10 +31,10 @@ def prepare(test: TestFile, rig: RigFile | AxesRig, record: GroundMotion) -> Set
 
 
 def at_rest(rig: RigFile | AxesRig) -> Setup:
-    """Return a setup in whose IDLE state the drives of a rig stay where they stand.
+    """Return a setup in whose state IDLE the drives of a rig remain where they are.
 
     Raises:
-        InputError: the rig file's own figures do not fit together.
+        InputError: the values of the rig file are inconsistent.
     """
     if isinstance(rig, AxesRig):
         return several.at_rest(rig)

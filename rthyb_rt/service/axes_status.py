@@ -1,4 +1,4 @@
-"""What the status of the service says of several axes, each by its name."""
+"""Status of several axes in the status of the service, by name."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     from rthyb_rt.service.engine import Engine
 
 _FIELDS: Final = ("x_cmd_m", "x_meas_m", "f_meas_n")
-"""Of a row, with an axis' number behind a point."""
+"""Fields of a row, followed by a point and the number of the axis."""
 _CHANNELS: Final = ("alpha", "beta")
-"""Of a row, with an axis' number behind a line."""
+"""Channels of a row, followed by an underscore and the number of the axis."""
 
 
 def of_axes(engine: Engine) -> dict[str, dict[str, Any]]:
-    """Return newest values, in the units of their names, link and drive of each axis; {} of one."""
+    """Return newest values (units in their names), link and drive by axis; {} for one axis."""
     rig = engine.rig
     if not isinstance(rig, AxesRig):
         return {}
@@ -44,7 +44,7 @@ def of_axes(engine: Engine) -> dict[str, dict[str, Any]]:
 
 
 def _wanted(rig: AxesRig, row: np.void | None) -> list[float | None]:
-    """Return where the numerical part wants each axis, m."""
+    """Return the command of the numerical part for each axis, m."""
     pose = [_value(row, f"x_num_m_{j}" if j else "x_num_m") for j in range(len(rig.axis))]
     given = [value for value in pose if value is not None and np.isfinite(value)]
     if len(given) < len(pose):
@@ -54,7 +54,7 @@ def _wanted(rig: AxesRig, row: np.void | None) -> list[float | None]:
 
 
 def of_directions(engine: Engine) -> dict[str, dict[str, Any]]:
-    """Return what the numerical part asks of each direction of the interface; {} of one axis.
+    """Return the command of the numerical part by direction of the interface; {} for one axis.
 
     ``x_num`` is in ``unit``, m or rad.
     """

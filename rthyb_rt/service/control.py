@@ -39,7 +39,7 @@ REPLY_BYTES: Final = 1 << 20
 _USERS: Final = 256
 """Number of users whose credit is remembered."""
 
-_SERVICE_TEXT: Final = """# Every Varlink service says what it is.
+_SERVICE_TEXT: Final = """# Every Varlink service describes itself.
 interface org.varlink.service
 
 method GetInfo() -> (
@@ -218,7 +218,7 @@ class Dispatcher:
         return await _guarded(name, method.handle(peer, call.parameters))
 
     def _introspect(self, name: str, call: Call) -> dict[str, Any]:
-        # Everybody may know what the service is: a refusal reveals no less.
+        # Anyone may ask what the service is: a refusal reveals as much.
         if name == "GetInfo":
             _check_parameters(call.parameters, {})
             return {
@@ -317,7 +317,7 @@ class _Credits:
         limits, now = self._limits, time.monotonic()
         left, then = self._left.pop(uid, (limits.burst, now))
         left = min(left + (now - then) * limits.per_s, limits.burst) - 1.0
-        # At most what all connections of the user can have waiting, or a flood would delay a stop.
+        # Capped at what the user's connections can have pending, or a flood would delay a stop.
         left = max(left, -float(limits.connections // 2))
         self._left[uid] = left, now
         if len(self._left) > _USERS:
@@ -368,7 +368,7 @@ class ControlServer:
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             _remove_abandoned(self.path)
-            # Everybody may connect: the kernel says who it is, and a refusal says why.
+            # Anyone may connect: the kernel identifies the user, and a refusal states its reason.
             before = os.umask(0o111)
             try:
                 listener.bind(str(self.path))
@@ -406,7 +406,7 @@ class ControlServer:
             try:
                 connection, _ = await loop.sock_accept(listener)
             except OSError as error:
-                # No descriptors left, for instance: those that are there come first.
+                # For example no descriptors left: existing connections take priority.
                 log.warning("a connection could not be accepted: %s", error)
                 await asyncio.sleep(0.5)
                 continue
@@ -510,7 +510,7 @@ class _Conversation:
         return self._cut()
 
     async def _large_message(self) -> bytes | None:
-        """Read on where a test may be loaded: for whom, when, and one at a time."""
+        """Read a long request only if the client and the state permit a load, one at a time."""
         self._check_large()
         if self._server._large.locked():
             raise limited("another test is being loaded; try again")
@@ -524,8 +524,8 @@ class _Conversation:
                     raise limited(f"a request may be at most {LOAD_BYTES} bytes long")
                 if not await self._receive(end - time.monotonic()):
                     return None
-            # To take it apart keeps this thread, which gives the sign of life, for a while: not
-            # where a motion has begun since. None can meanwhile, for START comes through here.
+            # Parsing it blocks this thread, which sends the heartbeat, for a while: refuse it if a
+            # motion has begun. None can begin meanwhile, because START is handled by this thread.
             self._check_large()
             return self._cut()
 
@@ -554,7 +554,7 @@ class _Conversation:
     async def _receive(self, seconds: float) -> bool:
         loop = asyncio.get_running_loop()
         try:
-            # Not wait_for: before Python 3.12 it forgets a cancellation that comes with the data.
+            # Not wait_for: before Python 3.12 it loses a cancellation that coincides with the data.
             async with asyncio.timeout(max(seconds, 0.001)):
                 data = await loop.sock_recv(self._connection, REQUEST_BYTES)
         except TimeoutError:

@@ -120,11 +120,11 @@ class Options:
 
 
 class Daemon:
-    """See the module.
+    """The daemon of a rig; see the description of this module.
 
     Args:
         rig: the rig.
-        opened: the link to its drive; stays the caller's.
+        opened: the link to its drive; it remains the caller's.
         clock, before_tick: as in `rthyb_rt.lab.realtime.Session`.
         options: options of the daemon.
         demand: returns the facts of a rig's commissioning, or refuses the rig.
@@ -145,7 +145,7 @@ class Daemon:
         self.options = options
         _clear_rests(options.rings)
         self._demand, self._read_rig = demand, read_rig
-        # As the file was commissioned: a reload may lower its limits, again and again.
+        # As commissioned: repeated reloads may each lower the limits of the previous file.
         self._commissioned = rig
         self.engine = Engine(
             rig,
@@ -294,12 +294,12 @@ class Daemon:
     def _over(self) -> bool:
         if not self._stops:
             return False
-        # Told to end at rest, or refused the ramp-out: nothing that moves is left to go on.
+        # Asked to end at rest, or the ramp-out was refused: there is no motion to complete.
         if self.engine.moving and self.engine.state != "RAMP_OUT":
             self._was_moving = True
             with contextlib.suppress(StateError):
                 self.engine.command("stop")
-        # A test that has ended is still handed to its recorder.
+        # A test that has ended is still passed to its recorder.
         return not self.engine.moving and (
             self.engine.recorded is None or self.engine.state in ("ZEROED", "ARMED")
         )

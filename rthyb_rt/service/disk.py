@@ -1,4 +1,4 @@
-"""Room on the disk: what a recording needs, and a reserve that is had before a block is written."""
+"""Disk space: what a recording needs, and a reserve that is allocated before each block."""
 
 from __future__ import annotations
 
@@ -12,22 +12,21 @@ from rthyb_rt import core
 from rthyb_rt.config import STANDARD, Rate
 
 RESERVE_BYTES: Final = 1 << 20
-"""Had in the file itself before every block: HDF5 must never meet a full disk."""
+"""Allocated in the file itself before every block, because HDF5 must never meet a full disk."""
 KEPT_FREE_BYTES: Final = 8 << 20
-"""Of the disk: for the last steps of a recording, and for everybody else."""
+"""Left free on the disk, for the last steps of a recording and for other programs."""
 
 _INDEX_PER_ROW_BYTES: Final = 8
-"""Of the file's index and checksums: measured 2.4 where rows do not compress, as bad a case as
-there is."""
+"""Index and checksums of the file: 2.4 measured for incompressible rows, the worst case."""
 _AROUND_S: Final = 120.0
-"""Beside the test proper: zeroing, armed, ramps, a HOLD."""
+"""Time besides the test proper: zeroing, armed, ramps, a HOLD."""
 
 
 def free_bytes(folder: Path) -> int:
-    """Return the room that is left for this user.
+    """Return the space that is available to this user.
 
     Raises:
-        OSError: the folder is not there.
+        OSError: the folder does not exist.
     """
     found = os.statvfs(folder)
     return found.f_bavail * found.f_frsize
@@ -39,13 +38,13 @@ def needed_bytes(
     axis_count: int = 1,
     rate: Rate = STANDARD,
 ) -> int:
-    """Return the room that the rows of a test may take, with what is kept free.
+    """Return the space that the rows of a test may need, including what is left free.
 
     Args:
-        test_ticks: of the test proper.
-        channels: what its rows have beside the record.
+        test_ticks: length of the test proper.
+        channels: number of recorded channels besides the standard record.
         axis_count: axes of the rig.
-        rate: of its samples.
+        rate: sample rate.
     """
     ticks = test_ticks + rate.ticks(_AROUND_S)
     per_row = core.row_dtype(channels, axis_count).itemsize + _INDEX_PER_ROW_BYTES
@@ -53,19 +52,19 @@ def needed_bytes(
 
 
 FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""What the system says of a disk without room."""
+"""Errors of the system that mean a full disk."""
 
 
 def has_room(descriptor: int, end: int, folder: Path) -> bool:
-    """Return whether the next block of an open file can be written; its blocks are had then.
+    """Return whether the next block of an open file can be written; if so, it is allocated.
 
     Args:
         descriptor: of the file.
-        end: where the next block begins; what is reserved lies behind.
+        end: where the next block begins; the reserve follows it.
         folder: of the file.
 
     Raises:
-        OSError: something else than room is missing.
+        OSError: any failure other than a lack of space.
     """
     if free_bytes(folder) < KEPT_FREE_BYTES:
         return False

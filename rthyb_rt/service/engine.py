@@ -156,9 +156,9 @@ class Engine(Conductor):
 
     Args:
         rig: the rig.
-        opened: the link to its drive; stays the caller's.
+        opened: the link to its drive; it remains the caller's.
         clock: as in `rthyb_rt.lab.realtime.Session`.
-        folder: of the rings; None takes `rthyb_rt.record.ring.default_folder`.
+        folder: of the rings; None: `rthyb_rt.record.ring.default_folder`.
         before_tick: stepped clock: called before every tick.
         facts: facts to be stored in the recordings, by name.
         tell: called with every event.
@@ -170,7 +170,7 @@ class Engine(Conductor):
             the figures of the limit that ended it, "" if none did; or None.
 
     Raises:
-        RthybError: there is no room for the ring, or the descriptor cannot be used.
+        RthybError: there is no space for the ring, or the descriptor cannot be used.
     """
 
     run: ServiceRun
@@ -204,7 +204,7 @@ class Engine(Conductor):
             self._end_run(self.run)
         self._rest.remove()
 
-    # ---- looking --------------------------------------------------------------------------------
+    # ---- state ----------------------------------------------------------------------------------
 
     @property
     def recorded(self) -> ServiceRun | None:
@@ -402,7 +402,7 @@ class Engine(Conductor):
         """Return station and ring of a test; this takes time, and may run in any thread.
 
         Raises:
-            RthybError: there is no room for the ring.
+            RthybError: there is no space for the ring.
         """
         facts = self._facts_of("test", loaded.digest)
         return ServiceRun.make(
@@ -617,7 +617,7 @@ class Engine(Conductor):
         """Switch to the station at rest, and leave the test's ring to the recorder."""
         run = self.run
         if self.state == "TRIPPED":
-            # It stays tripped until it is reset; only the ring changes.
+            # It remains tripped until it is reset; only the ring changes.
             self._rest.station, self._rest.config = run.station, run.config
             self._put(self._rest)
         else:

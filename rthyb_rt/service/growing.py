@@ -106,8 +106,8 @@ class GrowingFile:
     def _open(self) -> None:
         import h5py
 
-        # No lock of HDF5's: whoever reads the file must not keep the recorder from it, and may do
-        # so while it grows. That there is one recorder only is settled elsewhere.
+        # Without HDF5's lock, so that reading the file while it grows does not block the recorder.
+        # That there is only one recorder is ensured elsewhere.
         self._disk = OrderedFile(self._path)
         self._file = h5py.File(self._disk, "r+")
         self._samples = self._file["samples"]

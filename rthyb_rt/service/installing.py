@@ -1,4 +1,4 @@
-"""The service's files on their way into a system: units, users, folders, device rules."""
+"""Installation of the service in a system: units, users, folders, device rules."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ PLACES: Final[dict[str, str]] = {
     "rthyb.fish-completion": "usr/share/fish/vendor_completions.d/rthyb.fish",
     "rthyb.1": "usr/share/man/man1/rthyb.1",
 }
-"""Where each file goes, below the root of the system."""
+"""Destination of each file, relative to the root of the system."""
 
 RIG: Final = "etc/rthyb/rig.toml"
 _PROGRAM: Final = "@RTHYB@"
 HIDDEN: tuple[str, ...] = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")
-"""What the service does not see: a program there would not start."""
+"""Folders that are invisible to the service: a program there would not start."""
 _PACKAGE: Final = Path(__file__).resolve().parents[1]
 
 Steps = tuple[tuple[str, ...], ...]
@@ -42,39 +42,39 @@ INSTALLED: Final[Steps] = (
     ("systemctl", "daemon-reload"),
     ("udevadm", "control", "--reload"),
     ("udevadm", "trigger", "--subsystem-match=misc", "--subsystem-match=tty"),
-    # The rule of an adapter that is plugged in already asks for its unit as it is added.
+    # For an adapter that is already plugged in, its rule starts the unit on the event "add".
     (
         *("udevadm", "trigger", "--action=add"),
         *("--subsystem-match=net", "--sysname-match=can[0-9]*"),
     ),
 )
-"""What makes the files known to the running system."""
+"""Commands that make the running system load the files."""
 REMOVING: Final[Steps] = (
     ("systemctl", "disable", "--now", "rthyb-live", "rthyb", "rthyb-recorder"),
     ("systemctl", "stop", "rthyb-can@*.service"),
 )
-"""What ends the service while its units are there: a test that moves is ramped out."""
+"""Commands that end the service before its units are removed: a moving test is ramped out."""
 REMOVED: Final[Steps] = (("systemctl", "daemon-reload"), ("udevadm", "control", "--reload"))
-"""What makes the running system forget the files."""
+"""Commands that make the running system forget the files."""
 
 
 def sources() -> Path:
-    """Return the folder that the files come from."""
+    """Return the folder that contains the files to install."""
     packaged = _PACKAGE / "_systemd"
     return packaged if packaged.is_dir() else _PACKAGE.parent / "systemd"
 
 
 def program() -> Path:
-    """Return the program of this installation, as a unit can start it.
+    """Return the program of this installation, as started by a unit.
 
     Raises:
-        RthybError: there is none, or it lies where the service does not see it.
+        RthybError: it does not exist, or is in a folder that is invisible to the service.
     """
     path = Path(sys.prefix) / "bin" / "rthyb"
     if not path.is_file():
         raise RthybError(f"{path}: this installation has no program rthyb")
-    # An environment in /opt is of no use with an interpreter that is in somebody's home, nor with
-    # sources there, nor by a name that leads there.
+    # An environment in /opt does not help if its interpreter or its sources are in a home folder,
+    # or if its path is a link to one.
     for needed in (path, path.resolve(), Path(sys.executable).resolve(), _PACKAGE):
         for folder in HIDDEN:
             if needed.is_relative_to(folder):
@@ -90,19 +90,19 @@ def program() -> Path:
 def install(
     root: Path, starts: Path, rig: str | None = None, dbc: Sequence[Path] = ()
 ) -> list[Path]:
-    """Write the files; an older version of theirs is replaced, a rig file is not.
+    """Write the files; older versions are replaced, except for a rig file.
 
     Args:
-        root: of the system.
-        starts: the program that the units start.
-        rig: text of the rig file, or None to leave that to the operator.
-        dbc: the files that the rig file names, by their names alone.
+        root: root of the system.
+        starts: program that the units start.
+        rig: text of the rig file; None: left to the operator.
+        dbc: files to which the rig file refers by name only.
 
     Returns:
-        the files that were written.
+        The files that were written.
 
     Raises:
-        RthybError: one cannot be written, or another DBC file is there.
+        RthybError: a file cannot be written, or a different DBC file exists.
     """
     written = []
     new = rig is not None and not (root / RIG).exists()
@@ -117,7 +117,7 @@ def install(
 
 
 def _beside(rig: Path, dbc: Path) -> list[Path]:
-    """Copy a DBC file to where the rig file will be, unless it is there."""
+    """Copy a DBC file to the folder of the rig file, unless it is already there."""
     target = rig.with_name(dbc.name)
     try:
         content = dbc.read_bytes()
@@ -145,10 +145,10 @@ def _write(path: Path, text: str) -> Path:
 
 
 def remove(root: Path) -> list[Path]:
-    """Take away what `install` wrote; rig file and recordings stay.
+    """Remove what `install` wrote, except for rig file and recordings.
 
     Raises:
-        RthybError: one cannot be removed.
+        RthybError: a file cannot be removed.
     """
     removed = []
     for place in PLACES.values():
@@ -164,7 +164,7 @@ def remove(root: Path) -> list[Path]:
 
 
 def carry_out(steps: Steps) -> list[str]:
-    """Take steps in the running system; return what could not be done, in words."""
+    """Run commands in the running system; return what failed, as text."""
     failed = []
     for step in steps:
         words = " ".join(step)
@@ -178,5 +178,5 @@ def carry_out(steps: Steps) -> list[str]:
 
 
 def needs_root(root: Path) -> bool:
-    """Return whether the files can be written by root alone."""
+    """Return whether only root can write the files."""
     return root == Path("/") and os.geteuid() != 0

@@ -1,4 +1,4 @@
-"""The state of the service as Prometheus reads it, in its text format."""
+"""The state of the service as metrics in Prometheus' text format."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def _samples(status: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, str], f
         labels = {"quantile": f"0.{percent.rstrip('0')}"}
         yield "rthyb_wake_late_seconds", labels, status["wake"][f"p{percent}_ns"] / 1e9
     axes = status.get("axes") or {}
-    # Of one axis, as its own; of several, each with its name.
+    # For one axis without a label; for several, each with its name.
     values = [({"axis": name}, one) for name, one in axes.items()] or [({}, status["newest"] or {})]
     for sample, key in (
         ("rthyb_displacement_metres", "x_meas_m"),

@@ -1,10 +1,11 @@
-"""An HDF5 file whose writes reach the system in an order that leaves it readable after each.
+"""An HDF5 file that remains readable after each of its writes.
 
-HDF5 writes what belongs to one flush in an order of its own: a process that is killed in between
-leaves a length that promises more than the index has, or an index that points behind the end of the
-file. Here all of a flush is kept back, and goes out when it is complete: first what nothing points
-to yet, then the end of the file, then the index from its root on, last the object headers, which
-have the lengths. After every write whatever can be reached is whole.
+HDF5 performs the writes of a flush in an arbitrary order: if a process is killed in between, a
+length may exceed what the index covers, or the index may point beyond the end of the file. Here all
+writes of a flush are buffered until it is complete, and then performed in a safe order: first data
+that nothing refers to yet, then the end of the file, then the index from its root, and finally the
+object headers, which contain the lengths. After each of these writes, everything that is reachable
+is valid.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Final
 
 _SUPERBLOCK: Final = b"\x89HDF\r\n\x1a\n"
 _END_AT: Final = {0: 40, 1: 44, 2: 28, 3: 28}
-"""Where a superblock has the end of the file, by its version; addresses of eight bytes."""
+"""Position of the end-of-file address in a superblock, by its version; addresses of eight bytes."""
 _INDEX: Final = b"TREE"
 _LEVEL_AT: Final = 5
 _COUNT_AT: Final = 6
@@ -24,15 +25,15 @@ _PAGE: Final = 4096
 
 
 class OrderedFile:
-    """What h5py takes for a file. Nothing reaches the system before `commit`.
+    """A file object for h5py. Nothing is written to the system before `commit`.
 
     Args:
-        path: of the file.
-        new: make it; else it must be there.
+        path: path of the file.
+        new: create it; otherwise it must exist.
 
     Attributes:
         fd: its descriptor.
-        end: of the file, as HDF5 has it; what lies behind is reserve.
+        end: end of the file according to HDF5; anything beyond is reserve.
 
     Raises:
         OSError: it cannot be opened.
@@ -46,19 +47,19 @@ class OrderedFile:
         self._pending: dict[int, bytes] = {}
         self._reached = _end_of(os.pread(self.fd, 64, 0)) or self.end
 
-    # ---- what h5py asks for ---------------------------------------------------------------------
+    # ---- called by h5py -------------------------------------------------------------------------
 
     def seek(self, at: int, whence: int = os.SEEK_SET) -> int:
-        """Go to a place; return it."""
+        """Set the position and return it."""
         self._at = at + {os.SEEK_SET: 0, os.SEEK_CUR: self._at, os.SEEK_END: self.end}[whence]
         return self._at
 
     def tell(self) -> int:
-        """Return the place."""
+        """Return the position."""
         return self._at
 
     def readinto(self, into: memoryview) -> int:
-        """Read, kept back or not; return how many bytes."""
+        """Read from buffer and file; return the number of bytes."""
         view = memoryview(into).cast("B")
         at, size = self._at, len(view)
         data = bytearray(os.pread(self.fd, size, at).ljust(size, b"\0"))
@@ -71,13 +72,13 @@ class OrderedFile:
         return size
 
     def read(self, size: int) -> bytes:
-        """Read, kept back or not; by this method h5py knows a file."""
+        """Read from buffer and file; h5py recognises a file object by this method."""
         data = bytearray(size)
         self.readinto(memoryview(data))
         return bytes(data)
 
     def write(self, data: memoryview) -> int:
-        """Keep back; return how many bytes."""
+        """Buffer data; return the number of bytes."""
         piece = bytes(data)
         begin, size = self._at, len(piece)
         self._at += size
@@ -92,20 +93,20 @@ class OrderedFile:
         return size
 
     def truncate(self, size: int) -> int:
-        """Have the file end there, with the next commit."""
+        """Set the end of the file, as of the next commit."""
         self.end = size
         return size
 
     def flush(self) -> None:
-        """Do nothing: what HDF5 takes for complete is not always so."""
+        """Do nothing: a flush by HDF5 is not always complete."""
 
-    # ---- what its owner asks for ----------------------------------------------------------------
+    # ---- called by the owner --------------------------------------------------------------------
 
     def commit(self) -> None:
-        """Have all that was kept back in the system's hands.
+        """Write everything that is buffered to the operating system.
 
         Raises:
-            OSError: the disk is full, or gone; what did not go out is still kept back.
+            OSError: the disk is full, or gone; what was not written remains buffered.
         """
         for begin in sorted(self._pending, key=self._rank):
             piece = self._pending[begin]
@@ -120,8 +121,8 @@ class OrderedFile:
         self._pending.clear()
 
     def _shrinks(self, piece: bytes, begin: int) -> bool:
-        """Whether a node of the index has fewer entries than it had: it was split, or is the root
-        of one level more."""
+        """Whether an index node has fewer entries than before: it was split, or is the root of an
+        additional level."""
         before = os.pread(self.fd, _COUNT_AT + 2, begin)
         if not (piece.startswith(_INDEX) and before.startswith(_INDEX)):
             return False
@@ -141,7 +142,7 @@ class OrderedFile:
         return 3, 0, begin
 
     def close(self) -> None:
-        """Let go of the file without the reserve; what is kept back is lost. Twice does no harm."""
+        """Close the file without its reserve and buffer; a second call has no effect."""
         fd, self.fd = self.fd, -1
         if fd < 0:
             return
@@ -153,7 +154,7 @@ class OrderedFile:
 
 
 def _end_of(superblock: bytes) -> int:
-    """Return where a superblock says that the file ends; 0: it does not say."""
+    """Return the end of the file according to a superblock; 0: unknown."""
     if not superblock.startswith(_SUPERBLOCK):
         return 0
     at = _END_AT.get(superblock[len(_SUPERBLOCK)], 0)
@@ -161,7 +162,7 @@ def _end_of(superblock: bytes) -> int:
 
 
 def _joined(begin: int, piece: bytes, at: int, newer: bytes) -> tuple[int, bytes]:
-    """Return two pieces that overlap as one; the newer counts."""
+    """Return two overlapping pieces as one, in which the newer one takes precedence."""
     first, last = min(begin, at), max(begin + len(piece), at + len(newer))
     data = bytearray(last - first)
     data[begin - first : begin - first + len(piece)] = piece
@@ -170,10 +171,11 @@ def _joined(begin: int, piece: bytes, at: int, newer: bytes) -> tuple[int, bytes
 
 
 def _rewrite(fd: int, piece: bytes, at: int, *, shrinks: bool) -> None:
-    """Write what is in use page by page: a kill may fall between two, and within none.
+    """Overwrite data in use page by page: a kill may occur between two pages, but not within one.
 
-    From the last one on: what a node of the index counts in its head is there by then. From the
-    first one on where it counts less than before: what it no longer counts is not looked at.
+    Begins with the last page, so that the entries counted in the head of an index node are present
+    when the head is written. If the count shrinks, begins with the first page, because entries
+    beyond the count are ignored.
     """
     end = at + len(piece)
     cuts = [at, *range(at // _PAGE * _PAGE + _PAGE, end, _PAGE), end]

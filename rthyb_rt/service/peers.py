@@ -1,4 +1,4 @@
-"""Who is at the other end of the control socket, and what he may do."""
+"""The user at the other end of the control socket, and the rights of that user."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ OPERATORS: Final = "rthyb-operator"
 PASSWD: Final = Path("/etc/passwd")
 
 _SO_PEERGROUPS: Final = 59
-"""Supplementary groups as they were when the peer connected; not in Python's socket module."""
+"""Supplementary groups of the peer when it connected; missing in Python's socket module."""
 _CREDENTIALS: Final = struct.Struct("iII")
 _GROUPS_BYTES: Final = 1024
-"""All that Python asks the kernel for: 256 groups. Of who is in more, the first one counts."""
+"""The most that Python's getsockopt returns: 256 groups; beyond, only the primary group counts."""
 
 
 class Role(IntEnum):
-    """What somebody may do, from little to much."""
+    """Rights, in increasing order."""
 
     NONE = 0
     LOOK = 1
-    """Look, hold and stop."""
+    """May watch, hold and stop."""
     OPERATE = 2
-    """All of it."""
+    """May do everything."""
 
 
 GROUP_OF: Final = {Role.LOOK: LOOKERS, Role.OPERATE: OPERATORS}
@@ -39,7 +39,7 @@ GROUP_OF: Final = {Role.LOOK: LOOKERS, Role.OPERATE: OPERATORS}
 
 @dataclass(frozen=True)
 class Peer:
-    """A process at the other end, as the kernel knows it."""
+    """A process at the other end, as identified by the kernel."""
 
     pid: int
     uid: int
@@ -47,18 +47,18 @@ class Peer:
 
     @property
     def user(self) -> str:
-        """Who it is, for messages."""
+        """The user, for messages."""
         name = _user_name(self.uid)
         return f"{name} (uid {self.uid})" if name else f"uid {self.uid}"
 
     @property
     def name(self) -> str:
-        """Who it is, and from where."""
+        """User and process, for messages."""
         return f"{self.user}, process {self.pid}"
 
 
 def _user_name(uid: int) -> str:
-    """Return the name of a user of this PC; "": a directory may know him, which takes its time."""
+    """Return the name of a local user, or ""; a query to a directory could take too long."""
     try:
         lines = PASSWD.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -72,11 +72,11 @@ def _user_name(uid: int) -> str:
 
 @dataclass(frozen=True)
 class Rights:
-    """Which groups may do what.
+    """Groups that confer rights.
 
     Attributes:
-        lookers, operators: group numbers; None: there is no such group, and nobody is in it.
-        owner: the user that the service runs as, who could end it anyway.
+        lookers, operators: group numbers; None if the group does not exist.
+        owner: the user as whom the service runs, who could end it anyway.
     """
 
     lookers: int | None
@@ -85,11 +85,11 @@ class Rights:
 
     @classmethod
     def of_system(cls) -> Rights:
-        """Return them with this system's groups."""
+        """Return the rights by the groups of this system."""
         return cls(_gid(LOOKERS), _gid(OPERATORS), os.geteuid())
 
     def role(self, peer: Peer) -> Role:
-        """Return what a peer may do."""
+        """Return the rights of a peer."""
         if peer.uid in (0, self.owner) or self.operators in peer.groups:
             return Role.OPERATE
         return Role.LOOK if self.lookers in peer.groups else Role.NONE
@@ -103,10 +103,10 @@ def _gid(name: str) -> int | None:
 
 
 def peer_of(connection: socket.socket) -> Peer:
-    """Return who has connected.
+    """Return the peer of a connection.
 
     Raises:
-        OSError: the kernel does not know.
+        OSError: the kernel does not identify it.
     """
     raw = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     pid, uid, gid = _CREDENTIALS.unpack(raw)

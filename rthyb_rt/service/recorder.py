@@ -62,7 +62,7 @@ _MOST_BYTES: Final = 10**6
 log = logging.getLogger("rthyb.recorder")
 
 
-# ---- what it says of itself ---------------------------------------------------------------------
+# ---- status -------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class Tape:
     Args:
         path: the ring of a test.
         folder: of the run.
-        session: the recording without samples, as it stands beside the ring.
+        session: the recording without samples, from the session file of the ring.
 
     Raises:
         InputError: the ring cannot be read, or is not that of the file.
@@ -241,7 +241,7 @@ class Tape:
         Raises:
             NoRoomError: the disk is full; nothing that the ring still has is lost.
         """
-        # With a slow disk, new rows would arrive for ever while it writes.
+        # With a slow disk, new rows would keep arriving while it writes.
         end = self.reader.pushed
         while True:
             self._write(last=False)
@@ -287,7 +287,7 @@ class Tape:
         return joined
 
     def _whole(self, waiting: int) -> int:
-        """Rows that fill blocks up to their end, also behind a gap."""
+        """Return how many rows fill complete blocks, also after a gap."""
         to_fill = -self.file.rows % BLOCK_ROWS
         full = waiting - to_fill
         return 0 if full < 0 else to_fill + full // BLOCK_ROWS * BLOCK_ROWS
@@ -351,7 +351,7 @@ class Tape:
 
 
 def _skips(file: GrowingFile) -> NDArray[np.int64]:
-    """Return `ring.skips` of every row; of an hour, whole rows would be a gigabyte."""
+    """Return `ring.skips` of every row, without loading whole rows: an hour would be a gigabyte."""
     ticks, flags = file.all_rows("tick"), file.all_rows("flags")
     rows = np.empty(ticks.size, dtype=[("tick", ticks.dtype), ("flags", flags.dtype)])
     rows["tick"], rows["flags"] = ticks, flags
@@ -412,7 +412,7 @@ def _run_id(folder: Path) -> str | None:
 
 
 def _write_settings(folder: Path, session: Recording) -> None:
-    """Write test and rig as they were used; the test names the rig beside it."""
+    """Write the test and rig files that were used; the test refers to the rig file beside it."""
     # The recording contains both; on a full disk that must suffice.
     with contextlib.suppress(OSError, InputError):
         test = config.parse_test(session.test_toml, "session")
@@ -564,7 +564,7 @@ class Recorder:
                 self._finish_without_ring(file, session)
 
     def _finish_without_ring(self, file: GrowingFile, session: Recording) -> None:
-        # Only now, for the file ends with its last whole block since it was taken up.
+        # Checked here, because opening the file truncated it to its last complete block.
         states, ticks = file.all_rows("state"), file.all_rows("tick")
         if not file.resumed:
             aside = file.folder / DAMAGED_NAME
@@ -786,8 +786,8 @@ def run(rings: Path, runs: Path, done: Callable[[Recorder], bool]) -> None:
         while not done(recorder):
             recorder.turn()
             time.sleep(TURN_S)
-        # A PC that shuts down tells the daemon first: its test may just be over, and the ring
-        # does not outlive the PC.
+        # A PC that shuts down signals the daemon first: its test may just have ended, and the ring
+        # does not survive the shutdown.
         recorder.turn()
     finally:
         recorder.close()

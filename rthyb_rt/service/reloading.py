@@ -1,4 +1,4 @@
-"""What a reload of the rig file may change: limits, of one axis or of several."""
+"""Rules for reloading a rig file: only limits may change, of one axis or of several."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from rthyb_rt.rig.commissioning import certificate
 
 
 def axes_of(rig: RigFile | AxesRig) -> list[str]:
-    """Return the names of the axes; that of one axis is ""."""
+    """Return the names of the axes; "" for a single axis."""
     return [name for _, name in certificate.each(rig)]
 
 
 def changed(old: RigFile | AxesRig, new: RigFile | AxesRig) -> list[str]:
-    """Return the names of the tables, limits apart, in which two rig files differ."""
+    """Return the names of the tables, apart from limits, in which two rig files differ."""
     before, after = _tables(old), _tables(new)
     names = dict.fromkeys((*before, *after))
     return [name for name in names if before.get(name) != after.get(name)]
@@ -31,7 +31,7 @@ def _tables(rig: RigFile | AxesRig) -> dict[str, Any]:
 
 
 def looser(rig: RigFile | AxesRig, bound: RigFile | AxesRig) -> list[str]:
-    """Return the keys of limits that allow more than those of another file of the same axes."""
+    """Return the keys of limits that are looser than in another file of the same axes."""
     found = []
     for (own, name), (other, _) in zip(certificate.each(rig), certificate.each(bound), strict=True):
         place = f"axis.{name}.limits" if name else "limits"
@@ -51,7 +51,7 @@ def with_limits_of(rig: RigFile | AxesRig, other: RigFile | AxesRig) -> RigFile 
 
 
 def limit_changes(old: RigFile | AxesRig, new: RigFile | AxesRig) -> str:
-    """Return what became of each limit, in words; the axes of both are the same."""
+    """Return the change of each limit as text; the axes of both files are the same."""
     before = _limits(old)
     words = [
         f"{place}{name} {_limit(before[place][name])} -> {_limit(value)}"
@@ -63,7 +63,7 @@ def limit_changes(old: RigFile | AxesRig, new: RigFile | AxesRig) -> str:
 
 
 def _limits(rig: RigFile | AxesRig) -> dict[str, dict[str, Any]]:
-    """Return the tables of limits of a file by what stands before their keys."""
+    """Return the tables of limits of a file, by the prefix of their keys."""
     found = {"": rig.limits.model_dump()}
     if isinstance(rig, AxesRig):
         found |= {f"axis {axis.name}: ": axis.limits.model_dump() for axis in rig.axis}
@@ -71,7 +71,7 @@ def _limits(rig: RigFile | AxesRig) -> dict[str, dict[str, Any]]:
 
 
 def _limit(value: Any) -> str:
-    """Return a limit as a rig file may give it: a table, a number, or nothing."""
+    """Return a limit as text, whether it is a table, a number, or None."""
     if value is None:
         return "unset"
     if not isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""What systemd wants to know of a service, and how it takes log lines."""
+"""Notifications to systemd, and log lines for the journal."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ _LEVELS = {
 
 
 def notify(*words: str) -> bool:
-    """Tell systemd words such as ``READY=1``; False: nobody listens."""
+    """Send words such as ``READY=1`` to systemd; False if no service manager is listening."""
     path = os.environ.get("NOTIFY_SOCKET", "")
     if not path:
         return False
-    # A leading @ stands for the abstract name space.
+    # A leading @ denotes the abstract name space.
     address = "\0" + path[1:] if path.startswith("@") else path
     with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.settimeout(_PATIENCE_S)
@@ -41,7 +41,7 @@ def notify(*words: str) -> bool:
 
 
 def watchdog_s() -> float | None:
-    """Return the time in which systemd wants a sign of life; None: it wants none."""
+    """Return the watchdog interval of systemd; None if there is no watchdog."""
     if os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return None
     try:
@@ -51,7 +51,7 @@ def watchdog_s() -> float | None:
 
 
 class _Journal(logging.Formatter):
-    """Lines with the level as the journal reads it."""
+    """Formats lines with their level in the journal's notation."""
 
     def format(self, record: logging.LogRecord) -> str:
         level = _LEVELS.get(record.levelno, 6)
@@ -59,13 +59,13 @@ class _Journal(logging.Formatter):
 
 
 class Behind(logging.Handler):
-    """Leaves lines to a thread that writes them.
+    """Passes lines to a thread that writes them.
 
-    A terminal that is stopped, or a journal that waits for its disk, takes nothing for a while:
-    whoever logs has the sign of life to give and the operator's stop to hear.
+    A stopped terminal, or a journal that waits for its disk, may block a write for a while. That
+    must not block the thread that sends the heartbeat and receives the operator's stop.
 
     Args:
-        stream: where the lines go.
+        stream: destination of the lines.
     """
 
     def __init__(self, stream: IO[str]) -> None:
@@ -73,15 +73,15 @@ class Behind(logging.Handler):
         self._stream = stream
         self._lines: queue.Queue[logging.LogRecord | None] = queue.Queue(_LINES_MOST)
         self._lost, self._over = 0, False
-        # All of its stack is locked in memory, where this process has that right.
+        # All of its stack is locked in memory if the process has that privilege.
         before = threading.stack_size(_STACK_BYTES)
         self._thread = threading.Thread(target=self._write, name="logging", daemon=True)
         self._thread.start()
         threading.stack_size(before)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Hand a line on; if a thousand wait already, it is lost, and counted."""
-        # What it speaks of may be another thing by the time that it is written.
+        """Pass a line on; if a thousand are already waiting, drop and count it."""
+        # Formatted now, because its arguments may have changed when it is written.
         record.msg, record.args = record.getMessage(), None
         try:
             self._lines.put_nowait(record)
@@ -91,7 +91,7 @@ class Behind(logging.Handler):
     def _write(self) -> None:
         while (record := self._lines.get()) is not None:
             self._print(record)
-            # Those that were lost came after all that waited.
+            # The dropped lines came after all those that were waiting.
             if self._lost and self._lines.empty():
                 lost, self._lost = self._lost, 0
                 text = f"{lost} log lines were lost because nothing read them"
@@ -107,13 +107,13 @@ class Behind(logging.Handler):
             except OSError:
                 self._stream.write(text)
                 return
-            # Past the stream, whose lock a write that is never taken would keep to the end.
+            # Bypasses the stream, whose lock a blocked write would hold until the process ends.
             data = memoryview(text.encode(errors="backslashreplace"))
             while data:
                 data = data[os.write(fd, data) :]
 
     def close(self) -> None:
-        """Write what waits, if that is taken soon."""
+        """Write the waiting lines, unless that is blocked."""
         self._over = True
         with contextlib.suppress(queue.Full):
             self._lines.put_nowait(None)
@@ -123,7 +123,7 @@ class Behind(logging.Handler):
 
 @contextlib.contextmanager
 def logging_to_stderr() -> Iterator[None]:
-    """Log to stderr in the block, for the journal where that listens, else for people."""
+    """Log to stderr within the block, in the journal's format if it is connected."""
     handler = Behind(sys.stderr)
     in_journal = bool(os.environ.get("JOURNAL_STREAM"))
     people = logging.Formatter("%(asctime)s %(levelname)s %(message)s")
