@@ -1,14 +1,15 @@
 """The command line: ``rthyb COMMAND ...``.
 
-Nothing is imported here that Python has not loaded already: a Ctrl-C finds somebody to answer it
-from the first moment on.
+Imports nothing that Python has not already loaded, so that a Ctrl-C is handled from the first
+moment.
+
 """
 
 from __future__ import annotations
 
 import sys
 
-TYPE_CHECKING = False  # as of typing, whose import costs time
+TYPE_CHECKING = False  # as in typing, which is slow to import
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -19,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
     Args:
-        arguments: what follows the program's name; None takes the process's own.
+        arguments: arguments after the program's name; None: those of the process.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
@@ -29,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return program.main(given)
     except KeyboardInterrupt:
-        # In the moments before and behind those in which signals are looked after.
+        # For the moments before and after those in which signals are handled.
         print("rthyb: interrupted", file=sys.stderr)
         return _INTERRUPTED
 

@@ -1,4 +1,4 @@
-"""``rthyb benchmark``: the field's benchmarks, by this program's own parts."""
+"""``rthyb benchmark``: the field's benchmark problems, with this program's controllers."""
 
 from __future__ import annotations
 
@@ -178,7 +178,7 @@ def marths(
 
 
 def print_marths(lines: Sequence[MarthsLine], file: IO[str]) -> None:
-    """Print lines of the multi-axial benchmark, two tables for each motion."""
+    """Print results of the multi-axial benchmark, two tables for each motion."""
     from rich.text import Text
 
     from rthyb_rt.benchmark import marths_table
@@ -197,7 +197,7 @@ def print_marths(lines: Sequence[MarthsLine], file: IO[str]) -> None:
 
 
 def print_lines(lines: Sequence[Line], file: IO[str]) -> None:
-    """Print lines, a table for each rate and motion."""
+    """Print results, a table for each rate and motion."""
     from rich.text import Text
 
     kinds = list(dict.fromkeys((line.rate_hz, line.motion) for line in lines))

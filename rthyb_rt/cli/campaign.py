@@ -93,7 +93,7 @@ def campaign(
 
 
 def refuse_both(jobs: int | None, cluster: str | None) -> None:
-    """Refuse processes of this machine beside those of a cluster."""
+    """Refuse a number of local processes together with a cluster."""
     if jobs is not None and cluster is not None:
         raise typer.BadParameter("applies to the processes of this machine; omit it with --cluster",
                                  param_hint="--jobs")  # fmt: skip
@@ -102,7 +102,7 @@ def refuse_both(jobs: int | None, cluster: str | None) -> None:
 def carry_out(
     plan: Plan, folder: Path, jobs: int | None, cluster: str | None, as_json: bool
 ) -> None:
-    """Carry out the runs and print what came of them; arguments as of the command line."""
+    """Carry out the runs and print the results; arguments as on the command line."""
     from rthyb_rt.campaign import conducting, pools
 
     interrupts.wrote(folder)
@@ -124,7 +124,7 @@ def _progress(plan: Plan) -> Iterator[Progress]:
 
 
 def print_plan(plan: Plan, file: IO[str], as_json: bool) -> None:
-    """Print the runs, each as the command line that repeats it."""
+    """Print the runs, each as the command that repeats it."""
     print(f"{plan.name}: {len(plan.cases)} runs", file=file)
     for case in plan.cases:
         print(f"{case.number:6}  {case.command()}", file=file)

@@ -1,4 +1,4 @@
-"""``rthyb check``: is a test sound, and how far is it from trouble."""
+"""``rthyb check``: errors of a test, and its margins."""
 
 from __future__ import annotations
 

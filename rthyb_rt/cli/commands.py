@@ -1,4 +1,4 @@
-"""The program ``rthyb`` and its commands: one module a command, registered here."""
+"""The program ``rthyb`` and its commands, one module each, registered here."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    # Plain help: it costs a third of rich's, and stays as written here.
+    # Plain help: it takes a third of the time of rich's, and keeps the layout written here.
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 if "_RTHYB_COMPLETE" in os.environ:
-    # A shell asks for what may come next; nobody else pays for knowing that.
+    # Loaded only when a shell requests completions, so that other calls do not pay for it.
     typer.completion.completion_init()  # type: ignore[attr-defined]
 app.command()(run.run)
 app.command()(sweep.sweep)

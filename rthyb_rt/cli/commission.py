@@ -51,9 +51,9 @@ def commission(
     and they must be repeated when the link, calibration, actuator, sensors or limits in the rig
     file change.
 
-    On a rig of several axes they are made axis by axis, each saved in
-    RIG.AXIS.commissioned.json, while the other drives are sent nothing and stand; --axis names a
-    single one.
+    On a rig of several axes, the axes are commissioned one after another, each with its own
+    RIG.AXIS.commissioned.json, while the other drives receive no commands and do not move; --axis
+    selects a single axis.
 
     \b
     Steps:

@@ -1,4 +1,4 @@
-"""``rthyb compare``: recordings, simulations and tables of other labs beside one another."""
+"""``rthyb compare``: recordings, simulations and tables of other laboratories side by side."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def _names() -> dict[str, str]:
 
 
 def _write(found: Overlay, folder: Path) -> str:
-    """Write page and table; return what is missing, and how to have it."""
+    """Write page and table; return which package is missing and how to install it."""
     from rthyb_rt.comparing import page
     from rthyb_rt.errors import InputError
 

@@ -1,4 +1,4 @@
-"""``rthyb compare-laws``: one test through all control laws."""
+"""``rthyb compare-laws``: one test with all control laws."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def _print(rows: Sequence[dict[str, Any]], file: IO[str]) -> None:
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    """Return response, largest difference, tracking, delay and end of a law."""
+    """Return response, greatest difference, tracking, delay and ending for a law."""
     from rthyb_rt.campaign.plan import COMPLETED
     from rthyb_rt.numbers import delay, number, percent
 
     if row["ending"] != COMPLETED:
-        # What it came to until then says nothing beside a whole test.
+        # Figures up to an early end cannot be compared with those of a complete test.
         return ["–", "–", "–", "–", " ".join(str(row["cause"]).split())]
     difference, alpha = row["response_peak_difference_m"], row["alpha_end"]
     return [

@@ -1,4 +1,4 @@
-"""What a command in real time needs to reach a rig: its link, or a virtual rig of its own."""
+"""Connection of a real-time command to a rig: over its link, or to a virtual rig."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ K_E = "elastic_stiffness_n_per_m"
 
 
 def clock_of(rig: RigFile | AxesRig) -> Clock:
-    """Return what real time goes by, unless the command line says otherwise."""
-    # The axes of a virtual rig have one clock.
+    """Return the default clock of a rig in real time."""
+    # The axes of a virtual rig share one clock.
     return rig.link.clock if rig.link is not None else "link"
 
 
@@ -32,13 +32,13 @@ def clock_of(rig: RigFile | AxesRig) -> Clock:
 def opened_link(
     rig: RigFile | AxesRig, clock: Clock, rate: Rate | None = None
 ) -> Iterator[tuple[Opened, Callable[[], None] | None]]:
-    """Give the link to a rig, and what the stepped clock waits for before a tick.
+    """Yield the link to a rig, and what the stepped clock calls before a tick.
 
-    Of a rig of several axes the links of all. Without a ``[link]`` a virtual rig is at the other
-    end, in a process of its own, which is sampled at ``rate``; None: at that of the rig file.
+    For a rig of several axes, yields the links of all. Without a ``[link]``, a virtual rig in a
+    separate process is at the other end, sampled at ``rate``; None: at that of the rig file.
 
     Raises:
-        InputError: what stands against opening it.
+        InputError: what prevents opening it.
         RthybError: the virtual rig's process did not start.
     """
     from rthyb_rt.rig import virtual_rig
@@ -84,7 +84,7 @@ def _reached(rig: RigFile | AxesRig, link: Link) -> Opened:
 
 
 def axes_of(rig: RigFile | AxesRig) -> tuple[str, ...]:
-    """Return the names of several axes; () of a rig of one."""
+    """Return the names of several axes; () for a rig of one axis."""
     from rthyb_rt.config import AxesRig
 
     return rig.names if isinstance(rig, AxesRig) else ()
@@ -92,12 +92,12 @@ def axes_of(rig: RigFile | AxesRig) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Within:
-    """A rig that small motions are made on: one of one axis, or an axis of several.
+    """A rig for small motions: a rig of one axis, or one axis of several.
 
     Attributes:
         rig: as a rig of one axis.
-        axis: its name among several; "" of a rig of one.
-        whole: the rig of several axes, which it is of; None of a rig of one.
+        axis: its name; "" for a rig of one axis.
+        whole: the rig of several axes to which it belongs; None for a rig of one axis.
         path: of the rig file.
     """
 
@@ -108,14 +108,14 @@ class Within:
 
     @property
     def name(self) -> str:
-        """The rig in words, with its axis."""
+        """Name of the rig, and of its axis if there are several, for messages."""
         if self.whole is None:
             return self.rig.rig.name
         return f"{self.whole.rig.name}, axis {self.axis}"
 
     @property
     def named(self) -> dict[str, str]:
-        """The rig by name, and its axis where there are several, for JSON."""
+        """Name of the rig, and of its axis if there are several, for JSON."""
         if self.whole is None:
             return {"rig_name": self.rig.rig.name}
         return {"rig_name": self.whole.rig.name, "axis": self.axis}
@@ -125,11 +125,11 @@ def load_within(name: str, settings: list[str] | None, axis: str | None) -> tupl
     """Read a rig file of one axis or of several.
 
     Args:
-        name, settings: as given in the command line.
-        axis: the name that was given with ``--axis``; None: all axes, in their order.
+        name, settings: as given on the command line.
+        axis: name given with ``--axis``; None: all axes, in order.
 
     Raises:
-        InputError: with every fault of the file and the settings, or there is no such axis.
+        InputError: lists every error in the file and the settings, or there is no such axis.
     """
     found = load_axes_rig(name, settings)
     if found is None:
@@ -143,10 +143,10 @@ def load_within(name: str, settings: list[str] | None, axis: str | None) -> tupl
 
 
 def load_one_within(name: str, settings: list[str] | None, axis: str | None) -> Within:
-    """Read a rig file, and take the one axis that is to move; arguments as of `load_within`.
+    """Read a rig file and return the single axis that is to move; arguments as for `load_within`.
 
     Raises:
-        InputError: as `load_within`, or several axes and no word which.
+        InputError: as for `load_within`, or several axes and none selected.
     """
     found = load_within(name, settings, axis)
     if len(found) > 1:
@@ -160,7 +160,7 @@ def load_one_within(name: str, settings: list[str] | None, axis: str | None) -> 
 
 
 def joined(found: Sequence[tuple[Within, dict[str, Any]]]) -> dict[str, Any]:
-    """Return JSON documents of axes as one, by name; of a rig of one axis its own as it is."""
+    """Combine JSON documents of axes by name; that of a rig of one axis is returned unchanged."""
     (first, document), *_ = found
     if first.whole is None:
         return document
@@ -170,21 +170,21 @@ def joined(found: Sequence[tuple[Within, dict[str, Any]]]) -> dict[str, Any]:
 
 @contextmanager
 def _link_of(within: Within, clock: Clock) -> Iterator[tuple[Opened, Callable[[], None] | None]]:
-    """Give the link to a rig, or to one axis of a rig, whose others are told nothing and stand."""
+    """Yield the link to a rig, or to one axis of a rig whose other drives receive no commands."""
     if within.whole is None or within.rig.link is not None:
         with opened_link(within.rig, clock) as found:
             yield found
         return
     with opened_link(within.whole, clock) as (opened, before_tick):
         own = opened.all[within.whole.names.index(within.axis)]
-        # What is opened stays the business of the links of all.
+        # The links of all axes remain responsible for closing it.
         alone = replace(own, further=(), owned=ExitStack(), name=f"socket pair of {within.axis}")
         yield alone, before_tick
 
 
 @contextmanager
 def connected(within: Within) -> Iterator[Connection]:
-    """Give a rig within reach, for small motions; a Ctrl-C stops what moves."""
+    """Yield an opened rig for small motions; Ctrl-C stops a motion."""
     clock = clock_of(within.rig)
     with _link_of(within, clock) as (opened, before_tick):
         yield _reach(within.rig, opened, clock, before_tick)
@@ -192,7 +192,7 @@ def connected(within: Within) -> Iterator[Connection]:
 
 @contextmanager
 def connected_axes(rig: AxesRig) -> Iterator[AxesConnection]:
-    """Give all axes of a rig within reach; a Ctrl-C stops what moves."""
+    """Yield an opened rig of several axes; Ctrl-C stops a motion."""
     clock = clock_of(rig)
     with opened_link(rig, clock) as (opened, before_tick):
         yield _reach(rig, opened, clock, before_tick)
@@ -210,16 +210,16 @@ def _reach(
         before_tick,
         on_interrupt=interrupts.on_interrupt,
         warn=lambda text: terminal.tell(f"warning: {text}"),
-        # A virtual rig of its own has no other operator.
+        # No other operator could be in charge of a separate virtual rig.
         resets=rig.link is None,
     )
 
 
 def load_rig(name: str, settings: list[str] | None) -> tuple[RigFile, Path]:
-    """Read a rig file and say where it is; one without k_e will do, for nothing here needs it.
+    """Return a rig file and its path; k_e may be missing, because it is not used here.
 
     Raises:
-        InputError: with every fault of the file and the settings.
+        InputError: lists every error in the file and the settings.
     """
     from rthyb_rt import config
 
@@ -228,16 +228,16 @@ def load_rig(name: str, settings: list[str] | None) -> tuple[RigFile, Path]:
     for part in config.split_overrides(settings or ()):
         overrides.update(part)
     if not _has_stiffness(path) and not any(key.endswith(K_E) for key in overrides):
-        # Any value does.
+        # Any value will do.
         overrides[f"rig.{K_E}"] = "1"
     return config.load_rig(path, overrides), path
 
 
 def load_axes_rig(name: str, settings: list[str] | None) -> tuple[AxesRig, Path] | None:
-    """Read a rig file of several axes and say where it is; None where it is of one.
+    """Return a rig file of several axes and its path; None for a rig of one axis.
 
     Raises:
-        InputError: with every fault of the file and the settings.
+        InputError: lists every error in the file and the settings.
     """
     from rthyb_rt import config
 
@@ -253,7 +253,7 @@ def load_axes_rig(name: str, settings: list[str] | None) -> tuple[AxesRig, Path]
 
 
 def _has_stiffness(path: Path) -> bool:
-    """Return whether the file states k_e; True where it cannot be read, which is said later."""
+    """Return whether the file contains k_e; True if it cannot be read, which is reported later."""
     from rthyb_rt import config
 
     try:

@@ -57,7 +57,7 @@ SocketOption = Annotated[
 
 
 def place(socket: Path | None) -> Path:
-    """Return the control socket: as given, of the environment, of the service, or the user's."""
+    """Return the control socket: as given, from the environment, of the service, or the user's."""
     from rthyb_rt.record import ring
     from rthyb_rt.service.control import SOCKET
 
@@ -87,7 +87,7 @@ def _say(command: str, text: str, as_json: bool, **more: Any) -> None:
         terminal.print_json({"schema": SCHEMA, "command": command, "ok": True, **more})
 
 
-# ---- looking ------------------------------------------------------------------------------------
+# ---- status -------------------------------------------------------------------------------------
 
 
 @ctl.command()
@@ -191,7 +191,7 @@ def cause_in_words(found: dict[str, Any]) -> str:
 
 
 def _measured(found: dict[str, Any], newest: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Return the newest values: those of the one axis, or a row for each of several."""
+    """Return rows for the newest values: those of a single axis, or one row for each axis."""
     axes: dict[str, dict[str, Any]] = found.get("axes") or {}
     if not axes:
         return [
@@ -270,7 +270,7 @@ def metrics(socket: SocketOption = None) -> None:
         print(client.call("GetMetrics")["text"], end="")
 
 
-# ---- the way of a test --------------------------------------------------------------------------
+# ---- steps of a test ----------------------------------------------------------------------------
 
 
 @ctl.command()
@@ -314,7 +314,7 @@ def load(
 
 
 def _check_size(motion: GroundMotion, record: dict[str, Any]) -> None:
-    """Refuse here what the service would not take.
+    """Refuse a ground motion that the service would not accept.
 
     Raises:
         InputError: the ground motion is too long.
@@ -355,7 +355,7 @@ def _tare(found: dict[str, Any]) -> str:
 
 
 def _await_zeroed(client: Client) -> dict[str, Any]:
-    """Wait for the tare, and return the status then; the service gives it up by itself."""
+    """Wait for the end of the tare, which the service limits, and return the status."""
     from rthyb_rt.errors import RthybError
 
     while True:
@@ -458,7 +458,7 @@ def stop(
     with _client(socket) as client:
         client.call("Stop", now=now)
         rests = False
-        # The stop is given: a service that goes meanwhile makes no failure of it.
+        # The stop has been given: it is no failure if the service ends meanwhile.
         with contextlib.suppress(RthybError):
             rests = client.call("GetStatus")["status"]["state"] == "IDLE"
     _say("stop", "Tripped" if now else "At rest" if rests else "Stopping", as_json)
@@ -511,5 +511,5 @@ def _kept_token(socket: Path) -> str:
     try:
         return _token_path(socket).read_text(encoding="ascii")
     except OSError:
-        # The service says what is the matter.
+        # The service reports what is wrong.
         return ""

@@ -1,4 +1,4 @@
-"""``rthyb diagnose``: what does the model leave out?"""
+"""``rthyb diagnose``: what physics does the model leave out?"""
 
 from __future__ import annotations
 
@@ -108,12 +108,12 @@ WhyOption = Annotated[
 
 @dataclass(frozen=True)
 class _Asked:
-    """What a call asks for.
+    """Input and options of a diagnosis.
 
     Attributes:
-        second: a recording that the answer is judged by.
-        wanted: inputs that are to be predicted.
-        report: whether a page is written, which holds the ledger.
+        second: a recording for validating the answer, or None.
+        wanted: inputs for a prediction, or None.
+        report: whether a page with the ledger is written.
     """
 
     case: Case
@@ -126,7 +126,7 @@ class _Asked:
 
 @dataclass(frozen=True)
 class _Answered:
-    """What came of it: the diagnosis, what follows from it, the self-check, the ledger."""
+    """Results: the diagnosis, the conclusions from it, the self-check, the ledger."""
 
     found: Diagnosis
     outcome: Outcome
@@ -165,7 +165,7 @@ def diagnose(
       rthyb diagnose lab.txt --model baseline.toml --map x_meas="LVDT 1 [mm]"
       rthyb diagnose runs/two-actuator-frame-20260301T101500Z --model two-axis-frame --axis upper
     """
-    # Its products are long and narrow: shared between cores they take four times as long.
+    # Its matrix products are long and narrow: on several cores they take four times as long.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from rthyb_rt.diagnose import effects, mapping, reading
     from rthyb_rt.diagnose.axes import chosen
@@ -210,7 +210,7 @@ def _asked(
     heldout: Path | None,
     predict: Path | None,
 ) -> _Asked:
-    """Read all that a diagnosis is of, and say what was taken for something."""
+    """Read the input of a diagnosis, and print the assumptions about it."""
     from rthyb_rt.diagnose import reading
 
     own = reading.read_model(model) if of is None else of.model
@@ -222,7 +222,7 @@ def _asked(
 
 
 def _tell_all(done: list[_Answered], *, why: bool, as_json: bool) -> None:
-    """Print every answer, and as JSON the one, or those of all axes by name."""
+    """Print every answer; as JSON, a single answer, or those of all axes by name."""
     from rthyb_rt.diagnose.page import AXES_SCHEMA
 
     file, answers = terminal.people(as_json), {}
@@ -242,7 +242,7 @@ def _tell_all(done: list[_Answered], *, why: bool, as_json: bool) -> None:
 
 
 def _answered(asked: _Asked) -> _Answered:
-    """Diagnose, and do what else was asked for, with a bar for those who wait."""
+    """Diagnose, and carry out whatever else was requested, with a progress bar."""
     from rthyb_rt.diagnose import engine
     from rthyb_rt.diagnose.outcome import finish
 
@@ -266,7 +266,7 @@ def _answered(asked: _Asked) -> _Answered:
 
 
 def _judge(path: Path, case: Case, wishes: list[Wish], of: OfAxis | None) -> Case:
-    """Return a second recording that the answer can be judged by."""
+    """Return a second recording for validating the answer."""
     second = _second(path, case, wishes, of)
     if not second.channels.keys() & {"x_meas", "f_meas"}:
         raise InputError(
@@ -277,7 +277,7 @@ def _judge(path: Path, case: Case, wishes: list[Wish], of: OfAxis | None) -> Cas
 
 
 def _second(path: Path, case: Case, wishes: list[Wish], of: OfAxis | None) -> Case:
-    """Return a second recording, with what was made of its columns said on stderr."""
+    """Return a second recording; assumptions about its columns are printed on stderr."""
     from rthyb_rt.diagnose.reading import read_case
 
     second = read_case(path, case.model, judged=False, wishes=wishes, beside=case, of=of)
@@ -286,19 +286,19 @@ def _second(path: Path, case: Case, wishes: list[Wish], of: OfAxis | None) -> Ca
 
 
 def _say(notes: list[str]) -> None:
-    """Report on stderr, before the work, what the file does not state and was assumed."""
+    """Report on stderr, before the work, what the file does not state and is assumed."""
     for note in notes:
         if "read as" in note or "assumed to be" in note:
             print(f"rthyb: {note}", file=sys.stderr)
 
 
 def _writable(folder: Path) -> None:
-    """Refuse a folder that cannot be made or written before a minute's work is lost to it."""
+    """Refuse a folder that cannot be written, before a minute of work is lost."""
     there = folder
     while not there.exists() and there != there.parent:
         there = there.parent
     if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
-        why = "may not be written to" if there.is_dir() else "is a file, not a folder"
+        why = "is not writable" if there.is_dir() else "is a file, not a folder"
         raise RthybError(f"{why}; choose another folder with --report", where=str(there))
 
 

@@ -1,4 +1,4 @@
-"""``rthyb effects``: what a diagnosis can name."""
+"""``rthyb effects``: the effects that a diagnosis can name."""
 
 from __future__ import annotations
 

@@ -44,9 +44,9 @@ def export(
       rthyb export recording.h5 --csv --full --out test-7.csv
       rthyb export recording.h5 --csv --axis upper
 
-    With --axis, the CSV file has the signals of that axis of several, its force less what the other
-    axes bring by the specimen's stiffness matrix; the rig of that axis, the model of a diagnosis,
-    is written beside it.
+    With --axis, the CSV file contains the signals of one of several axes; the part of its force
+    that is due to the other axes is subtracted, by the specimen's stiffness matrix. The rig file of
+    that axis, which is the model for a diagnosis, is written beside it.
     """
     if mat == csv:
         raise typer.BadParameter("choose one of the two", param_hint="--mat / --csv")

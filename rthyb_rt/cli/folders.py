@@ -1,4 +1,4 @@
-"""The folder that a command fills: it appears whole or not at all, and overwrites nothing."""
+"""Output folders of commands: they appear complete or not at all, and overwrite nothing."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _STAGE = re.compile(r"\..+\.(\d{1,9})\.part", re.DOTALL)
 
 
 def refuse_taken(out: Path | None) -> None:
-    """Let an empty folder be filled, but nothing be overwritten."""
+    """Refuse a folder that is not empty, so that nothing is overwritten."""
     if out is None:
         return
     try:
@@ -48,9 +48,9 @@ def _unwritable(folder: Path, error: OSError) -> RthybError:
 
 @contextmanager
 def staged(target: Path) -> Iterator[Path]:
-    """Give a hidden folder beside the target; what was not published is gone afterwards.
+    """Yield a hidden folder beside the target; it is deleted afterwards unless it was published.
 
-    So are the hidden folders of commands that were killed.
+    Hidden folders of commands that were killed are deleted as well.
     """
     _sweep(target.parent)
     stage = target.with_name(f".{target.name}.{os.getpid()}.part")
@@ -62,7 +62,7 @@ def staged(target: Path) -> Iterator[Path]:
         yield stage
     except OSError as error:
         refused = _unwritable(target.parent, error)
-        # Where the ring is that still has the test, for one.
+        # For example the ring that still contains the test.
         for note in getattr(error, "__notes__", ()):
             refused.add_note(note)
         raise refused from error
@@ -75,9 +75,9 @@ def staged(target: Path) -> Iterator[Path]:
 
 
 def _sweep(parent: Path) -> None:
-    """Remove the hidden folders of processes that are no more.
+    """Delete the hidden folders of processes that have ended.
 
-    A lock tells that a process lives that cannot be seen from here, such as in a container.
+    A lock protects the folder of a process that is invisible here, such as one in a container.
     """
     for folder in parent.glob(".*.part"):
         match = _STAGE.fullmatch(folder.name)
@@ -100,7 +100,7 @@ def _lives(pid: int) -> bool:
 
 
 def _locked(folder: Path) -> int | None:
-    """Lock a folder until the returned descriptor is closed; None where that cannot be had."""
+    """Lock a folder until the returned descriptor is closed; None if that is not possible."""
     try:
         descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except OSError:
@@ -121,7 +121,7 @@ def _remove_if_empty(folder: Path) -> None:
 
 
 def publish(stage: Path, target: Path, *, numbered: bool) -> Path:
-    """Move the folder to its place; the second run of one second gets a number behind its name."""
+    """Move the folder to its final place; a second run in the same second gets a number."""
     number = 1
     while True:
         place = target if number == 1 else target.with_name(f"{target.name}-{number}")
@@ -137,7 +137,7 @@ def publish(stage: Path, target: Path, *, numbered: bool) -> Path:
 
 
 def report_beside(rec: Recording, folder: Path) -> Path | None:
-    """Write the report of a run beside its recording, or say which packages it needs."""
+    """Write the report of a run beside its recording, or print which packages it needs."""
     from rthyb_rt.report import write_report
 
     path = folder / "report.html"

@@ -1,4 +1,4 @@
-"""``rthyb identify``: what a test must know of its rig."""
+"""``rthyb identify``: delay, gain, stiffness and noise of a rig."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def identify(
     if realtime:
         from rthyb_rt.rig.commissioning import certificate
 
-        # A sweep moves farther and faster than a jog: the signs must be known before it.
+        # A sweep moves farther and faster than a jog, so the signs must have been checked.
         certificate.demand(given, given_path)
     started = datetime.datetime.now(datetime.UTC)
     with contextlib.ExitStack() as stack:
@@ -135,9 +135,9 @@ def identify(
 def _kept(
     filled: RigFile, result: Result, started: datetime.datetime, out: Path | None
 ) -> tuple[Path, dict[str, Path]]:
-    """Write rig file, the sweep itself and its Bode plot; return the paths.
+    """Write the rig file, the recording of the sweep and its Bode plot; return the paths.
 
-    Without ``out`` they have a folder of their own; else sweep and plot stand beside the rig file.
+    Without ``out`` they are in a new folder, otherwise sweep and plot are beside the rig file.
     """
     from rthyb_rt import config
 
@@ -172,7 +172,7 @@ def _sweep_kept(filled: RigFile, result: Result, folder: Path, before: str) -> d
 
 
 def _written(text: str, name: str, started: datetime.datetime, out: Path | None) -> Path:
-    """Write a rig file where it is wanted, or into a folder of its own; return its path."""
+    """Write a rig file to the given path or to a new folder; return its path."""
     from rthyb_rt.record.recording import replacing
 
     if out is None:
@@ -196,7 +196,7 @@ def _identify_axes(
     from rthyb_rt.rig.identify_axes_live import identify_axes_live
 
     if realtime:
-        # As of one axis: the signs must be known before a sweep.
+        # As for one axis: the signs must have been checked.
         certificate.demand(rig, rig_path)
     started = datetime.datetime.now(datetime.UTC)
     with contextlib.ExitStack() as stack:
@@ -261,12 +261,12 @@ def _print_axes(rig: AxesRig, result: AxesResult, file: IO[str]) -> None:
 
 
 FREQUENCY = Allowed("Hz", "Hz", 0.05, 100.0, "a frequency from 0.05 Hz to 100 Hz", "5 Hz")
-# So far up that metres without their unit, 0.002, are not taken for millimetres.
+# The lower bound refuses 0.002, a length in metres given without its unit.
 AMPLITUDE = Allowed("m", "mm", 1e-5, 1.0, "a length from 0.01 mm to 1 m", "1 mm")
 
 
 def _note_rate(rate: Rate, file: IO[str]) -> None:
-    """Say of which length the samples are where the sweep had others."""
+    """State the length of a sample if the sweep had another rate."""
     if rate.pace != 1.0:
         print(
             f"Note: the sweep ran at {rate.hz:g} Hz, but samples are of 1/1024 s here, as in "

@@ -1,4 +1,4 @@
-"""The arguments that several commands share, and the files behind them."""
+"""Arguments that several commands have in common, and reading the files that they name."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def load(
     """Read the test file and the rig file with their overrides, see `config.load_both`.
 
     Raises:
-        InputError: with the faults of both files.
+        InputError: lists the errors of both files.
     """
     from rthyb_rt import config
 
@@ -82,7 +82,7 @@ def load(
 def load_any(
     test_path: Path | None, rig: str | None, settings: list[str] | None
 ) -> tuple[TestFile, RigFile | AxesRig]:
-    """Read both files, the rig of one axis or of several; otherwise as `load`."""
+    """Read both files, with a rig of one axis or of several; otherwise as `load`."""
     from rthyb_rt import config
 
     return config.load_any_both(test_path, rig, settings or ())

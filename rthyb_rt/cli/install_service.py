@@ -1,4 +1,4 @@
-"""``rthyb install-service``: the service into a system with systemd."""
+"""``rthyb install-service``: installation of the service in a system with systemd."""
 
 from __future__ import annotations
 
@@ -88,9 +88,9 @@ def install_service(
 
 
 def _portable(rig: RigFile | AxesRig) -> tuple[str, list[Path]]:
-    """Return the text of a rig file whose DBC files lie beside it, and where those are now.
+    """Return the text of a rig file that refers to its DBC files by name, and their present paths.
 
-    The service sees nobody's home.
+    The service has no access to home folders.
     """
     from rthyb_rt import config
 
@@ -112,7 +112,7 @@ def _portable(rig: RigFile | AxesRig) -> tuple[str, list[Path]]:
 
 
 def _carried(source: Path, target: Path) -> list[Path]:
-    """Put what is known of the rig's commissioning beside its new file, for the service to read."""
+    """Copy the certificates of the rig beside its new file, where the service can read them."""
     from rthyb_rt import config
     from rthyb_rt.rig.commissioning import certificate
 

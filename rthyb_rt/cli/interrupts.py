@@ -1,4 +1,4 @@
-"""Ctrl-C, SIGTERM, SIGHUP and SIGQUIT end a command in order, and say what was written."""
+"""Orderly end of a command after Ctrl-C, SIGTERM, SIGHUP or SIGQUIT, stating what was written."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _written: list[Path] = []
 
 @contextlib.contextmanager
 def orderly() -> Iterator[None]:
-    """Raise KeyboardInterrupt for each of the signals, so that what is half done is cleaned up.
+    """Raise KeyboardInterrupt for each of the signals, so that unfinished output is cleaned up.
 
-    A signal that was ignored before, as under nohup, stays ignored.
+    A signal that was ignored before, as under nohup, remains ignored.
     """
     _received.clear()
     _written.clear()
     complain = sys.unraisablehook
 
     def quiet(found: sys.UnraisableHookArgs) -> None:
-        # Swallowed in some library's callback; `received` still knows of it.
+        # Swallowed in a callback of some library; `received` remembers it.
         if not issubclass(found.exc_type, KeyboardInterrupt):
             complain(found)
 
@@ -46,9 +46,9 @@ def orderly() -> Iterator[None]:
 
 @contextlib.contextmanager
 def held() -> Iterator[None]:
-    """Let none of the signals into the block; the first that came is raised behind it.
+    """Defer the signals until the end of the block, where the first one is raised.
 
-    For what must not end halfway, and for libraries whose callbacks swallow an interrupt.
+    For work that must not be interrupted, and for libraries whose callbacks swallow an interrupt.
     """
     waiting: list[int] = []
     with _handled(lambda signum, _: waiting.append(signum)):
@@ -59,27 +59,27 @@ def held() -> Iterator[None]:
 
 @contextlib.contextmanager
 def on_interrupt(tell: Callable[[], None]) -> Iterator[None]:
-    """Call ``tell`` for each of the signals in the block, which goes on.
+    """Call ``tell`` for each of the signals during the block, which continues.
 
-    For what moves: it is stopped in its own way, and takes its time for it.
+    For motions: they are stopped in their own way, which takes some time.
     """
     with _handled(lambda *_: tell()):
         yield
 
 
 def received() -> int | None:
-    """Return the first signal that came."""
+    """Return the first signal received, or None."""
     return _received[0] if _received else None
 
 
 def wrote(path: Path) -> None:
-    """Note a file or a folder that is whole, for the case that the command does not end well."""
+    """Note a complete file or folder, in case the command ends early."""
     if path not in _written:
         _written.append(path)
 
 
 def written() -> str:
-    """Say which whole files the command has left."""
+    """Return as text which complete files the command has left."""
     files = [
         str(file)
         for path in _written
@@ -96,7 +96,7 @@ def _raise(signum: int, _: object) -> None:
 @contextlib.contextmanager
 def _handled(handler: Callable[[int, Any], None]) -> Iterator[None]:
     before: dict[int, Any] = {}
-    # Python handles signals in its main thread alone.
+    # Python handles signals in its main thread only.
     if threading.current_thread() is threading.main_thread():
         for signum in _SIGNALS:
             if signal.getsignal(signum) not in (signal.SIG_IGN, None):

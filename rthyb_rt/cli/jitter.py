@@ -1,4 +1,4 @@
-"""``rthyb jitter``: how punctual is this PC?"""
+"""``rthyb jitter``: measures how punctual this PC is."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def _write(
     return True
 
 
-# ---- for people ---------------------------------------------------------------------------------
+# ---- human-readable output ----------------------------------------------------------------------
 
 
 def _print_result(

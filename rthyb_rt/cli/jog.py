@@ -1,4 +1,4 @@
-"""``rthyb jog``: the actuator moved a little."""
+"""``rthyb jog``: a small motion of the actuator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REVERSED = 8
 DISTANCE = Allowed("m", "mm", -1.0, 1.0, "a length from -1 m to 1 m", "2 mm")
 SPEED = Allowed("m/s", "mm/s", 1e-6, 1.0, "a velocity from 0.001 mm/s to 1 m/s", "1 mm/s")
 
-# A distance may be negative, and is no option then.
+# So that a negative distance is not taken for an option.
 CONTEXT = {"ignore_unknown_options": True, "help_option_names": ["--help"]}
 
 
@@ -45,11 +45,11 @@ def jog(
 ) -> None:
     """Move the actuator slowly by a distance.
 
-    All limits of the rig file apply: the position limit counts from where the actuator stands, the
+    All limits of the rig file apply: the position limit counts from where the actuator is, the
     force limit from zero load. Ctrl-C decelerates, and the actuator stays where it comes to rest;
     a second Ctrl-C trips. Without a [link] in the rig file, a virtual rig in a separate process is
-    moved. On a rig of several axes --axis names the one that is moved; the others are sent nothing
-    and stand where they are.
+    moved. On a rig of several axes, --axis selects the one to move; the other drives receive no
+    commands and do not move.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""``rthyb live``: a test in the browser, as it runs or as it was."""
+"""``rthyb live``: a running or recorded test in the browser."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def _there(module: str) -> bool:
 
 
 def _tell(server: LiveServer, url_file: Path | None, as_json: bool) -> None:
-    """Say where the page is, to people or to a file that not everybody reads."""
+    """Print the address of the page, or write it to a file that not everyone can read."""
     from rthyb_rt.record.recording import replacing
 
     addresses = {"look": server.url, "operator": server.operator_url}

@@ -1,6 +1,6 @@
-"""A command of the command line from beginning to end: its status, and what is said when it fails.
+"""Execution of a command: its exit status, and the messages if it fails.
 
-What a command needs to compute is imported inside it, so that help comes at once.
+What a command needs for computing is imported inside the command, so that help appears at once.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def main(given: Sequence[str]) -> int:
     """Run the command line and return its exit status.
 
     Args:
-        given: what follows the program's name.
+        given: arguments after the program's name.
     """
     terminal.begin()
     with streams.settled() as outlet, interrupts.orderly():
@@ -40,7 +40,7 @@ def main(given: Sequence[str]) -> int:
                 _print_problems([Problem(f"rthyb {given[0]}", text)])
             return 128 + signum
         sys.stdout.flush()
-        # A reader that has seen enough is no error to speak of.
+        # It is no error if the reader of the output has seen enough.
         if outlet is not None and outlet.fault and not isinstance(outlet.fault, BrokenPipeError):
             print(
                 f"rthyb: stdout cannot be written ({outlet.fault.strerror}); "
@@ -58,7 +58,7 @@ def _name(signum: int) -> str:
 def _status(arguments: list[str]) -> int:
     as_json = "--json" in arguments
     try:
-        # In here, so that an interrupt during the import ends as quietly as any other.
+        # Imported here, so that an interrupt during the import is handled like any other.
         from rthyb_rt.cli.commands import app
 
         status = app(args=arguments, prog_name="rthyb", standalone_mode=False)
@@ -83,7 +83,7 @@ def _status(arguments: list[str]) -> int:
             _print_problems(_with_files(error, arguments))
         return error.exit_code
     except Exception as error:
-        # What the parser of the command line raises shows itself.
+        # Errors of the command-line parser print themselves.
         if hasattr(error, "show") and hasattr(error, "exit_code"):
             problem = Problem(_blamed(error), _parser_message(error))
             error.show()
@@ -91,7 +91,7 @@ def _status(arguments: list[str]) -> int:
                 _print_problems([problem])
             return int(error.exit_code)
         if interrupts.received() is not None:
-            # Some libraries make another error of an interrupt, when it comes during their import.
+            # Some libraries turn an interrupt during their import into another error.
             return INTERRUPTED
         _trace()
         for line in (lines := _about_program(error)):
@@ -104,12 +104,12 @@ def _status(arguments: list[str]) -> int:
 
 
 def _parser_message(error: Any) -> str:
-    """Return what the parser of the command line found, and have it show the same."""
+    """Return the message of the command-line parser, and make the parser print the same."""
     message = str(getattr(error, "message", ""))
     if not message:
-        # It makes its own from its parts, and would show it twice.
+        # It composes its own message from parts, and would repeat them.
         return str(error.format_message()) if hasattr(error, "format_message") else ""
-    # Its prefix for a word that is none of a choice.
+    # Its prefix for a word that is not one of the choices.
     message = message.removeprefix("Value error, ")
     if message.startswith("Got unexpected extra argument") and _UNIT.search(message):
         message += '; write a value and its unit as one argument: "2 mm"'
@@ -118,7 +118,7 @@ def _parser_message(error: Any) -> str:
 
 
 def _blamed(error: Any) -> str:
-    """Return the option or argument that the parser of the command line blames, if it is one."""
+    """Return the option or argument to which the command-line parser objects, if it is one."""
     hint, parameter = getattr(error, "param_hint", None), getattr(error, "param", None)
     if isinstance(hint, str):
         return hint
@@ -130,7 +130,7 @@ def _blamed(error: Any) -> str:
 
 
 def _about_program(error: Exception) -> list[str]:
-    """Return what to say of an error that is none of the user's."""
+    """Return the messages for an error that the user did not cause."""
     build = _about_build(error)
     if build is not None:
         return [build]
@@ -142,7 +142,7 @@ def _about_program(error: Exception) -> list[str]:
 
 
 def _about_disk(error: OSError) -> Problem:
-    """Return what the system refused, and where."""
+    """Return what the operating system refused, and where."""
     build = _about_build(error)
     if build is not None:
         return Problem("", build)
@@ -151,7 +151,7 @@ def _about_disk(error: OSError) -> Problem:
 
 
 def _with_files(error: RthybError, arguments: Sequence[str]) -> list[Problem]:
-    """Return the faults of an error; of one that is an interrupt, with what was written."""
+    """Return the problems of an error; for an interrupt, including what was written."""
     if error.exit_code != INTERRUPTED:
         return error.problems
     where, files = f"rthyb {arguments[0]}", interrupts.written()
@@ -159,13 +159,13 @@ def _with_files(error: RthybError, arguments: Sequence[str]) -> list[Problem]:
 
 
 def _print_notes(error: BaseException) -> None:
-    """Print what was added to an error on its way up: where something is that should be kept."""
+    """Print the notes added to an error while it propagated, such as where data were saved."""
     for note in getattr(error, "__notes__", ()):
         print(f"rthyb: {note}", file=sys.stderr)
 
 
 def _about_build(error: Exception) -> str | None:
-    """Say what is the matter when an editable installation cannot rebuild its core on import."""
+    """Return why an editable installation cannot rebuild its core on import, or None."""
     import subprocess
 
     if isinstance(error, OSError) and str(error.filename).endswith("editable_rebuild.lock"):
@@ -179,7 +179,7 @@ def _about_build(error: Exception) -> str | None:
 
 
 def _print_problems(problems: Sequence[Problem]) -> None:
-    """Print the document of a command that failed, unless it has printed its own before."""
+    """Print the document of a command that failed, unless it has already printed one."""
     if terminal.has_json():
         return
     found = [{"where": problem.where, "message": problem.message} for problem in problems]

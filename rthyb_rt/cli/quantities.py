@@ -12,7 +12,7 @@ _PLAIN = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*", re.ASCII)
 
 @dataclass(frozen=True)
 class Allowed:
-    """What an option takes: from ``low`` to ``high`` in ``unit``, a plain number in ``plain``."""
+    """Values that an option accepts: ``low`` to ``high`` in ``unit``; plain ones in ``plain``."""
 
     unit: str
     plain: str
@@ -23,10 +23,10 @@ class Allowed:
 
 
 def read(text: str, option: str, allowed: Allowed) -> float:
-    """Return what was given for an option, in its unit.
+    """Return the value of an option, in its unit.
 
     Raises:
-        typer.BadParameter: it is none of what is allowed.
+        typer.BadParameter: the value is not allowed.
     """
     from rthyb_rt.units import UnitError, convert
 

@@ -1,4 +1,4 @@
-"""``rthyb recorder``: the service's recorder as a process of its own."""
+"""``rthyb recorder``: the service's recorder as a separate process."""
 
 from __future__ import annotations
 
@@ -60,6 +60,6 @@ def recorder(
 
 
 def _orphaned() -> bool:
-    """Return whether whoever started it has closed its end of stdin."""
+    """Return whether the parent process has closed its end of stdin."""
     readable, _, _ = select.select([sys.stdin.fileno()], [], [], 0.0)
     return bool(readable)

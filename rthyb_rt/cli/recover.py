@@ -1,4 +1,4 @@
-"""``rthyb recover``: what a test left in its telemetry ring, as a recording."""
+"""``rthyb recover``: a recording from the telemetry ring of a test."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def recover(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Save what is left of a killed test as a recording.
+    """Recover the recording of a killed test.
 
     The telemetry ring in memory holds the last 64 s of a test, up to the last tick or the one
     before it, even if its process was killed. It does not survive a reboot. The ring and its

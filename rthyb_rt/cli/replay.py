@@ -1,4 +1,4 @@
-"""``rthyb replay``: is the recording what this core computes from the same inputs?"""
+"""``rthyb replay``: recomputes a recording and compares it bit for bit."""
 
 from __future__ import annotations
 

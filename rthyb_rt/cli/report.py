@@ -1,4 +1,4 @@
-"""``rthyb report``: the report of a recording, again or for the first time."""
+"""``rthyb report``: the report of a recording."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def report(
     folder = recording if recording.is_dir() else recording.parent
     path = out or folder / "report.html"
     if out is None and not os.access(folder, os.W_OK):
-        # The recordings of a service: its group reads them, and nobody else writes there.
+        # Recordings of a service are readable by its group, but writable only by the service.
         raise RthybError(
             f"{folder}: is not writable; choose another path, such as --out report.html"
         )

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 BAND_MISSED = 8
 ROOM_FOR_PAPER = 116
-"""Characters of a line from which on the statements of the paper are printed too."""
+"""Width of a line from which the statements of the paper are printed as well."""
 
 
 class Section(StrEnum):
-    """What can be reproduced."""
+    """Sections that can be reproduced."""
 
     PLC = "2.1"
     ESTIMATOR = "4.1"

@@ -1,4 +1,4 @@
-"""``rthyb reset``: a drive that has stopped by itself follows again, on its operator's word."""
+"""``rthyb reset``: makes a drive follow again that has stopped by itself."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def reset(
 ) -> None:
     """Make a drive follow commands again after it stopped.
 
-    After a trip, or when commands end without a proper goodbye, a drive stays stopped until its
-    operator resets it. First find out why it stopped and check that nothing is in its way, then
-    reset it. Nothing moves: the drive is told to stay where it stands. For a rig that a service
-    runs, use `rthyb ctl reset`.
+    After a trip, or when commands end without notice, a drive stays stopped until its operator
+    resets it. First find out why it stopped and check that nothing is in its way, then reset it.
+    Nothing moves: the drive is commanded to hold its position. For a rig that is controlled by a
+    service, use `rthyb ctl reset`.
 
-    On a rig of several axes the drives are reset one after another, or the one of --axis alone.
+    On a rig of several axes, the drives are reset one after another, or only that of --axis.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""``rthyb rig``: the virtual rig at the wire."""
+"""``rthyb rig``: a virtual rig at a link."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def _plan(
 
 
 def _check_log(log: Path) -> None:
-    """Refuse now what would be refused at the end, when the log is lost."""
+    """Refuse at once what would otherwise fail at the end, when the log would be lost."""
     folder = next(folder for folder in log.absolute().parents if folder.exists())
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
         raise RthybError(
@@ -214,7 +214,7 @@ def _lines(
     socket: str | None,
     pty: bool,
 ) -> Iterator[list[Line]]:
-    """Open the one wire that was asked for, or that of each of several axes."""
+    """Open the requested link, or that of each of several axes."""
     from rthyb_rt.config import AxesRig
     from rthyb_rt.rig import virtual_rig
 
@@ -236,10 +236,10 @@ def _lines(
 
 
 def _with_links(rig: AxesRig, wires: Sequence[tuple[str, str | None]]) -> AxesRig:
-    """Return a rig of several axes with the channels that were asked for in place of its own.
+    """Return a rig of several axes with the requested channels instead of its own.
 
     Raises:
-        InputError: what one link would be refused for, of all of them together.
+        InputError: lists the problems of all links together.
     """
     from rthyb_rt.config.loading import shared_links
 
@@ -274,7 +274,7 @@ def _no_wire() -> typer.BadParameter:
 
 
 def _link(own: Link | None, can: str | None, serial: str | None, socket: str | None) -> Link:
-    """Return the rig file's link, with the channel that was asked for in place of its own."""
+    """Return the rig file's link, with the requested channel instead of its own."""
     from pydantic import ValidationError
 
     from rthyb_rt.config.rigfile import Link

@@ -1,4 +1,4 @@
-"""``rthyb run``: the main job."""
+"""``rthyb run``: runs a hybrid test."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def run(
         run_axes.run(of_all, out, conducted, report=not no_report, as_json=as_json)
         return
     setup = experiment.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
-    # Whoever runs in virtual time may want to see it grow.
+    # In virtual time an unstable loop is not refused: seeing it diverge may be the purpose.
     remark = loop_roots.demand(setup) if realtime else loop_roots.remark_of(setup)
     for note in (*setup.notes, *filter(None, [remark])):
         terminal.tell(f"note: {note}")
@@ -144,7 +144,7 @@ def run(
     with staged(target) as stage:
 
         def keep(rec: Recording) -> Path:
-            # A test that has been carried out is kept; and HDF5's callbacks would swallow a Ctrl-C.
+            # A completed test is always saved; and HDF5's callbacks would swallow a Ctrl-C.
             with interrupts.held():
                 keeping.keep(stage, setup, rec)
                 return publish(stage, target, numbered=out is None)
@@ -173,7 +173,7 @@ def run(
 
 
 def _status(result: Summary) -> int:
-    """Return the exit status: a stop that the operator asked for is a good end of a live test."""
+    """Return the exit status: a stop by the operator is a regular end of a real-time test."""
     from rthyb_rt.lab.realtime import TIMING_CAUSES
 
     if result.end_reason == "completed":
@@ -187,7 +187,7 @@ def _status(result: Summary) -> int:
 
 
 def _commissioned(name: str | None, rig: RigFile | AxesRig) -> dict[str, Any]:
-    """Return what the recording is to know of the rig's commissioning, which a test needs."""
+    """Return the commissioning facts for the recording; refuse a rig that lacks them."""
     from rthyb_rt import config
     from rthyb_rt.rig.commissioning import certificate
 
@@ -204,7 +204,7 @@ def _run_live(
     keep: Callable[[Recording], Path],
     facts: dict[str, Any],
 ) -> tuple[Recording, Path]:
-    """Run the test over the rig's link or on a virtual rig of its own; return where it is kept."""
+    """Run the test over the rig's link or on a separate virtual rig; return where it is saved."""
     from rthyb_rt.lab import realtime
 
     link = setup.rig.link
@@ -224,7 +224,7 @@ def _run_live(
             warn=lambda text: terminal.tell(f"warning: {text}"),
             save=lambda rec: kept.append(keep(rec)),
             facts=facts,
-            # A virtual rig of its own has no other operator.
+            # No other operator could be in charge of a separate virtual rig.
             resets=link is None,
             answered=_tell_ring,
             zeroed=_tell_tare,
@@ -247,7 +247,7 @@ def _run_faulty(
     progress: Progress,
     keep: Callable[[Recording], Path],
 ) -> tuple[Recording, Path]:
-    """Run the test on a virtual rig that fails as it is told; return where it is kept."""
+    """Run the test on a virtual rig with the given faults; return where it is saved."""
     from rthyb_rt.lab import realtime
     from rthyb_rt.rig import virtual_rig
 

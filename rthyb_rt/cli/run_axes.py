@@ -1,4 +1,4 @@
-"""``rthyb run`` of a test on a rig of several axes."""
+"""``rthyb run`` for a rig of several axes."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ UNPUNCTUAL: Final = 7
 def run(
     setup: Setup, out: Path | None, conduct: Conduct | None, *, report: bool, as_json: bool
 ) -> None:
-    """Run the test, keep it, print what it came to.
+    """Run the test, save it and print its results.
 
     Args:
         setup: the test.
-        out: folder for the files of the run; None: one of its own.
-        conduct: runs it in real time, or with faults, and keeps it; None: in virtual time.
-        report, as_json: whether to write a report, and to print JSON.
+        out: folder for the files of the run; None: a new one.
+        conduct: runs it in real time, or with faults, and saves it; None: in virtual time.
+        report, as_json: whether to write a report, and whether to print JSON.
 
     Raises:
-        RthybError: as of what conducts it.
+        RthybError: as raised by ``conduct``.
     """
     from rthyb_rt.lab import keeping, virtual_time
 
@@ -67,7 +67,7 @@ def run(
 
 
 def _status(rec: Recording) -> int:
-    """Return the exit status: a stop that the operator asked for is a good end of a live test."""
+    """Return the exit status: a stop by the operator is a regular end of a real-time test."""
     from rthyb_rt.lab.realtime import TIMING_CAUSES
 
     if rec.meta["end_reason"] == "completed":

@@ -1,4 +1,4 @@
-"""``rthyb schema``: what a test, rig, baseline, mapping or campaign file may hold, for editors."""
+"""``rthyb schema``: JSON schemas of test, rig, baseline, mapping and campaign files."""
 
 from __future__ import annotations
 

@@ -57,9 +57,9 @@ def serve(
 ) -> None:
     """Run the service of a rig, for many tests.
 
-    Opens the rig's link and keeps the drive where it stands, in state IDLE; on a rig of several
-    axes the links and drives of all. Tests are sent to the
-    control socket by `rthyb ctl`, one after another; between tests the drive stays under control.
+    Opens the rig's link and holds the drive at its position, in state IDLE; on a rig of several
+    axes, all links and drives. Tests are sent to the control socket by `rthyb ctl`, one after
+    another; between tests the drive stays under control.
     Ctrl-C or SIGTERM brings everything to rest and ends the service; a second signal trips. SIGHUP
     reloads the limits of the rig file.
 
@@ -117,9 +117,9 @@ def serve(
 
 
 def _requires_realtime(rig: RigFile | AxesRig) -> bool:
-    """Return what the rig file says; a service for a rig that is real asks for it unasked.
+    """Return whether real-time privileges are required: for a real rig they are by default.
 
-    Of several axes what any of them asks for.
+    For several axes, whether any of them requires them.
     """
     from rthyb_rt.config import AxesRig
 

@@ -1,4 +1,4 @@
-"""stdout and stderr as they are found: closed, full, left by their reader, or without Greek."""
+"""stdout and stderr in any condition: closed, full, without a reader, or without Greek letters."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import IO, Any
 
 ERRORS = "rthyb-ascii"
 
-# Signs of one place where there is a fair one, so that columns stay columns.
+# One character for one where possible, so that columns stay aligned.
 _SIGNS = {
     "½": "1/2", "µ": "u", "μ": "u", "·": "*", "⋅": "*", "×": "x", "–": "-", "−": "-", "…": "...",
     "“": '"', "”": '"', "≤": "<=", "≥": ">=", "∞": "inf", "∫": "integral of", "✓": "+", "✗": "x",
@@ -26,13 +26,13 @@ _LOWERED = str.maketrans(_RAISED, "0123456789-")
 
 
 def in_ascii(text: str) -> str:
-    """Return a text with the signs that this program prints written in ASCII."""
+    """Return a text with this program's special characters replaced by ASCII."""
     text = _RAISED_RUN.sub(lambda run: "^" + run[0].translate(_LOWERED), text)
     return "".join(_SIGNS.get(sign, sign) for sign in text)
 
 
 def shown(stream: IO[str], text: str) -> str:
-    """Return a text as a stream will show it."""
+    """Return a text as a stream can represent it."""
     encoding = getattr(stream, "encoding", None) or "utf-8"
     return text.encode(encoding, ERRORS).decode(encoding)
 
@@ -48,9 +48,10 @@ codecs.register_error(ERRORS, _replaced)
 
 
 class Outlet(io.FileIO):
-    """Where a stream's bytes go; after the first that cannot be written the rest is dropped.
+    """Destination of a stream's bytes; after a failed write the rest is dropped.
 
-    Nothing that a command still has to do, its report for one, ends because nobody reads.
+    The remaining work of a command, such as its report, must not fail because nobody reads its
+    output.
 
     Attributes:
         fault: why writing failed, if it did.
@@ -69,14 +70,14 @@ class Outlet(io.FileIO):
 
 
 def is_unread(stream: IO[str]) -> bool:
-    """Return whether a stream's reader has gone, or its disk is full: nobody sees what comes."""
+    """Return whether a stream's reader has gone or its disk is full, so that output is lost."""
     raw = getattr(getattr(stream, "buffer", None), "raw", None)
     return isinstance(raw, Outlet) and raw.fault is not None
 
 
 @contextlib.contextmanager
 def settled() -> Iterator[Outlet | None]:
-    """Make printing safe in the block; give the outlet behind stdout, where there is one."""
+    """Make printing safe within the block; yield the outlet of stdout, if there is one."""
     before = sys.stdout, sys.stderr
     outlets = {name: _settle(name) for name in ("stdout", "stderr")}
     try:
@@ -96,7 +97,7 @@ def _settle(name: str) -> Outlet | None:
     if not hasattr(stream, "reconfigure"):
         return None
     stream.reconfigure(errors=ERRORS)
-    # A stream that somebody has put there, such as a test, stays theirs.
+    # A stream installed by someone else, such as a test, is left alone.
     if stream is not getattr(sys, f"__{name}__"):
         return None
     stream.flush()

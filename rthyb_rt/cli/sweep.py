@@ -25,7 +25,7 @@ _WORDS = {
     rf"^{_CALLED}: campaign\.": "--",
     r"^--set ": "--over ",
 }
-"""Places in messages, and the options that they come from."""
+"""Places in messages, and the options to which they correspond."""
 
 
 def sweep(
@@ -109,7 +109,7 @@ def _lists(options: Sequence[str]) -> dict[str, list[Any]]:
     """Return the values of each key.
 
     Raises:
-        InputError: with every option that is no list, or names a key again.
+        InputError: lists every option that is not a list, or that repeats a key.
     """
     lists: dict[str, list[Any]] = {}
     problems = []
@@ -136,9 +136,9 @@ def _lists(options: Sequence[str]) -> dict[str, list[Any]]:
 
 
 def _value(key: str, word: str) -> Any:
-    """Return a value as a campaign file has it: a number where it is one, else a text."""
+    """Return a value as in a campaign file: a number if it is one, otherwise text."""
     if key in _FILES:
-        # The folder of the sweep is elsewhere.
+        # Relative paths would refer to the folder of the sweep.
         return str(Path(word).resolve()) if Path(word).is_file() else word
     try:
         found = tomllib.loads(f"x = {word}")["x"]
@@ -150,10 +150,10 @@ def _value(key: str, word: str) -> Any:
 def _try_first(
     test: Path | None, rig: str | None, settings: Sequence[str], over: dict[str, Any]
 ) -> None:
-    """Refuse values of which the first run has a fault, before anything is written.
+    """Refuse values with which the first run has an error, before anything is written.
 
     Raises:
-        InputError: with the keys of the sweep.
+        InputError: refers to the keys of the sweep.
     """
     if any(key in over for key in _FILES):
         return
@@ -167,7 +167,7 @@ def _text(value: Any) -> str:
 
 
 def _in_options(error: InputError) -> InputError:
-    """Return an error whose places are the options of this command."""
+    """Return an error that refers to the options of this command."""
     from rthyb_rt.api.messages import in_python
 
     found = in_python(error, _WORDS)
@@ -175,7 +175,7 @@ def _in_options(error: InputError) -> InputError:
 
 
 def _only_planned(parts: dict[str, str]) -> Plan:
-    """Return the runs without keeping the files that they read."""
+    """Return the runs without storing the files that they read."""
     import tempfile
 
     from rthyb_rt.campaign import given

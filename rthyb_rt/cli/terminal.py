@@ -1,4 +1,4 @@
-"""What people read: tables, progress, notes; and JSON for machines."""
+"""Output for people: tables, progress, notes; and JSON for programs."""
 
 from __future__ import annotations
 
@@ -22,32 +22,32 @@ if TYPE_CHECKING:
 OnProgress = Callable[[int, int], None]
 
 _BAR_ROOM = 64
-"""Characters of a line from which on progress has a bar and a rate."""
+"""Width of a line from which progress includes a bar and a rate."""
 
 _VALUE_ROOM = 28
-"""Characters that a value needs beside its label, unless it is shorter."""
+"""Width that a value needs beside its label, unless it is shorter."""
 
 
 _state = {"json": False}
 
 
 def begin() -> None:
-    """Forget what an earlier command of this process printed."""
+    """Reset the record of what an earlier command of this process printed."""
     _state["json"] = False
 
 
 def has_json() -> bool:
-    """Return whether the command has printed a JSON document: there is one, or lines of them."""
+    """Return whether the command has printed JSON: a document, or lines of them."""
     return _state["json"]
 
 
 def begin_json_lines() -> None:
-    """Say that from here on every line on stdout is a document of its own."""
+    """Note that from now on every line on stdout is a separate document."""
     _state["json"] = True
 
 
 def print_json(document: dict[str, Any]) -> None:
-    """Print a document on stdout; numbers that JSON does not have become null."""
+    """Print a document on stdout; non-finite numbers become null."""
     text = json.dumps(finite(document), indent=2, ensure_ascii=False, allow_nan=False)
     if streams.shown(sys.stdout, text) != text:
         text = json.dumps(finite(document), indent=2, allow_nan=False)
@@ -56,7 +56,7 @@ def print_json(document: dict[str, Any]) -> None:
 
 
 def people(as_json: bool) -> IO[str]:
-    """Return where text for people goes: stdout belongs to the JSON document, if there is one."""
+    """Return the stream for human-readable text: stderr if stdout carries JSON."""
     return sys.stderr if as_json else sys.stdout
 
 
@@ -66,9 +66,9 @@ def tell(text: str) -> None:
 
 
 def print_table(rows: Iterable[Sequence[str]], file: IO[str]) -> None:
-    """Print rows of label, value and, dimmed where there is room for it, an explanation.
+    """Print rows of label, value and, if there is room, a dimmed explanation.
 
-    Where not even label and value have room, the value stands below its label.
+    If even label and value do not fit, the value is printed below its label.
     """
     from rich.table import Table
     from rich.text import Text
@@ -91,9 +91,9 @@ def print_table(rows: Iterable[Sequence[str]], file: IO[str]) -> None:
 def print_result(
     notices: Sequence[Notice], rows: Iterable[Sequence[str]], verdict: str, file: IO[str]
 ) -> None:
-    """Print what a test came to.
+    """Print the results of a test.
 
-    What must not be missed stands above the figures that it takes the worth of.
+    Alarms come first, because they may invalidate the figures below them.
     """
     alarms = [f"Attention: {notice.text}" for notice in notices if notice.level == "alarm"]
     if alarms:
@@ -106,7 +106,7 @@ def print_result(
 
 
 def ruled_table() -> Table:
-    """Return an empty table of many columns: a rule below its heads, no frame."""
+    """Return an empty table with many columns: a rule below its heads, no frame."""
     from rich import box
     from rich.table import Table
 
@@ -116,9 +116,9 @@ def ruled_table() -> Table:
 
 
 def show(text: RenderableType, file: IO[str]) -> None:
-    """Print what rich lays out, without the blanks at the ends of lines.
+    """Print what rich lays out, without trailing blanks.
 
-    A table that the terminal is too narrow for is told row by row.
+    If a table is too wide for the terminal, its rows are printed one after another.
     """
     from rich.measure import Measurement
     from rich.table import Table
@@ -135,7 +135,7 @@ def show(text: RenderableType, file: IO[str]) -> None:
 
 
 def _print_stacked(table: Table, room: int, file: IO[str]) -> None:
-    """Print the first cell of each row, and below it the others with their heads."""
+    """Print the first cell of each row, with the others and their heads below it."""
     for cells in zip(*(column.cells for column in table.columns), strict=True):
         for number, (column, cell) in enumerate(zip(table.columns, cells, strict=True)):
             text = " ".join(str(cell).split())
@@ -156,31 +156,31 @@ def _print_stacked(table: Table, room: int, file: IO[str]) -> None:
 
 
 def width(file: IO[str]) -> int:
-    """Return how many characters a line may have."""
+    """Return the width of a line in characters."""
     return _console(file).width
 
 
 def _console(file: IO[str]) -> Console:
-    """Return a console that writes plain text where nobody sees it, or where NO_COLOR asks."""
+    """Return a console; plain text if the output is not a terminal, or for NO_COLOR."""
     from rich.console import Console
 
     plain = bool(os.environ.get("NO_COLOR"))
     console = Console(file=file, highlight=False, color_system=None if plain else "auto")
-    # A file has no width: a row stays a line.
+    # A file has no width: each row stays on one line.
     return console if console.is_terminal else Console(file=file, highlight=False, width=200)
 
 
 @contextmanager
 def progress(description: str, ticks: int, fs_hz: float) -> Iterator[OnProgress]:
-    """Show how far a test is, its rate and the time left, on a terminal's stderr.
+    """Show the progress of a test, its rate and the remaining time, on a terminal's stderr.
 
     Args:
-        description: what is going on.
+        description: what is being done.
         ticks: samples of the whole test.
-        fs_hz: samples in a second.
+        fs_hz: samples per second.
 
     Yields:
-        a function of (samples done, samples of the test).
+        A function of (samples done, samples of the test).
     """
     from rich.progress import (
         BarColumn,
@@ -194,7 +194,7 @@ def progress(description: str, ticks: int, fs_hz: float) -> Iterator[OnProgress]
     from rich.text import Text
 
     class Rate(ProgressColumn):
-        """Seconds of the test in a second."""
+        """Seconds of the test per second."""
 
         def render(self, task: Task) -> Text:
             elapsed = task.finished_time if task.finished else task.elapsed
@@ -226,13 +226,13 @@ def progress(description: str, ticks: int, fs_hz: float) -> Iterator[OnProgress]
 
 @contextmanager
 def sections(description: str) -> Iterator[Callable[[int, int, str], None]]:
-    """Show how far work in named parts is, on a terminal's stderr.
+    """Show the progress of work with named parts, on a terminal's stderr.
 
     Args:
-        description: what is going on.
+        description: what is being done.
 
     Yields:
-        a function of (parts done, parts in all, the part that begins).
+        A function of (parts done, number of parts, current part).
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
     from rich.table import Column
