@@ -1,4 +1,4 @@
-! A numerical part of one's own in Fortran: m x'' + c x' + k x + force = -m ag by the central difference.
+! A user's own numerical part in Fortran: m x'' + c x' + k x + force = -m ag by the central difference.
 !
 !   gfortran -O2 -shared -fPIC examples/own_parts/oscillator.f90 -o oscillator.so
 module oscillator

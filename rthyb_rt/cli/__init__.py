@@ -2,7 +2,6 @@
 
 Imports nothing that Python has not already loaded, so that a Ctrl-C is handled from the first
 moment.
-
 """
 
 from __future__ import annotations
