@@ -1,4 +1,4 @@
-"""Effects on the force, of the specimen or of the load cell, that begin in mid-record."""
+"""Effects on the force, of the specimen or of the load cell, that begin in mid-recording."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from rthyb_rt.diagnose.select import (
 )
 
 FEW = 2
-"""Effects of a set that is no richer than one that begins in mid-record."""
+"""Number of effects in a set that is considered no more complex than one onset."""
 SINGLES = 3
-"""Single effects beside which others are tried from a moment on; the best pair is one more."""
+"""Number of single effects beside which onsets are tried; the best pair is one more."""
 MOST = 5
-"""Effects that are looked at more closely beside one set."""
+"""Number of effects examined more closely beside one set."""
 NEAR = 25
-"""Beginnings that are looked at between the blocks beside the best one."""
+"""Number of onset times tried between the blocks around the best one."""
 
 
 class Late(Effect):
-    """An effect that begins in mid-record.
+    """An effect that begins in mid-recording.
 
-    The last shape parameter is when, in seconds since the first row.
+    Its last shape parameter is the onset time, in seconds since the first row.
     """
 
     late = True
@@ -61,19 +61,19 @@ class Late(Effect):
         return Trial(trial.theta[:-1], trial.variant)
 
     def whole(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the effect's own columns, kept while only the beginning moves."""
+        """Return the effect's own columns, cached while only the onset changes."""
         inner, kept = self.inner(trial), self._kept
         if kept is None or kept[0] is not ctx or kept[1] != inner:
             self._kept = kept = (ctx, inner, self.effect.columns(ctx, inner))
         return kept[2]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the effect's own, from its beginning on."""
+        """Return the effect's columns from its onset on."""
         whole = self.whole(ctx, trial)
         return self.effect.begun(ctx, whole, float(ctx.t[0]) + trial.theta[-1])
 
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
-        """Return the force as it is up to the beginning, and as the sensor shows it from there."""
+        """Return the force unchanged before the onset, and as the sensor shows it afterwards."""
         shown = self.effect.carried(ctx, self.inner(trial), force)
         changed = Effect.begun(self.effect, ctx, [shown - force], float(ctx.t[0]) + trial.theta[-1])
         return np.asarray(force + changed[0])
@@ -92,63 +92,63 @@ class Late(Effect):
         return self.effect.holds_n_per_m(ctx, self.inner(trial), beta)
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return the effect's own judgement."""
+        """Return the effect's own verdict."""
         return self.effect.sensible(ctx, self.inner(trial), beta)
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return the effect's own, and the beginning as one more parameter."""
+        """Return the effect's settings, with the onset as one more parameter."""
         own, count = self.effect.settings(ctx, self.inner(trial))
         return own, count + 1
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Return the effect's own, and the recording's length."""
+        """Return the effect's limits, and the length of the recording."""
         length = float(ctx.t[-1] - ctx.t[0])
         return [*self.effect.limits(ctx, self.inner(trial)), (ctx.dt, length)]
 
 
 class _Before(Effect):
-    """What an effect would show before it begins, free in size."""
+    """The force that an effect would have before its onset, of free size."""
 
-    sensor = True  # as the load cell has it already
+    sensor = True  # already as the load cell shows it
 
     def __init__(self, late: Late, count: int) -> None:
         self.late_one = late
         self.signs = "*" * count
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return what the beginning took away."""
+        """Return the part that the onset removes."""
         late = self.late_one
         pairs = zip(late.whole(ctx, trial), late.columns(ctx, trial), strict=True)
         return [whole - later for whole, later in pairs]
 
 
 def lasting(member: Member) -> Member:
-    """Return an effect as it is at the end of the recording, and from then on."""
+    """Return an effect as at the end of the recording, and as it continues afterwards."""
     if not isinstance(member.effect, Late):
         return member
     return Member(member.effect.effect, Late.inner(member.trial))
 
 
 class Fitter(Protocol):
-    """What refines sets, see `force`."""
+    """Refines sets of effects, see `force`."""
 
     problem: Problem
     by_names: dict[tuple[str, ...], Fit]
 
     def keep(self, fit: Fit) -> None:
-        """Take a refined set, where it is better than the one of its names."""
+        """Keep a refined set if it is better than the one with the same names."""
 
     def score(self, fit: Fit) -> float:
         """Return chi-squared and price."""
 
 
 def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
-    """Fit effects that begin in mid-record, alone and beside the best sets.
+    """Fit effects that begin in mid-recording, alone and beside the best sets.
 
     Returns:
-        The best sets with one, best first; others may be missing beside them.
+        The best sets with one onset, best first; they may lack other effects.
     """
     problem = fitter.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
@@ -156,7 +156,8 @@ def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
     if null is None:
         return []
     best = ranked[0] if ranked else null
-    # What three laws together make white may be a single one that begins: it has no more numbers.
+    # A residual that three laws turn into noise may be due to one onset, which has no more
+    # parameters.
     if len(best.members) <= FEW and inflation(best.residual) < POLICY.white_residual:
         return []
     singles = [f for f in ranked if len(f.members) == 1][:SINGLES]
@@ -169,7 +170,7 @@ def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
 
 
 def settle(fitter: Fitter, most: int) -> None:
-    """Look anew for the beginning in the best sets; one found alone may be another one's."""
+    """Search for the onset in the best sets again; one found alone may belong to another effect."""
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     for fit in ranked[:most]:
         late = [i for i, m in enumerate(fit.members) if m.effect.late]
@@ -179,7 +180,7 @@ def settle(fitter: Fitter, most: int) -> None:
 
 
 def _beside(dictionary: Dictionary, fitter: Fitter, base: Fit) -> list[Fit]:
-    """Fit the effects that promise most from a moment on beside a set."""
+    """Fit the most promising effects with an onset beside a set."""
     problem, groups = fitter.problem, dictionary.groups
     promising: dict[str, tuple[float, float, int]] = {}
     free = [
@@ -208,13 +209,14 @@ def _beside(dictionary: Dictionary, fitter: Fitter, base: Fit) -> list[Fit]:
     switched = [g for g in free if _switched(groups[g[0]].member.effect)]
     look(dictionary.cuts[1:-1])
     if promising:
-        # Most effects promise about the same from rows that far apart; nearer, the right one leads.
+        # From distant rows, most effects look equally promising; near the onset, the right one
+        # leads.
         start = min(promising.values())[1]
         near = int(np.searchsorted(problem.ctx.t[problem.rows] - problem.ctx.t[0], start))
         reach = problem.y.size // BLOCKS
         rows = np.linspace(near - reach, near + reach, NEAR).astype(np.int64)
         look(np.unique(rows[(rows > 0) & (rows < problem.y.size - 1)]))
-    # What grows from its beginning on is no column of the dictionary with its head cut off.
+    # An effect that grows from its onset is not a truncated column of the dictionary.
     length = float(problem.ctx.t[-1] - problem.ctx.t[0])
     for (g,) in free:
         if not _switched(groups[g].member.effect):
@@ -235,13 +237,13 @@ def _switched(effect: Effect) -> bool:
 
 
 def _with(beside: Sequence[Member], member: Member, start: float) -> list[Member]:
-    """Return a set with one effect more, from a time since the first row on."""
+    """Return a set with an additional effect from a time since the first row on."""
     trial = Trial((*member.trial.theta, start), member.trial.variant)
     return [*beside, Member(Late(member.effect), trial)]
 
 
 def _scan(problem: Problem, members: Sequence[Member], starts: Floats) -> list[tuple[float, float]]:
-    """Return (chi-squared, beginning) of a set for each beginning of its last effect."""
+    """Return (chi-squared, onset) of a set for each onset of its last effect."""
     scan, out = Scan(problem, members), []
     for start in starts:
         theta = (*members[-1].trial.theta[:-1], float(start))
@@ -252,7 +254,7 @@ def _scan(problem: Problem, members: Sequence[Member], starts: Floats) -> list[t
 
 
 def _begun(fitter: Fitter, members: list[Member]) -> Fit | None:
-    """Fit a set whose last effect begins about then; None where that is there before as well."""
+    """Fit a set whose last effect begins about then; None if it is also present before."""
     problem = fitter.problem
     t, trial = problem.ctx.t, members[-1].trial
     length = float(t[-1] - t[0])
@@ -270,10 +272,10 @@ def _begun(fitter: Fitter, members: list[Member]) -> Fit | None:
 
 
 def absent_before(problem: Problem, fit: Fit) -> bool:
-    """Return whether the last effect of a set, which begins in mid-record, is not there before.
+    """Return whether the last effect of a set, which has an onset, is absent before it.
 
-    With what it would show before left free in size, that comes to less than half of its later
-    size, and is known so well that it is not half of it.
+    With its force before the onset left free in size, this must be less than half of its later
+    size, and its standard error must be small enough to establish that.
     """
     member, beta = fit.members[-1], fit.betas[-1]
     assert isinstance(member.effect, Late)
@@ -287,7 +289,7 @@ def absent_before(problem: Problem, fit: Fit) -> bool:
     size = float(shown @ shown)
     if size == 0.0:
         return False
-    # How much of its later self there is before, and how well that is known.
+    # Its size before the onset relative to its later size, and the standard error.
     along = blocks[-1].T @ shown / size
     first = sum(b.size for b in both.betas[:-1])
     own = slice(first, first + beta.size)

@@ -1,8 +1,8 @@
-"""What the channels that say the same thing twice tell of the sensors.
+"""What redundant channels reveal about the sensors.
 
 On moving ground the body itself weighs the force: m (x'' + ag) + f = 0, whatever the specimen
-does. What a load cell shows beside that is the cell's own: a law of the specimen is not in it, a
-cell that is late, hums or feels another direction is.
+does. Any deviation of the load cell from this is an error of the cell: a law of the specimen
+cancels, but not delay, hum or crosstalk of the cell.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from rthyb_rt.diagnose.select import (
 
 @dataclass(frozen=True)
 class Witness:
-    """The force by the cell and by the accelerometer, in the band where the force moves.
+    """The force by the load cell and by the accelerometer, in the band in which it varies.
 
     Attributes:
-        ctx: what the effects see.
-        rest: their sum, which is noise where both are right, (n,), N.
-        rows: rows to be judged, (n,).
-        nuisance: mass, offset in time, zero of the accelerometer and how it wanders; (n, 4).
-        priors: one over the variance of the coefficient of each; 0: free.
+        ctx: the quantities on which effects depend.
+        rest: their sum, which is noise if both are correct, (n,), N.
+        rows: rows to evaluate, (n,).
+        nuisance: mass, time offset, and offset and drift of the accelerometer; (n, 4).
+        priors: inverse variance of the coefficient of each; 0: free.
         sigma_n: noise of the sum, N.
-        denoise: takes the band.
+        denoise: filter to that band.
     """
 
     ctx: Context
@@ -49,11 +49,11 @@ class Witness:
     denoise: estimate.Denoiser
 
     def left(self, fit: Fit) -> Floats:
-        """Return what a set leaves unexplained of the sum, in units of the noise, and priors."""
+        """Return the residual of the sum with a set, in units of the noise, followed by priors."""
         return self._solved(self.rest - cell_error(self.ctx, fit), self.nuisance, self.priors)
 
     def beside(self, columns: Sequence[Floats]) -> Floats:
-        """Return what errors of the load cell of free size, each (n,), leave of the sum."""
+        """Return the residual of the sum with load cell errors, each (n,), of free size."""
         more = np.column_stack([self.denoise(c) for c in columns])
         priors = np.concatenate([self.priors, np.zeros(len(columns))])
         return self._solved(self.rest, np.column_stack([self.nuisance, more]), priors)
@@ -69,7 +69,7 @@ class Witness:
 
 
 def cell_error(ctx: Context, fit: Fit) -> Floats:
-    """Return what a set says the load cell shows beside the force on the specimen, (n,), N."""
+    """Return the error of the load cell according to a set of effects, (n,), N."""
     felt = [(m, b) for m, b in zip(fit.members, fit.betas, strict=True) if not m.effect.sensor]
     out = np.zeros(ctx.t.size)
     for pairs, sign in ((list(zip(fit.members, fit.betas, strict=True)), 1.0), (felt, -1.0)):
@@ -80,14 +80,14 @@ def cell_error(ctx: Context, fit: Fit) -> Floats:
 
 
 LINES = 8
-"""Frequencies that have to stand out for gain and time to be told from them."""
+"""Number of frequencies above the noise needed to determine gain and time offset."""
 
 
 def disagreement(case: Case) -> str:
-    """Return in words how a_meas differs from x_meas'' (on moving ground + ag); empty if it agrees.
+    """Describe how a_meas differs from x_meas'' (on moving ground + ag); empty if it agrees.
 
-    In gain and in time, where both stand out of their noise. One of the channels is wrong then, and
-    the accelerometer is no witness against the load cell.
+    Gain and time offset are compared where both are above their noise. If they differ, one of the
+    channels is wrong, and the accelerometer cannot be used to check the load cell.
     """
     ground = case.model.family == "ground"
     if any(name not in case.channels for name in ("x_meas", "a_meas", *("ag",) * ground)):
@@ -101,7 +101,7 @@ def disagreement(case: Case) -> str:
         w**2 * estimate.noise_of(case.channels["x_meas"], case.model.x_std),
     )
     weight = 1.0 / (noise * np.sqrt(np.sum(window**2)))
-    # Noise in what is compared with would bend gain and time towards zero.
+    # Noise in the regressor would bias gain and time offset towards zero.
     slow = w < 2.0 * np.pi * POLICY.motion_from_hz
     weight[slow | (np.abs(made) * weight < POLICY.accelerometer_clear)] = 0.0
     if np.count_nonzero(weight) < LINES:
@@ -112,10 +112,10 @@ def disagreement(case: Case) -> str:
     inverse = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
     gain, late = inverse @ (stacked.T @ np.concatenate([off.real, off.imag]))
     rest = off - design @ np.array([gain, late])
-    # Real and imaginary part have half of a frequency's power each.
+    # Real and imaginary part each have half of the power of a frequency.
     spread = max(1.0, float(np.mean(np.abs(rest[weight > 0.0]) ** 2)))
     unsure = POLICY.accelerometer_sure * np.sqrt(0.5 * spread * inverse.diagonal())
-    late /= 1.0 + gain  # of what is larger as well
+    late /= 1.0 + gain  # of the larger signal
     words = []
     if abs(gain) - unsure[0] > POLICY.accelerometer_gain:
         words.append(f"is {100.0 * gain:+.2g} % larger")
@@ -126,13 +126,13 @@ def disagreement(case: Case) -> str:
 
 
 def _accelerations(x: Floats, ag: Floats, dt: float) -> tuple[Floats, Complex]:
-    """Return a window, (n,), and the spectrum of x'' + ag under it, by the window's own slopes."""
+    """Return a window, (n,), and the spectrum of x'' + ag under it, by its derivatives."""
     x, turn = x - x.mean(), 2.0 * np.pi / (x.size - 1)
     angle, rate = turn * np.arange(x.size), turn / dt
     window = 0.5 - 0.5 * np.cos(angle)
     slope, bend = 0.5 * rate * np.sin(angle), 0.5 * rate**2 * np.cos(angle)
     w = 2.0 * np.pi * np.fft.rfftfreq(x.size, dt)
-    # A window times x'' is (window x)'' - 2 (window' x)' + window'' x.
+    # window x'' = (window x)'' - 2 (window' x)' + window'' x.
     wx, sx, bx, ground = (
         np.fft.rfft(part) for part in (window * x, slope * x, bend * x, window * (ag - ag.mean()))
     )
@@ -140,7 +140,7 @@ def _accelerations(x: Floats, ag: Floats, dt: float) -> tuple[Floats, Complex]:
 
 
 def witness(case: Case, ctx: Context, found: estimate.Estimate) -> Witness | None:
-    """Return the balance of the body, None where a channel of it is missing or no witness."""
+    """Return the balance of the body; None if a channel is missing or unsuitable."""
     model, channels = case.model, case.channels
     if model.family != "ground" or model.mass <= 0.0 or model.k_tol is None:
         return None
@@ -154,9 +154,9 @@ def witness(case: Case, ctx: Context, found: estimate.Estimate) -> Witness | Non
         )
     )
     band = estimate.band_of(force, case.fs_hz, sigma)
-    # Either channel may be off in time as is normal.
+    # Either channel may have a normal time offset.
     skew = np.gradient(force) * case.fs_hz
-    # An accelerometer wanders as a load cell does: it is no witness of what is slow.
+    # An accelerometer drifts like a load cell: it cannot be used at low frequencies.
     slow = np.column_stack([np.ones(force.size), ctx.t - ctx.t[0]])
     nuisance = np.column_stack([band(model.mass * felt), band(skew), slow])
     priors = np.array([POLICY.mass_blur**-2, 0.5 * POLICY.offset_prior_s**-2, 0.0, 0.0])
@@ -165,9 +165,10 @@ def witness(case: Case, ctx: Context, found: estimate.Estimate) -> Witness | Non
 
 
 def testimony(known: Witness, fits: Sequence[Fit]) -> Callable[[Fit], float]:
-    """Return what a set adds to chi-squared by what it leaves of the balance of the body.
+    """Return what a set adds to chi-squared because of the body's force balance.
 
-    Counted from the set that leaves the least, and divided by how much its rows hang together.
+    Relative to the set with the smallest residual, and divided by the inflation due to correlated
+    rows.
     """
     best = min((known.left(f) for f in fits), key=lambda r: float(r @ r))
     least, together = float(best @ best), inflation(best)
@@ -180,14 +181,14 @@ def testimony(known: Witness, fits: Sequence[Fit]) -> Callable[[Fit], float]:
 
 
 def accused(known: Witness, members: Sequence[Member]) -> Member | None:
-    """Return which of some effects of the load cell explains most of what both do not agree in.
+    """Return the load cell effect that explains most of the disagreement.
 
     Args:
         known: the balance of the body.
-        members: effects in the shapes to be tried.
+        members: effects in the shapes to try.
 
     Returns:
-        The effect in its best shape; None where none brings what an effect has to.
+        The effect in its best shape; None if none explains enough.
     """
     free = Fit((), (), 0.0, 0)
     plain = known.left(free)

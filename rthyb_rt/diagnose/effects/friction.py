@@ -14,7 +14,7 @@ SLOW = ("multi_amplitude", "friction stays constant while other forces grow with
 
 
 class Viscous(Effect):
-    """A dashpot, or one too many in the model."""
+    """A dashpot that the model lacks, or has in excess."""
 
     name = "viscous"
     plain = "viscous damping"
@@ -65,11 +65,11 @@ class QuadDamping(Effect):
 
 
 EXPONENTS = ((0.2, 0.9), (1.1, 1.85), (2.15, 3.5))
-"""Exponents of velocity that have a name of their own: at 1 it is a dashpot, at 2 quadratic."""
+"""Exponents of velocity with their own names: 1 is a dashpot, 2 is quadratic damping."""
 
 
 class PowerDamping(Effect):
-    """A fluid viscous damper: its force goes with a power of velocity."""
+    """A fluid viscous damper: its force is proportional to a power of velocity."""
 
     name = "power_damping"
     plain = "damping with a power of velocity"
@@ -87,15 +87,15 @@ class PowerDamping(Effect):
         return [Trial((a,)) for a in (0.3, 0.45, 0.6, 0.75, 1.25, 1.5, 1.75, 2.5, 3.0)]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep the exponent where it has no other name."""
+        """Keep the exponent in the range without another name."""
         return [min(EXPONENTS, key=lambda ends: abs(trial.theta[0] - 0.5 * sum(ends)))]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Refuse the least exponent there is: what would have less is dry friction."""
+        """Reject the smallest possible exponent: anything less is dry friction."""
         return trial.theta[0] > 1.001 * EXPONENTS[0][0]
 
     def borders(self, trial: Trial) -> str:
-        """Return the law whose exponent lies just beyond the end that this one has come to."""
+        """Return the law whose exponent lies just beyond the bound that has been reached."""
         ends = [end for pair in EXPONENTS for end in pair][1:-1]
         end = min(ends, key=lambda at: abs(trial.theta[0] - at))
         if abs(trial.theta[0] / end - 1.0) > 1e-3:
@@ -134,16 +134,16 @@ class PowerDamping(Effect):
 
 
 LINEAR = 3e-3
-"""Part of the largest velocity below which such a damper is straight."""
+"""Fraction of the largest velocity below which such a damper is linear."""
 
 CONTACT = (2e-5, 4e-3)
-"""Way before a dry contact slips, as part of the amplitude: more of it is bristle friction."""
+"""Displacement before a dry contact slips, relative to the amplitude; more is bristle friction."""
 
 SHARP = 1e-4
-"""Width of the step of a dry contact in a rig file, as part of the largest velocity."""
+"""Width of the step of a dry contact in a rig file, relative to the largest velocity."""
 STICKS = 1e-7
-"""The same where a body that moves freely is simulated, which solves for the force that holds it:
-in a minute at rest it creeps by a hundred-thousandth of what it comes in a second."""
+"""The same for the simulation of a freely moving body, which solves for the force that holds it: in
+a minute at rest it creeps by 1e-5 of its motion in a second."""
 
 
 def slipping(ctx: Context, way_m: float) -> Floats:
@@ -152,12 +152,12 @@ def slipping(ctx: Context, way_m: float) -> Floats:
 
 
 class Coulomb(Effect):
-    """Dry friction with a free width around zero velocity: a fixed one turns it into Stribeck.
+    """Dry friction with a free width around zero velocity: a fixed one would look like Stribeck.
 
-    Variant "contact" shears by a little before it slips, as every contact does: then what a small
-    reversal shows is a spring's force, not a step's. Variant "root" rounds the step by the other
-    common formula, which comes to its level later than tanh: told from tanh alone, the difference
-    would be taken for damping. Variant "sharp" has no width: a body that is simulated sticks.
+    Variant "contact" shears slightly before it slips, as every contact does: a small reversal then
+    shows the force of a spring instead of a step. Variant "root" rounds the step by the other
+    common formula, which reaches its level more slowly than tanh: with tanh alone, the difference
+    would be taken for damping. Variant "sharp" has no width: in a simulation, the body sticks.
     """
 
     name = "coulomb"
@@ -181,13 +181,13 @@ class Coulomb(Effect):
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep the width below what would be a dashpot, the contact below a bristle."""
+        """Keep the width below that of a dashpot, and the contact below a bristle."""
         if trial.variant == "contact":
             return [(CONTACT[0] * ctx.x_range, CONTACT[1] * ctx.x_range)]
         return [(1e-5 * ctx.v_range, 0.12 * ctx.v_range) for _ in trial.theta]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the smoothed sign of velocity, or of the last path."""
+        """Return the smoothed sign of velocity, or of the latest displacement."""
         if trial.variant == "contact":
             return [slipping(ctx, trial.theta[0])]
         if trial.variant == "root":
@@ -195,16 +195,16 @@ class Coulomb(Effect):
         return [np.tanh(ctx.v / (trial.theta[0] if trial.theta else STICKS * ctx.v_range))]
 
     def rounded(self, trial: Trial, least: float) -> Trial:
-        """Return a step by tanh; a contact has one of the least width."""
+        """Return a step by tanh; a contact has the smallest width."""
         old = trial.theta[0] if trial.theta and not trial.variant else least
         return Trial((max(old, least),))
 
     def sharp(self, trial: Trial) -> Trial:
-        """Return a step without a width."""
+        """Return a step of zero width."""
         return Trial((), "sharp")
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return how the sign of velocity is rounded."""
+        """Return how the sign of velocity is smoothed."""
         if trial.variant == "contact":
             return "Fc of a contact that shears before it slips"
         if trial.variant == "root":
@@ -229,10 +229,10 @@ class Coulomb(Effect):
 
 
 class Stribeck(Effect):
-    """Friction that falls with velocity.
+    """Friction that decreases with velocity.
 
-    Its peak is a Gaussian of velocity or, in the variants that end in "1", an exponential: read
-    from one instead of the other, the level that friction falls to is off by many times its noise.
+    Its peak is a Gaussian of velocity or, in the variants whose name ends in "1", an exponential:
+    fitting one for the other would bias the final level by many times its noise.
     """
 
     name = "stribeck"
@@ -292,25 +292,25 @@ class Stribeck(Effect):
         return [sign, sign * np.exp(-(np.abs(ctx.v / vs) ** self._power(trial)))]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return both levels and the velocity between them."""
+        """Return both levels and the velocity of the transition between them."""
         fc = float(beta[0])
         return {"Fc_N": fc, "Fs_N": fc + float(beta[1]), "vs_m_s": trial.theta[0]}
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False where it is a smooth hump rather than friction."""
+        """Return False if it is a smooth hump rather than friction."""
         return bool(beta[1] > 0.05 * beta[0] and beta[0] > 0.02 * beta[1])
 
     def rounded(self, trial: Trial, least: float) -> Trial:
-        """Return the same peak over a step by tanh."""
+        """Return the same peak on a step by tanh."""
         old = least if self._sheared(trial) else (*trial.theta, least)[1]
         return Trial((trial.theta[0], max(old, least)), "peak1" if self._power(trial) == 1 else "")
 
     def sharp(self, trial: Trial) -> Trial:
-        """Return the same peak over a step without a width."""
+        """Return the same peak on a step of zero width."""
         return Trial(trial.theta[:1], "sharp")
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the law of the peak, and what its sign is."""
+        """Return the law of the peak, and how its sign is smoothed."""
         sheared = self._sheared(trial)
         sign = "a contact that shears before it slips" if sheared else "tanh(v / width)"
         sign = "sgn(v)" if trial.variant == "sharp" else sign
@@ -343,9 +343,9 @@ class Stribeck(Effect):
 
 
 def slips(ctx: Context, way_m: float, count: int = 16) -> Floats:
-    """Return the force per N of slips in parallel that reverse as bristles of ``way_m`` do, (n,).
+    """Return the force per N of parallel sliders that reverse like bristles of ``way_m``, (n,).
 
-    Their strengths fall off exponentially; unlike bristles they remember where they turned.
+    Their strengths are distributed exponentially; unlike bristles they remember reversals.
     """
     at = -np.log1p(-(np.arange(count) + 0.5) / count)
     at /= at.mean()
@@ -369,7 +369,7 @@ class Lugre(Effect):
     signs = "+*"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return bristle deflections as parts of the amplitude, with and without static excess."""
+        """Return bristle deflections relative to the amplitude, with and without static excess."""
         return [
             Trial((float(z0),), v)
             for z0 in ctx.x_range * np.geomspace(2e-3, 0.6, 10)
@@ -404,7 +404,7 @@ class Lugre(Effect):
         return [z, np.gradient(z) / ctx.dt * (z0 / ctx.v_range)]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False where the damping outweighs the bristles."""
+        """Return False if the damping outweighs the bristles."""
         return bool(-0.7 * beta[0] <= beta[1] < 3.0 * beta[0])
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
@@ -438,7 +438,7 @@ class Lugre(Effect):
 
 
 STARTS = {"low": 0.05, "middle": 0.5, "high": 0.95}
-"""Places in the play where a recording may begin, as parts of its width; nobody records it."""
+"""Trial positions in the play at the start of a recording, relative to its width."""
 
 
 def behind(
@@ -446,7 +446,7 @@ def behind(
 ) -> Floats:
     """Return the force of a slider of +``up`` and -``down`` behind a play and a spring, (n,), N.
 
-    ``start`` is where in the play the first row finds it: 0 at its lower face, 1 at its upper one.
+    ``start`` is the position in the play at the first row: 0 at its lower face, 1 at its upper one.
     """
     element = core.Element(
         core.element(
@@ -457,7 +457,7 @@ def behind(
 
 
 class FrictionBehindGap(Effect):
-    """Dry friction that is driven through a backlash: nothing is felt until the gap is taken up."""
+    """Dry friction that is driven through a backlash: no force acts until the gap is closed."""
 
     name = "gap+coulomb"
     plain = "dry friction behind a gap"
@@ -475,7 +475,7 @@ class FrictionBehindGap(Effect):
         return ("coulomb", "gap")
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return gaps and elastic ways; a model that knows its spring has that one behind it."""
+        """Return gaps and elastic displacements; a spring that the model knows is used."""
         if not ctx.k_free:
             return []
         r = ctx.x_range
@@ -487,7 +487,7 @@ class FrictionBehindGap(Effect):
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep both within the motion, the start within the play."""
+        """Keep both within the motion, and the start within the play."""
         way = ctx.x_range
         return [(1e-3 * way, way), (5e-4 * way, way), (0.005, 1.0)]
 
@@ -518,13 +518,13 @@ class FrictionBehindGap(Effect):
 
 
 class UnevenFrictionBehindGap(Effect):
-    """The same where the two directions slip at different forces.
+    """The same if the two directions slip at different forces.
 
-    Bands, wedges and slanted pads grip harder one way. Half the difference of both levels is what a
-    load cell shows for a bias while it slides, and is named so; in the play and in stick there is
-    none of it, which tells the two apart.
+    Bands, wedges and inclined pads hold more firmly in one direction. While sliding, half the
+    difference of the levels looks like an offset of the load cell and is reported as such; within
+    the play and while sticking it is absent, which distinguishes the two.
 
-    The faces of the play meet over a part of the way, not at once.
+    The faces of the play close over part of the displacement, not at once.
     """
 
     name = "gap+coulomb+bias"
@@ -547,7 +547,7 @@ class UnevenFrictionBehindGap(Effect):
         return ("bias", "coulomb", "gap")
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return gaps, elastic ways and their ratio, coarser than those of the even pair."""
+        """Return gaps, elastic displacements and their ratio, coarser than for the even pair."""
         if not ctx.k_free:
             return []
         r = ctx.x_range
@@ -560,14 +560,14 @@ class UnevenFrictionBehindGap(Effect):
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep all ways within the motion, the start within the play."""
+        """Keep all displacements within the motion, and the start within the play."""
         way = (5e-4 * ctx.x_range, ctx.x_range)
         return [(1e-3 * ctx.x_range, ctx.x_range), way, way, (0.005, 1.0), way]
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient, the spring's stiffness, and what shapes it."""
+        """Return one coefficient, the spring's stiffness, and the parameters of the loop."""
         return ("+", (None,)), 1 + len(trial.theta)
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:

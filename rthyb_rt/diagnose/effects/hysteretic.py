@@ -15,14 +15,14 @@ from rthyb_rt.diagnose.policy import POLICY
 LARGE = ("multi_amplitude", "a memory of amplitude appears when small cycles follow large ones")
 SPRINGS = core.IWAN_SLIDERS
 BAR = {"r0": 20.0, "cr1": 0.925, "cr2": 0.15}
-"""How the branches of steel bend: Menegotto & Pinto 1973, constants of Filippou et al. 1983."""
+"""Curvature of the branches of steel: Menegotto & Pinto 1973, constants by Filippou et al. 1983."""
 
 
 def plastic(ctx: Context, variant: str, xy: float) -> Floats:
-    """Return a yielding displacement with slope 1 at first and a limit near ``xy``, m."""
+    """Return a yielding displacement with initial slope 1 and a limit near ``xy``, m."""
     if variant.startswith("bw"):
         n = float(variant[2:])
-        # In units of xy: b and c in metres leave the core's range for small ones.
+        # In units of xy: for a small xy, b and c in metres exceed the core's range.
         loop = core.element(
             "hysteresis", k_n_per_m=1.0, post_yield_ratio=0.0, a=1.0, b=0.5, c=0.5, eta=n
         )
@@ -38,9 +38,9 @@ def plastic(ctx: Context, variant: str, xy: float) -> Floats:
 
 
 def hardened(ctx: Context, xy: float, shape: Sequence[float]) -> Floats:
-    """Return a yielding displacement with slope 1 at first whose yield range moves and grows, m.
+    """Return a yielding displacement with initial slope 1 whose yield range moves and grows, m.
 
-    ``shape`` counts in the elastic stiffness and the yield displacement: kinematic modulus,
+    ``shape`` is relative to the elastic stiffness and the yield displacement: kinematic modulus,
     recovery, growth and its rate.
     """
     kinematic, recovery, growth, rate = (*shape, 0.0, 0.0)[:4]
@@ -61,9 +61,9 @@ def contact(ctx: Context, xy: float) -> Floats:
 
 
 BACKSTRESS = ((0.02, 0.01), (0.07, 0.1), (0.3, 0.3))
-"""Kinematic moduli and recoveries to begin with, in units of the yield point."""
+"""Initial kinematic moduli and recoveries, relative to the yield point."""
 GROWTH = (0.2, 0.02)
-"""Growth of the yield force, and its rate, to begin with."""
+"""Initial growth of the yield force, and its rate."""
 HARDENING = ("kinematic", "both")
 """Forms of yielding that harden by plastic flow."""
 FORMS = {
@@ -73,11 +73,11 @@ FORMS = {
     "slider": "friction pendulum, friction that grows with velocity",
 }
 FLAT = 1e4
-"""Radius of a bowl that is as good as flat, m: what is left of the weight's spring is taken off."""
+"""Radius of a practically flat bowl, m: the remaining spring of the weight is subtracted."""
 
 
 class Hysteresis(Effect):
-    """Yielding: Bouc-Wen's loops, Iwan's springs that yield one by one, Menegotto-Pinto's bars."""
+    """Yielding: Bouc-Wen loops, Iwan's springs that yield in turn, Menegotto-Pinto steel."""
 
     name = "hysteresis"
     plain = "yielding"
@@ -95,15 +95,15 @@ class Hysteresis(Effect):
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return yield displacements as parts of the amplitude, in sharp and round loops."""
+        """Return yield displacements as fractions of the amplitude, for sharp and round loops."""
         least = 0.004 if ctx.k_free else 0.05
         at = ctx.x_range * np.geomspace(least, 1.0, 12 if not ctx.k_free else 18)
         shapes = ["bw1", "bw2", "bw5", "iwan0"]
         if ctx.k_free:
-            # With nothing known of the spring, the yielding part may have a dashpot beside it.
+            # If nothing is known of the spring, the yielding part may have a parallel dashpot.
             shapes += ["bw1+", "bw2+", "iwan0+"]
         trials = [Trial((float(xy),), shape) for shape in shapes for xy in at]
-        # Springs that yield one by one, over a spread that is fitted.
+        # Springs that yield in turn, with a fitted spread.
         trials += [Trial((float(xy), s), "iwan") for s in (1.0, 0.5, 0.2) for xy in at]
         trials += [Trial((float(xy),), "mp") for xy in at[::2]]
         trials += [Trial((float(xy), *b), "kinematic") for b in BACKSTRESS for xy in at[1::3]]
@@ -113,7 +113,7 @@ class Hysteresis(Effect):
             for rate in np.array([4.0, 8.0, 20.0]) / ctx.v_range
         ]
         if not ctx.k_free:
-            # Beside a naive model two loops foretell more than one backstress fitted so closely.
+            # Without tolerances, two loops predict better than one backstress fitted this closely.
             trials += [
                 Trial((float(xy), *b, *GROWTH), "both") for b in BACKSTRESS for xy in at[1::2]
             ]
@@ -129,7 +129,7 @@ class Hysteresis(Effect):
         if trial.variant == "iwan":
             return [(least * ctx.x_range, 1.5 * ctx.x_range), (0.02, 1.0)]
         if trial.variant == "slider":
-            # Slower, friction that grows with velocity is a dashpot beside a plain one.
+            # If slower, friction that grows with velocity equals a dashpot beside plain friction.
             return [
                 (1e-4 * ctx.x_range, 0.3 * ctx.x_range),
                 (3.0 / ctx.v_range, 60.0 / ctx.v_range),
@@ -142,7 +142,7 @@ class Hysteresis(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient, 1 - alpha; with a dashpot or a second loop beside it, two."""
+        """Return one coefficient, 1 - alpha; two with a parallel dashpot or a second loop."""
         if trial.variant in ("two", "slider"):
             return ("++", (None, None)), 4
         if trial.variant in HARDENING:
@@ -152,7 +152,7 @@ class Hysteresis(Effect):
         return ("+", (None,)), 2
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the yielding part less the elastic one that it stands for."""
+        """Return the yielding part less the elastic part that it replaces."""
         xy = trial.theta[0]
         if trial.variant == "two":
             return [ctx.k_scale * plastic(ctx, "bw1", y) for y in trial.theta]
@@ -169,7 +169,7 @@ class Hysteresis(Effect):
         return [ctx.k_scale * (z if ctx.k_free else z - ctx.x)]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False where the spring after yielding would push outwards."""
+        """Return False if the spring would push outwards after yielding."""
         if trial.variant == "slider":
             return bool(0.1 * beta[0] < beta[1] <= beta[0])
         if ctx.k_free:
@@ -181,7 +181,7 @@ class Hysteresis(Effect):
         return bool(0.0 < beta[0] < 1.3)
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return yield displacement and the share of stiffness that remains."""
+        """Return yield displacement and the remaining fraction of the stiffness."""
         share = float(beta[0])
         if trial.variant == "slider":
             elastic = share / trial.theta[0]
@@ -190,12 +190,12 @@ class Hysteresis(Effect):
         return {"xy_m": trial.theta[0], "alpha": alpha}
 
     def like(self, trial: Trial) -> Trial:
-        """Return the loop whose way to slipping has the form of some bristles'."""
+        """Return the loop whose approach to slip has the form of the given bristles."""
         form = {"dahl": "bw1", "slips": "bw1"}.get(trial.variant, "iwan0")
         return Trial(trial.theta[:1], form)
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the loop by the names of those who wrote it down."""
+        """Return the loop by the names of its authors."""
         shape = trial.variant.rstrip("+")
         beside = ", with a dashpot on it" if trial.variant.endswith("+") else ""
         if shape == "two":
@@ -262,7 +262,7 @@ def _loop(k: float, xy: float, eta: float) -> core.ElementConfig:
 
 
 def _loop_part(ctx: Context) -> Floats:
-    """Return the part of the model's spring that yields, or all of an elastic one, N."""
+    """Return the yielding part of the model's spring, or all of an elastic one, N."""
     bw = ctx.model.bouc_wen
     if bw is None:
         return ctx.spring if ctx.model.k else ctx.k_scale * ctx.x
@@ -270,7 +270,7 @@ def _loop_part(ctx: Context) -> Floats:
 
 
 SLACK = (0.3, 0.6, 0.85)
-"""Parts of a loop's slope that are lost around zero, of the shapes that are tried first."""
+"""Trial fractions of a loop's slope that are lost around zero."""
 
 
 class Pinching(Effect):
@@ -293,18 +293,18 @@ class Pinching(Effect):
         return ctx.model.bouc_wen.xy if ctx.model.bouc_wen else ctx.x_range
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return widths from a thirtieth to all of the amplitude."""
+        """Return widths from a thirtieth of the amplitude to all of it."""
         if not ctx.model.k:
             return []
         at = ctx.x_range * np.geomspace(0.03, 1.0, 10)
         if not ctx.model.bouc_wen:
-            # Slack that widens with the largest displacement so far.
+            # Slackness that widens with the largest displacement so far.
             peaks = [
                 Trial((float(w),), v) for v in ("peak2", "peak4") for w in np.geomspace(0.1, 1.5, 8)
             ]
             peaks += [Trial((float(w),), "worn") for w in np.linspace(0.1, 0.9, 7)]
             return [*(Trial((float(w),), "x") for w in at), *peaks]
-        # A loop whose slope is slack does not go with the depth of that.
+        # If the slope is slack, the depth does not scale the loop.
         slopes = [Trial((float(w), depth), "slope") for depth in SLACK for w in at]
         return [*(Trial((float(w),), v) for v in ("x", "z") for w in at), *slopes]
 
@@ -321,11 +321,11 @@ class Pinching(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient: the depth, or one that is held at 1."""
+        """Return one coefficient: the depth, or one that is fixed at 1."""
         return ("+", (0.02 if trial.variant == "slope" else None,)), 2
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return what the pinched force loses per depth."""
+        """Return the loss of the pinched force per unit depth."""
         width = trial.theta[0]
         loop = _loop_part(ctx)
         bw = ctx.model.bouc_wen
@@ -341,7 +341,8 @@ class Pinching(Effect):
             )  # fmt: skip
             return [pinched - ctx.spring]
         if trial.variant == "worn":
-            # Soft within a part of the largest excursion, and closed again where that is reached.
+            # Soft within a fraction of the largest excursion, and closed again where that is
+            # reached.
             peak = np.maximum.accumulate(np.abs(ctx.x)) + 1e-9 * ctx.x_range
             lost = np.minimum(np.abs(ctx.x), (peak - np.abs(ctx.x)) * width / (1.0 - width))
             return [-ctx.model.k * np.sign(ctx.x) * lost]
@@ -351,17 +352,17 @@ class Pinching(Effect):
         return [-loop * np.exp(-((ctx.x / width) ** 2))]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False where more than all is lost."""
+        """Return False if more than everything is lost."""
         return bool(0.0 < beta[0] <= 1.2)
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return depth and width, as a part of the yield displacement or of the amplitude."""
+        """Return depth and width, relative to the yield displacement or the amplitude."""
         unit = 1.0 if trial.variant.startswith(("peak", "worn")) else self._unit(ctx)
         depth = float(beta[0]) * (trial.theta[1] if trial.variant == "slope" else 1.0)
         return {"depth": depth, "width_ratio": trial.theta[0] / unit}
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return what the force is slack over."""
+        """Return the quantity over which the force is slack."""
         return {
             "z": "slack over the loop's own force",
             "slope": "slope of the loop slack (Baber-Noori)",
@@ -370,7 +371,7 @@ class Pinching(Effect):
         }.get(trial.variant, "slack over displacement, as a part of the largest so far")
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the pinched loop instead of the model's own."""
+        """Return the pinched loop that replaces the model's own."""
         bw = ctx.model.bouc_wen
         if bw is None:
             return None
@@ -384,11 +385,11 @@ class Pinching(Effect):
 
 
 SOONEST = 0.01
-"""Path in which stiffness is lost, as part of all of it: what is lost sooner was never there."""
+"""Smallest travel in which stiffness is lost, as a fraction of the total; less looks like none."""
 
 
 class Degradation(Effect):
-    """Stiffness that is lost with the path covered."""
+    """Stiffness that is lost with cumulative displacement."""
 
     name = "degradation"
     plain = "degradation"
@@ -405,7 +406,7 @@ class Degradation(Effect):
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return travels from a fiftieth of the path to three times it."""
+        """Return travels from a fiftieth of the path to three times the path."""
         if not ctx.model.k:
             return []
         path = float(ctx.travel[-1]) or 1.0
@@ -424,12 +425,12 @@ class Degradation(Effect):
         return [(SOONEST * path, 1e3 * path)]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return what is lost per loss."""
+        """Return the lost force per unit loss."""
         part = _loop_part(ctx) if trial.variant == "loop" else ctx.spring
         return [part * np.expm1(-ctx.travel / trial.theta[0])]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False where more than all is lost."""
+        """Return False if more than everything is lost."""
         return bool(0.0 < beta[0] <= 1.2)
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
@@ -437,11 +438,11 @@ class Degradation(Effect):
         return {"loss": float(beta[0]), "travel_m": trial.theta[0]}
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return what is lost."""
+        """Return which force is reduced."""
         return "of the loop, with travel" if trial.variant == "loop" else "of all, with travel"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return a loop of the model's own spring that loses it."""
+        """Return a loop of the model's own spring that degrades."""
         bw = ctx.model.bouc_wen
         alpha, xy, n = (bw.alpha, bw.xy, bw.n) if bw else (0.0, 1e3, 1.0)
         b, c = (bw.gamma, bw.beta) if bw else (0.5, 0.5)
@@ -455,15 +456,15 @@ class Degradation(Effect):
 
 
 BELL = (0.15, 0.25)
-"""Force at which cracks slip most, and the bell's width, over the strength."""
+"""Force at which cracks slip most, and the width of the bell, relative to the strength."""
 CYCLES = 12.5
-"""Full cycles in whose work the losses with energy are counted."""
+"""Number of full cycles whose work is the unit for energy-related loss."""
 
 
 class WornColumn(Effect):
-    """A reinforced concrete column: yielding, pinching and degradation are one law there.
+    """A reinforced concrete column, for which yielding, pinching and degradation are one law.
 
-    Unloading softens with the largest displacement, strength falls with it and with the work done,
+    Unloading softens with the largest displacement, strength decreases with displacement and work,
     and cracks slip before they close.
     """
 
@@ -489,9 +490,10 @@ class WornColumn(Effect):
         return ("degradation", "hysteresis", "pinching")
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return columns that yield early and late, wear much and little; none beside a known k.
+        """Return columns with early or late yielding and slight or strong degradation.
 
-        Variant "slack" has the losses of unloading and slip alone, "worn" all of them.
+        None if k is known. Variant "slack" has only the loss of unloading stiffness and slip,
+        "worn" all losses.
         """
         if not ctx.k_free:
             return []
@@ -508,7 +510,7 @@ class WornColumn(Effect):
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep yielding within the motion and all shares below one."""
+        """Keep yielding within the motion and all fractions below one."""
         ends = [
             (0.02 * ctx.x_range, 0.9 * ctx.x_range), (0.05, 200.0), (1e-3, 0.5), (1.0, 10.0),
             (1e-3, 0.9), (1e-3, 0.9), (0.02, 0.9), (0.05, 1.0),
@@ -518,7 +520,7 @@ class WornColumn(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient, the stiffness, and what shapes the loop."""
+        """Return one coefficient, the stiffness, and the parameters of the loop."""
         return ("+", (None,)), 1 + len(trial.theta)
 
     @staticmethod
@@ -526,7 +528,7 @@ class WornColumn(Effect):
         return (*trial.theta, 1.0, 0.0, 0.0, *BELL) if len(trial.theta) == 3 else trial.theta
 
     def _element(self, ctx: Context, trial: Trial, k: float, xy: float) -> core.ElementConfig:
-        """Return the column with the yield displacement in a unit of one's own."""
+        """Return the column with the yield displacement scaled to the motion."""
         per = xy / trial.theta[0]
         _, pivot, slip, eta, amplitude, energy, level, width = self._whole(trial)
         reach = ctx.x_range * per
@@ -538,13 +540,13 @@ class WornColumn(Effect):
         )  # fmt: skip
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the loop's force per share of the stiffness."""
+        """Return the loop's force per unit of relative stiffness."""
         xy = trial.theta[0]
         column = core.Element(self._element(ctx, trial, 1.0, 1.0))
         return [ctx.k_scale * xy * column.run(ctx.x / xy)]
 
     def _worn(self, ctx: Context, trial: Trial) -> tuple[float, float]:
-        """Return the slack in the bell's middle and the share lost, at the largest displacement."""
+        """Return the slack at the centre of the bell and the loss, at the largest displacement."""
         xy, pivot, slip, _, amplitude, _, _, width = self._whole(trial)
         beyond = ctx.x_range / xy - 1.0
         left = (1.0 + pivot) / (1.0 + beyond + pivot)
@@ -553,11 +555,11 @@ class WornColumn(Effect):
         return float(1.0 - 1.0 / (1.0 + left * bell)), float(1.0 - strength * left)
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False where it neither pinches nor wears: then it is a plain loop."""
+        """Return False if it neither pinches nor degrades: then it is a plain loop."""
         return min(self._worn(ctx, trial)) > POLICY.seen_wear
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the loop, its slack, and what stiffness and strength have lost in the end."""
+        """Return the loop, its slack, and the final losses of stiffness and strength."""
         slack, lost = self._worn(ctx, trial)
         return {
             "xy_m": trial.theta[0],
@@ -569,7 +571,7 @@ class WornColumn(Effect):
         }
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the law by those who wrote it down."""
+        """Return the law by the names of its authors."""
         return "reinforced concrete column (Sivaselvan-Reinhorn, Park-Ang)"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:

@@ -1,4 +1,4 @@
-"""Effects of mass: moving parts that the model forgot, and parts that ride on the specimen."""
+"""Effects of mass: moving parts missing from the model, and parts attached to the specimen."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 
 
 class Inertia(Effect):
-    """Moving mass between load cell and specimen that the model does not have."""
+    """Moving mass between load cell and specimen that the model lacks."""
 
     name = "inertia"
     plain = "a moving mass"
@@ -29,7 +29,7 @@ class Inertia(Effect):
         return [ctx.a]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False where less than half of the known mass would be left."""
+        """Return False if less than half of the known mass would remain."""
         whole = ctx.model.moving_mass + ctx.model.mass
         return bool(beta[0] > -0.5 * whole) or whole == 0.0 or ctx.k_free
 
@@ -38,12 +38,12 @@ class Inertia(Effect):
         return float(beta[0])
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element; a mass to be taken off has none."""
+        """Return the element; a mass to be subtracted has none."""
         return [core.element("inertia", m_kg=float(beta[0]))] if beta[0] >= 0 else None
 
 
 def _from_velocity(v: Floats, dt: float) -> Floats:
-    """Return the acceleration to a velocity of shape (n,), (n,): five rows, right to (w dt)^4 / 30.
+    """Return the acceleration for a velocity of shape (n,), (n,): five rows, error (w dt)^4 / 30.
 
     Three rows at the ends.
     """
@@ -54,7 +54,7 @@ def _from_velocity(v: Floats, dt: float) -> Floats:
 
 
 class SecondMode(Effect):
-    """A mass on a spring that rides on the specimen."""
+    """A mass attached to the specimen by a spring."""
 
     name = "second_mode"
     plain = "a second mass on a spring"
@@ -66,16 +66,16 @@ class SecondMode(Effect):
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return frequencies to a fifth of the sampling rate, with light and heavier damping."""
+        """Return frequencies up to a fifth of the sampling rate, with light and heavier damping."""
         top = min(0.12 * ctx.model.fs_hz, 60.0)
         return [
             Trial((float(f), z)) for f in np.geomspace(0.6, top, 22) for z in (0.01, 0.03, 0.08)
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep frequency and damping near the trial's: response is a peak.
+        """Keep frequency and damping near the trial's: its response is a peak.
 
-        A mode with fewer than four rows to its period is a mass to those rows.
+        A mode with fewer than four rows per period acts as a mass.
         """
         f, most = trial.theta[0], 0.25 * ctx.model.fs_hz
         return [(max(min(f, most) / 1.4, 0.05), min(f * 1.4, most)), (1e-3, 0.4)]
@@ -83,14 +83,14 @@ class SecondMode(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Count the damping as fitted too."""
+        """Count the damping as fitted, too."""
         return ("+", (None,)), 3
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force per kg.
 
-        It answers to the acceleration over a row, not to that of the moment: a fast actuator has a
-        peak of it behind each corner of its command, of which the rows see any part.
+        It responds to the acceleration averaged over a row, not to the instantaneous one: a fast
+        actuator has a peak of it after each corner of its command, which the rows sample at random.
         """
         f, zeta = trial.theta
         mass = core.Element(core.element("second_mode", m2_kg=1.0, f2_hz=f, zeta2=zeta))

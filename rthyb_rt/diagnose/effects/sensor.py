@@ -1,4 +1,4 @@
-"""Effects of the load cell and its amplifier: the specimen does not feel them."""
+"""Effects of the load cell and its amplifier, which the specimen does not feel."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ SKEW_TOLERANCE_S = 1e-4
 
 
 def shifted(signal: Floats, rows: float) -> Floats:
-    """Return a signal late by a number of rows that need not be whole, by a cubic through four."""
+    """Return a signal delayed by a possibly fractional number of rows, by a cubic through four."""
     whole = int(np.floor(rows))
     u = rows - whole
     at = np.arange(signal.size) - whole
@@ -34,10 +34,10 @@ def shifted(signal: Floats, rows: float) -> Floats:
 
 
 def standing_out(force: Floats, noise: float, dt: float) -> Floats:
-    """Return a force up to twice the frequency at which it stands out of white noise, (n,), N.
+    """Return a force up to twice the frequency up to which it is above white noise, (n,), N.
 
     In a closed loop the load cell's noise moves the specimen a moment later. That motion is far
-    below the noise, but a force shifted ahead of the displacement would find the noise in it.
+    below the noise, but a force shifted ahead of the displacement would correlate with it.
 
     Args:
         force: (n,), N.
@@ -49,7 +49,7 @@ def standing_out(force: Floats, noise: float, dt: float) -> Floats:
 
 
 def _loudest_hz(force: Floats, noise: float, dt: float) -> float | None:
-    """Return twice the frequency up to which a force stands out of white noise; None: nowhere."""
+    """Return twice the frequency up to which a force is above white noise; None: nowhere."""
     spectrum, f, size = _faded(force, dt)
     hertz = np.floor(f).astype(np.int64)
     power = np.bincount(hertz, np.abs(spectrum) ** 2) / np.bincount(hertz)
@@ -70,9 +70,9 @@ def _fade(force: Floats, dt: float) -> int:
 
 
 def _faded(force: Floats, dt: float, size: int = 0) -> tuple[NDArray[np.complex128], Floats, int]:
-    """Return a spectrum with both ends faded in and out, its frequencies, and how many rows.
+    """Return a spectrum with both ends faded, its frequencies, and the number of rows.
 
-    Of ``size`` rows, those beyond the fading nothing; 0: of no more than there are.
+    ``size``: number of rows, zero-padded; 0: as many as there are with the fading.
     """
     pad = _fade(force, dt)
     fade = np.sin(0.5 * np.pi * np.arange(pad) / max(pad, 1)) ** 2
@@ -87,7 +87,7 @@ def _part(some: Floats, whole: Floats) -> float:
 
 
 class Bias(Effect):
-    """A load cell that reads force at rest."""
+    """A load cell with a force reading at rest."""
 
     name = "bias"
     plain = "an offset of the load cell"
@@ -108,7 +108,7 @@ class Bias(Effect):
 
 
 class Drift(Effect):
-    """A load cell that wanders."""
+    """A load cell with drift."""
 
     name = "drift"
     plain = "a drift of the load cell"
@@ -128,12 +128,12 @@ class Drift(Effect):
         return [ctx.t - ctx.t[0]]
 
     def begun(self, ctx: Context, columns: list[Floats], t0: float) -> list[Floats]:
-        """Return time since it began: it grows from nothing."""
+        """Return time since the onset, from zero."""
         return [np.maximum(ctx.t - t0, 0.0)]
 
 
 class Hum(Effect):
-    """Mains or a pump in the load cell's signal."""
+    """Hum of the mains or of a pump in the load cell's signal."""
 
     name = "hum"
     plain = "hum in the load cell"
@@ -147,7 +147,7 @@ class Hum(Effect):
     signs = "**"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return the strongest lines of what the model does not give, away from the motion."""
+        """Return the strongest lines that the model does not explain, away from the motion."""
         rest = ctx.force - ctx.total
         rest = rest - rest.mean()
         taper = np.hanning(rest.size)
@@ -177,7 +177,7 @@ class Hum(Effect):
         return found
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep the line within a bin of where it was seen."""
+        """Keep the line within one bin of its initial frequency."""
         f = trial.theta[0]
         width = 1.0 / (ctx.t[-1] - ctx.t[0])
         return [(max(f - width, 1e-3), f + width)]
@@ -199,11 +199,11 @@ class Hum(Effect):
 
 
 FORCES = 128
-"""Forces whose slow part is kept."""
+"""Number of forces whose slow part is cached."""
 
 
 class _Heard:
-    """What of the forces in a closed loop stands out of the noise that moves the specimen.
+    """The part of a closed loop's forces that is above the noise that moves the specimen.
 
     A search shifts the same few forces again and again.
     """
@@ -225,7 +225,7 @@ class _Heard:
         key = force.tobytes()
         if key not in self.known:
             slow = _up_to(self.cut, force, self.ctx.dt)
-            # What changes more abruptly than by the noise that moves all is a law's own.
+            # A change more abrupt than this noise belongs to the law itself.
             abrupt = _part(force - slow, force) > POLICY.abrupt_force * self.noisy
             self.known[key] = None if abrupt else slow
             if len(self.known) > FORCES:
@@ -235,9 +235,9 @@ class _Heard:
 
 
 class TimeSkew(Effect):
-    """The load cell's rows belong to another instant than the displacement's.
+    """A time offset between the load cell's rows and those of the displacement.
 
-    That holds for the forces of all effects on the specimen as for the model's.
+    It applies to the forces of all effects on the specimen as well as to the model's.
     """
 
     name = "time_skew"
@@ -256,22 +256,23 @@ class TimeSkew(Effect):
     _kept: _Heard | None = None
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return skews to either side."""
+        """Return skews in both directions."""
         steps = np.array([0.15, 0.3, 0.6, 1.0, 1.6, 2.5, 4.0, 6.0, 9.0, 13.0, 20.0]) * 1e-3
         skews = [float(sign * s) for s in steps for sign in (1.0, -1.0)]
         return [Trial((s,)) for s in skews if s > -self._most_early(ctx)]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep a cell of a closed loop from being early by what its noise takes to come round."""
+        """In a closed loop, limit the lead of the cell to the time in which its noise returns."""
         (low, high), early = super().limits(ctx, trial)[0], self._most_early(ctx)
         return [(low, high if trial.theta[0] > 0.0 else max(min(high, early), low))]
 
     @staticmethod
     def _most_early(ctx: Context) -> float:
-        """Return how far the cell may be ahead of the displacement, s.
+        """Return the largest lead of the cell over the displacement, s.
 
-        What it reads, noise and all, moves a closed loop's specimen a row and the actuator's delay
-        later: ahead by as much, a reading is found again in the motion, whoever is early.
+        The reading with its noise moves the specimen of a closed loop one row and the actuator's
+        delay
+        later: with a lead of this size, the reading matches the motion regardless of a real lead.
         """
         lag = ctx.model.actuator
         return lag.delay_s + ctx.dt if ctx.model.family == "loop" and lag else np.inf
@@ -279,7 +280,7 @@ class TimeSkew(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return a coefficient that is held at 1."""
+        """Return a coefficient that is fixed at 1."""
         return ("+", (0.02,)), 1
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -287,7 +288,7 @@ class TimeSkew(Effect):
         return [self.carried(ctx, trial, ctx.total) - ctx.total]
 
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
-        """Return a force late; of a closed loop only what stands out of the noise it hears."""
+        """Return a force delayed; in a closed loop only the part above the fed-back noise."""
         slow = force
         if ctx.model.family == "loop" and ctx.model.f_std:
             kept = self._kept
@@ -302,27 +303,27 @@ class TimeSkew(Effect):
 
 
 BAND = 0.8
-"""Part of a signal's power that lies below where its band is taken to end."""
+"""Fraction of a signal's power that lies below the upper end of its band."""
 BEYOND = (8.0, 16.0)
-"""Times that frequency between which a force with a band is nothing but its cell's noise."""
+"""Multiples of that frequency between which a force with a band contains only sensor noise."""
 
 
 def _expected(ctx: Context) -> Floats:
-    """Return the orthogonal force that is to be expected behind its noisy reading, (n,), N.
+    """Return the expected orthogonal force given its noisy reading, (n,), N.
 
-    The noise of a regressor bends its coefficient towards zero and goes into what is left. With the
-    expected value in its place (Wiener's, in the band where the reading stands out of its noise)
-    it does neither: regression calibration, Carroll, Ruppert, Stefanski and Crainiceanu,
-    Measurement Error in Nonlinear Models (2006), chapter 4.
+    Noise in a regressor biases its coefficient towards zero and enters the residual. Replacing it
+    by its expected value (Wiener's, in the band in which the reading is above its noise) avoids
+    both: regression calibration, Carroll, Ruppert, Stefanski and Crainiceanu, Measurement Error in
+    Nonlinear Models (2006), chapter 4.
     """
     reading = ctx.other["fy_meas"]
     return estimate.quiet(reading, 1.0 / ctx.dt, _noise(reading, ctx.dt))
 
 
 def _noise(signal: Floats, dt: float) -> float:
-    """Return the standard deviation of white noise as loud as a signal's is next to its band.
+    """Return the standard deviation of white noise at the level that a signal has near its band.
 
-    Noise that is louder there than at the top of the band counts as what it is there.
+    If the noise is higher there than at the top of the spectrum, that level is used.
     """
     white = estimate.white_noise(signal)
     power = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(signal.size))) ** 2
@@ -332,12 +333,12 @@ def _noise(signal: Floats, dt: float) -> float:
     beside = power[(f > BEYOND[0] * end) & (f < BEYOND[1] * end)]
     if BEYOND[1] * end > f[-1] or not beside.size:
         return white
-    # The window takes three eighths of the power of white noise.
+    # A Hann window reduces the power of white noise to three eighths.
     return max(white, float(np.sqrt(np.mean(beside) / (0.375 * signal.size))))
 
 
 class Crosstalk(Effect):
-    """A load cell that feels the force in the orthogonal direction."""
+    """A load cell that responds to force in the orthogonal direction."""
 
     name = "crosstalk"
     plain = "crosstalk from the other direction"
@@ -352,7 +353,7 @@ class Crosstalk(Effect):
     _kept: tuple[Context, Floats] | None = None
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return one trial where the orthogonal force was recorded."""
+        """Return one trial if the orthogonal force was recorded."""
         return [Trial()] if "fy_meas" in ctx.other else []
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
@@ -364,7 +365,7 @@ class Crosstalk(Effect):
 
 
 class Quantisation(Effect):
-    """A coarse load cell. Read off its readings themselves, so that it is no law of a search."""
+    """A coarse load cell. Determined from its readings directly, so it is not part of a search."""
 
     name = "quantisation"
     plain = "a load cell with coarse resolution"

@@ -18,11 +18,11 @@ AMPLITUDES = (
 
 
 class Stiffness(Effect):
-    """Stiffness error, P-delta, force gain, flexible fixture: one thing while linear.
+    """Stiffness error, P-delta, force gain, flexible fixture: equivalent while linear.
 
-    Variant "gain" is a load cell's or an amplifier's, which shows damping and inertia larger too.
-    Of a specimen that yields the error is that of its whole loop; variant "beside" is a spring
-    beside the loop that does not yield with it, such as P-delta.
+    Variant "gain" is a gain error of load cell or amplifier, which also scales damping and inertia.
+    For a yielding specimen, the error applies to its whole loop; variant "beside" is a spring
+    parallel to the loop that does not yield with it, such as P-delta.
     """
 
     name = "stiffness"
@@ -37,18 +37,18 @@ class Stiffness(Effect):
     shown_by = ("sweep", "the force of a spring does not depend on frequency, that of a mass does")
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return one trial where there is a spring, another one where it yields."""
+        """Return one trial if there is a spring, and another if it yields."""
         beside = [Trial((), "beside")] if ctx.model.bouc_wen else []
         return [Trial(), *beside] if ctx.model.k else []
 
     def forms_begun(self, ctx: Context, trial: Trial) -> Sequence[Trial]:
-        """Return a gain as well: specimens seldom change at once in mid-test, amplifiers do."""
+        """Return a gain as well: specimens seldom change suddenly in mid-test, amplifiers do."""
         model = ctx.model
         gain = model.family in ("drive", "loop") and bool(model.c or model.moving_mass)
         return [trial, Trial((), "gain")] if gain else [trial]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the model's own restoring force, all of its force, or that of a spring beside."""
+        """Return the model's restoring force, its entire force, or that of a parallel spring."""
         if trial.variant == "gain":
             return [ctx.total]
         if trial.variant == "beside":
@@ -64,15 +64,15 @@ class Stiffness(Effect):
         return forms.get(trial.variant, "f = dk_ratio k x")
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False where nothing would be left of the spring."""
+        """Return False if nothing would remain of the spring."""
         return bool(beta[0] > -1.0) or not ctx.model.k
 
     def of_loop(self, ctx: Context, trial: Trial, beta: Floats) -> float:
-        """Return the error of the stiffness: a loop is as stiff as its spring, whatever it does."""
+        """Return the stiffness error: the initial stiffness of a loop is that of its spring."""
         return float(beta[0]) if ctx.model.bouc_wen and not trial.variant else 0.0
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return a spring, negative where the model has too much; of a gain all that it shows."""
+        """Return a spring, negative if the model is too stiff; for a gain, all its forces."""
         share, model = float(beta[0]), ctx.model
         if trial.variant == "beside":
             return [core.element("stiffness", k_n_per_m=share * model.k)]
@@ -93,8 +93,9 @@ class Stiffness(Effect):
 class Cubic(Effect):
     """Hardening or softening spring.
 
-    Variant "sine" is a pendulum's, of which x^3 is the first term: its force is that of a spring at
-    small amplitude, and k3 = -k / (6 L^2). Variant "power" has another exponent than three.
+    Variant "sine" is a pendulum, with x^3 as the first term of its series: its force is that of a
+    spring at small amplitude, and k3 = -k / (6 L^2). Variant "power" has an exponent other than
+    three.
     """
 
     name = "cubic"
@@ -110,7 +111,7 @@ class Cubic(Effect):
     shown_by = AMPLITUDES
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return the cubic, and pendulums that swing far enough to be told from it."""
+        """Return the cubic, and pendulums whose swing is large enough to distinguish them."""
         lengths = ctx.x_range * np.array([0.4, 0.55, 0.75, 1.0, 1.4])
         return [
             Trial(),
@@ -119,7 +120,7 @@ class Cubic(Effect):
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep the swing between half a right angle and one that turns over."""
+        """Keep the swing between half a right angle and overturning."""
         if trial.variant == "power":
             return [(1.3, 2.8) if trial.theta[0] < 3.0 else (3.2, 7.0)]
         return [(0.32 * ctx.x_range, 1.6 * ctx.x_range)] if trial.variant else []
@@ -131,7 +132,7 @@ class Cubic(Effect):
         return (("+" if trial.variant == "sine" else "*"), (None,)), 1 + len(trial.theta)
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return x^3, or what a pendulum has less than its spring."""
+        """Return x^3, or the difference between a pendulum and its spring."""
         if trial.variant == "power":
             return [ctx.k_scale * ctx.x * np.abs(ctx.x / ctx.x_range) ** (trial.theta[0] - 1.0)]
         if trial.variant:
@@ -140,7 +141,7 @@ class Cubic(Effect):
         return [ctx.x**3]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the coefficient of x^3: of a pendulum its series', of a power the nearest."""
+        """Return the coefficient of x^3: a pendulum's from its series, a power's the nearest."""
         if trial.variant == "power":
             nearest = 7.0 / (trial.theta[0] + 4.0) / ctx.x_range**2
             return {"k3_N_m3": float(beta[0]) * ctx.k_scale * nearest}
@@ -155,7 +156,7 @@ class Cubic(Effect):
         return "pendulum, sin(x / L)" if trial.variant else "k3 x^3"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element; a pendulum takes the place of a spring."""
+        """Return the element; a pendulum replaces a spring."""
         if not trial.variant:
             return [core.element("cubic", k3_n_per_m3=float(beta[0]))]
         if trial.variant == "power":
@@ -174,14 +175,14 @@ class Cubic(Effect):
 
 
 RISES = ("exponential", "exponential down")
-"""Exponential springs, which stiffen towards positive and towards negative displacement."""
+"""Exponential springs, which stiffen for positive and for negative displacement."""
 
 
 class Quadratic(Effect):
     """A spring that differs between push and pull.
 
-    Variants "exponential": one whose stiffness grows with exp(x / L) to one side, as that of rubber
-    and soil, of which k2 x^2 is the first term.
+    Variants "exponential": the stiffness grows with exp(x / L) in one direction, as for rubber and
+    soil; k2 x^2 is the first term of the series.
     """
 
     name = "quadratic"
@@ -195,26 +196,26 @@ class Quadratic(Effect):
     shown_by = AMPLITUDES
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return the parabola, and springs that stiffen to either side of it."""
+        """Return the parabola, and springs that stiffen in either direction."""
         lengths = ctx.x_range * np.array([2.0, 5.0, 12.0])
         return [Trial(), *(Trial((float(size),), to) for to in RISES for size in lengths)]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep the length between what a cubic beside it follows and what is a parabola."""
+        """Keep the length between what a cubic can also describe and what is a parabola."""
         return [(1.5 * ctx.x_range, 30.0 * ctx.x_range)] if trial.variant else []
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient; an exponential spring stiffens, to the side that it is of."""
+        """Return one coefficient; an exponential spring stiffens, in its own direction."""
         return (("+" if trial.variant else "*"), (None,)), 1 + len(trial.theta)
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return x^2, or what an exponential spring has more than its stiffness at zero."""
+        """Return x^2, or the difference between an exponential spring and its initial stiffness."""
         return [_exponential(ctx.x, trial) if trial.variant else ctx.x**2]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the coefficient of x^2: of an exponential spring its series'."""
+        """Return the coefficient of x^2; for an exponential spring, that of its series."""
         return {"k2_N_m2": -float(beta[0]) if trial.variant == RISES[1] else float(beta[0])}
 
     def form(self, ctx: Context, trial: Trial) -> str:
@@ -225,7 +226,7 @@ class Quadratic(Effect):
         return f"exponential, exp({way}x / {trial.theta[0]:.3g} m)"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element; of an exponential spring the polynomial that is it in the motion."""
+        """Return the element; for an exponential spring, the polynomial that equals it here."""
         if not trial.variant:
             return [core.element("quadratic", k2_n_per_m2=float(beta[0]))]
         unit = np.linspace(-1.0, 1.0, 201)
@@ -239,35 +240,35 @@ class Quadratic(Effect):
 
 
 def _exponential(x: Floats, trial: Trial) -> Floats:
-    """Return an exponential spring's force beyond its stiffness at zero for abs(k2) = 1, (n,)."""
+    """Return an exponential spring's force less its initial stiffness for abs(k2) = 1, (n,)."""
     way = 1.0 if trial.variant == RISES[0] else -1.0
     over = way * x / trial.theta[0]
     return np.asarray(way * 2.0 * trial.theta[0] ** 2 * (np.expm1(over) - over))
 
 
 PARTS = 8
-"""Springs that stand for a contact that spreads, where a rig file is to hold it."""
+"""Number of springs that represent a distributed contact in a rig file."""
 
 
 def met(depth: Floats, width: float) -> Floats:
-    """Return how deep a contact is met whose clearance is spread evenly by +-width, (n,), m.
+    """Return the depth of a contact whose clearance is distributed evenly by +-width, (n,), m.
 
-    Surfaces that are not parallel touch at one end first: what is seen is the mean over the
-    clearances, a parabola between none and all of them.
+    Surfaces that are not parallel touch at one end first: the result is the mean over the
+    clearances, a parabola between no contact and full contact.
     """
     within = (depth + width) ** 2 / (4.0 * width)
     return np.where(depth < -width, 0.0, np.where(depth < width, within, depth))
 
 
 def spread(middle: float, width: float) -> Floats:
-    """Return clearances that stand for such a contact, (`PARTS`,), m."""
+    """Return clearances that represent such a contact, (`PARTS`,), m."""
     return middle + width * (2.0 * (np.arange(PARTS) + 0.5) / PARTS - 1.0)
 
 
 class Gap(Effect):
     """Backlash or dead band in the specimen's connection.
 
-    The dead band of variant "spread" ends earlier in one place than in another.
+    In variant "spread", the dead band does not end at the same displacement everywhere.
     """
 
     name = "gap"
@@ -283,7 +284,7 @@ class Gap(Effect):
     pinned = (0.03,)
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return gaps from thousandths to most of the amplitude."""
+        """Return gaps from thousandths of the amplitude to most of it."""
         if not ctx.model.k:
             return []
         gaps = ctx.x_range * np.geomspace(2e-3, 0.8, 14)
@@ -300,17 +301,17 @@ class Gap(Effect):
         ]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Refuse a gap in less than half of a stated spring: that is a softer one, and a stop."""
+        """Reject a gap in less than half of a stated spring: that is a softer spring and a stop."""
         return ctx.model.k_tol is None or bool(beta[0] > POLICY.gap_in_spring)
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Leave the coefficient free where the stiffness is."""
+        """Leave the coefficient free if the stiffness is."""
         return ("+", (ctx.model.k_tol,)), len(trial.theta)
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return what the spring loses."""
+        """Return the force that the spring loses."""
         half = trial.theta[0]
         if trial.variant == "spread":
             width = trial.theta[1]
@@ -322,7 +323,7 @@ class Gap(Effect):
         return [ctx.model.spring(moved) - ctx.spring if ctx.model.k else moved - ctx.x]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the gap; half its width where the sides differ."""
+        """Return the gap; half its width if the two sides differ."""
         ends = trial.theta[:1] if trial.variant == "spread" else trial.theta
         return {"gap_m": float(np.mean(ends))}
 
@@ -338,7 +339,7 @@ class Gap(Effect):
         return "play, the spring behind +-gap"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return a spring behind the gap instead of the model's own; play has no element."""
+        """Return a spring behind the gap to replace the model's own; play has no element."""
         k = float(beta[0]) * ctx.model.k
         if ctx.model.bouc_wen or k <= 0 or trial.variant == "play":
             return None
@@ -360,7 +361,7 @@ class Gap(Effect):
 
 
 class Stopper(Effect):
-    """A stop that is met beyond a displacement; in variant "spread" in one place before another."""
+    """A stop beyond a displacement; in variant "spread" not at the same one everywhere."""
 
     name = "stopper"
     plain = "a stop"
@@ -383,7 +384,7 @@ class Stopper(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Count the width over which it is met."""
+        """Count the width over which contact is made."""
         return ("+", (None,)), 1 + len(trial.theta)
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
@@ -392,7 +393,7 @@ class Stopper(Effect):
         return [(0.1 * ctx.x_range, 0.999 * ctx.x_range), *width]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the depth beyond the stop."""
+        """Return the penetration of the stop."""
         xs = trial.theta[0]
         if trial.variant == "spread":
             return [met(ctx.x - xs, trial.theta[1]) - met(-ctx.x - xs, trial.theta[1])]
