@@ -1,9 +1,9 @@
-"""Which set of effects is named: rules over evidence, which never see the recording itself.
+"""Which set of effects is named: rules on evidence, independent of the recording itself.
 
-What `evidence` gathers of each set stands in `Hypothesis`, of the recording in `Setting`. Some of
-it costs a fit or a simulation and is asked for few sets: where a rule needs what is not known yet,
-the answer is a `Need`, whoever asked gathers that and asks again. The same evidence has the same
-answer, in whatever order it comes, and each rule says in the ledger what it has done.
+`evidence` gathers what is known of each set into `Hypothesis`, and of the recording into `Setting`.
+Some evidence requires a fit or a simulation and is gathered for few sets only: if a rule needs
+more, `choose` returns a `Need`; the caller gathers it and calls again. The same evidence gives the
+same answer, in whatever order it is gathered, and each rule records in the ledger what it has done.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rthyb_rt.diagnose.effects import Effect
 from rthyb_rt.diagnose.policy import Policy, of_size
 
 CLOSER = 3
-"""Sets, best first, whose bristles are tried as yielding."""
+"""Number of sets, best first, for which yielding is tried in place of bristles."""
 What = Literal[
     "part", "yielding", "beyond forms", "drift", "driven", "size", "held out", "zero"
 ]  # fmt: skip
@@ -33,12 +33,12 @@ class Part:
     """One effect of a set.
 
     Attributes:
-        name: of its law.
-        names: in the answer.
-        price, count: what it has to earn, in chi-squared, and its parameters.
-        late: it begins in mid-record.
-        stated: it only moves a stated number.
-        sensor, carries, dissipates: as its law declares.
+        name: name of its law.
+        names: names in the answer.
+        price, count: what it must earn, in chi-squared, and its number of parameters.
+        late: it begins in mid-recording.
+        stated: it only changes a stated value.
+        sensor, carries, dissipates: as declared by its law.
     """
 
     name: str
@@ -54,15 +54,15 @@ class Part:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects, and what is known of it at once.
+    """A set of effects, with the evidence that is always available.
 
     Attributes:
-        parts: its effects; none: the model alone, its stated numbers within their tolerance.
-        chi2: what it leaves, in units of the noise, and what its priors cost.
-        bent: effects in whose place it moves a stated number out of its tolerance.
-        offset_sd: the time offset that it takes, in standard deviations of its tolerance.
-        held_n_per_m, lost_n_per_m: stiffness of its bristles, and what its spring lacks.
-        relaxes_rad: longest time of relaxation, times the motion's angular frequency; 0: none.
+        parts: its effects; none: the model alone, with stated values within tolerance.
+        chi2: residual in units of the noise, including the cost of its priors.
+        bent: effects that it replaces by moving a stated value out of its tolerance.
+        offset_sd: fitted time offset, in standard deviations of its tolerance.
+        held_n_per_m, lost_n_per_m: stiffness of its bristles, and loss of its spring.
+        relaxes_rad: longest relaxation time times the motion's angular frequency; 0: none.
     """
 
     parts: tuple[Part, ...]
@@ -80,42 +80,42 @@ class Hypothesis:
 
     @property
     def price(self) -> float:
-        """What it has to earn."""
+        """What it must earn."""
         return sum(p.price for p in self.parts)
 
     @property
     def count(self) -> int:
-        """Parameters."""
+        """Number of parameters."""
         return sum(p.count for p in self.parts)
 
     @cached_property
     def score(self) -> float:
-        """Chi-squared and price: less is better."""
+        """Chi-squared plus price: less is better."""
         return self.chi2 + self.price
 
     @property
     def late(self) -> bool:
-        """Whether one of its effects begins in mid-record."""
+        """Whether one of its effects begins in mid-recording."""
         return any(p.late for p in self.parts)
 
     def without(self, which: int) -> tuple[str, ...]:
-        """Return its names less one effect's."""
+        """Return its names without those of one effect."""
         rest = (p for i, p in enumerate(self.parts) if i != which)
         return tuple(sorted(n for p in rest for n in p.names))
 
 
 @dataclass(frozen=True)
 class Laws:
-    """What laws declare of one another, by name.
+    """What laws declare about one another, by name.
 
     Attributes:
-        plainer: richer dry friction, with the law that it goes over into.
-        relaxing: what relaxes, with what it is where that is over at once.
-        slow_as: what a slow motion does not tell from a plainer law, with that.
-        also: what is another law by name beside a spring of free stiffness, with that.
-        sliders: sliders in a row, of which any number is a form of one.
-        wanders, zeros: zeros of the load cell that do not stay, and that do.
-        stiffness: what moves the model's stiffness.
+        plainer: friction laws, with the simpler law that each contains as a special case.
+        relaxing: laws with relaxation, with their equivalent for a negligible relaxation time.
+        slow_as: laws that slow motion cannot distinguish from a simpler law, with that law.
+        also: laws equivalent to another law in parallel with a free spring, with that law.
+        sliders: sliders in series, any number of which is a form of the same effect.
+        wanders, zeros: zeros of the load cell that change with time, and constant ones.
+        stiffness: effects that change the model's stiffness.
     """
 
     plainer: Mapping[str, str]
@@ -148,15 +148,15 @@ class Setting:
     """What is the same for all sets of a recording.
 
     Attributes:
-        rows: independent rows that are judged.
-        judged: the "force" along a motion, the "motion" that each set simulates, or the "rig".
+        rows: number of independent rows evaluated.
+        judged: "force" along a motion, "motion" simulated with each set, or "rig".
         naive: whether the model states no tolerance of its stiffness.
-        exact: whether the motion is known without the noise of an estimate.
-        swings: whether it is the free decay of a naive model, see `decay`.
-        k_free: whether the stiffness is refitted beside each set.
+        exact: whether the motion is free of estimation noise.
+        swings: whether it is a free decay and the model is naive, see `decay`.
+        k_free: whether the stiffness is refitted with each set.
         k_sigma_n_per_m: standard deviation of the stated stiffness.
-        returns: whether the noise of the load cell moves the specimen: a closed loop.
-        witnessed: whether an accelerometer shows what the load cell does, see `redundant`.
+        returns: whether the load cell's noise moves the specimen: a closed loop.
+        witnessed: whether an accelerometer verifies the load cell, see `redundant`.
     """
 
     laws: Laws
@@ -173,12 +173,12 @@ class Setting:
 
 @dataclass(frozen=True)
 class Drift:
-    """A drift by the two halves of a recording.
+    """A drift in the two halves of a recording.
 
     Attributes:
-        whole: its rate, of any unit.
-        within: the same by the slopes within each half, whatever level it has there.
-        sigma: standard deviation of that.
+        whole: its rate, in any unit.
+        within: its rate from the slopes within each half, with separate offsets.
+        sigma: standard deviation of ``within``.
     """
 
     whole: float
@@ -188,20 +188,20 @@ class Drift:
 
 @dataclass(frozen=True)
 class Need:
-    """Evidence that a rule asks for and that is not known yet.
+    """Evidence that a rule requires and that is not yet known.
 
     Attributes:
-        what: "part", the set of some of its effects, as they are in it (Hypothesis, None where that
-            is no physical law); "yielding", the set with yielding in the place of its bristles
-            (the same); "beyond forms", what an effect of the load cell earns beside its other laws
-            in any smooth form (chi-squared); "drift", its drift by halves (`Drift`); "driven",
-            what each effect earns by the motion that a test makes (chi-squared, a number for each;
-            none where nothing moves); "size", of its
-            force as a part of the recorded one; "held out", the part of its gain that is there on
-            rows that it was not fitted to; "zero", how far a constant force moves a free body, in
-            standard deviations of the displacement's noise by its data sheet.
-        of: of which set.
-        which: of which of its effects.
+        what: "part", the set of some of its effects, as they are in it (Hypothesis, None if it
+            is not a physical law); "yielding", the set with yielding in place of its bristles
+            (likewise); "beyond forms", what an effect of the load cell earns if its other laws
+            may take any smooth form (chi-squared); "drift", its drift by halves (`Drift`);
+            "driven", what each effect earns by the motion that the test imposes (chi-squared, a
+            number for each; empty if nothing moves); "size", its force relative to the recorded
+            force; "held out", the fraction of its gain that is confirmed on rows to which it was
+            not fitted; "zero", how far a constant force moves a free body, in standard deviations
+            of the displacement noise in its data sheet.
+        of: the set.
+        which: indices of the effects concerned.
     """
 
     what: What
@@ -211,13 +211,13 @@ class Need:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that is known when a set is to be named.
+    """Everything known when a set is to be named.
 
     Attributes:
         null: the model alone.
-        sets: those to choose from.
-        beside: those that are only compared with.
-        known: answers to what was asked for.
+        sets: sets to choose from.
+        beside: sets used for comparison only.
+        known: answers to earlier needs.
     """
 
     setting: Setting
@@ -232,15 +232,15 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Ruling:
-    """What a rule has done to one set.
+    """What a rule did to one set.
 
     Attributes:
         rule: its name.
         names: the set.
-        part: the effect that it turned on; empty: the set as a whole.
-        found, wanted: the figure that decided and what it would have had to be; of a rule that
-            compares sets the scores of both.
-        against: names of the other set, where it was compared with one.
+        part: the effect that was decisive; empty: the set as a whole.
+        found, wanted: the decisive figure and its required value; for a rule that compares sets,
+            the scores of both.
+        against: names of the set with which it was compared.
     """
 
     rule: str
@@ -253,14 +253,14 @@ class Ruling:
 
 @dataclass(frozen=True)
 class Choice:
-    """What was decided.
+    """The decision.
 
     Attributes:
-        best: the set that is named; the null where none is.
-        ranked: sets that no rule refused, the best first.
-        equal: others that fit as well.
-        held: part of the gain of the first set that is there on rows left out.
-        ledger: what each rule has done.
+        best: the set that is named; the null if there is none.
+        ranked: sets that no rule rejected, the best first.
+        equal: other sets that fit equally well.
+        held: fraction of the first set's gain that is confirmed on rows held out.
+        ledger: what each rule did.
     """
 
     best: Hypothesis
@@ -276,12 +276,12 @@ class _Unknown(Exception):
 
 
 def times_price(policy: Policy, laws: int) -> float:
-    """Return how many times its price an effect of a set of so many laws has to earn."""
+    """Return the multiple of its price that an effect must earn in a set of several laws."""
     return policy.several_price if laws > 1 else 1.0
 
 
 class Court:
-    """Evidence as the rules read it, and their ledger."""
+    """The evidence as seen by the rules, and their ledger."""
 
     def __init__(self, evidence: Evidence, policy: Policy) -> None:
         self.evidence, self.policy = evidence, policy
@@ -298,23 +298,24 @@ class Court:
         return self.evidence.known[need]
 
     def refuse(self, rule: str, of: Hypothesis, **figures: Any) -> bool:
-        """Write down what refused a set; return False."""
+        """Record the rejection of a set; return False."""
         self.ledger.append(Ruling(rule, of.names, **figures))
         return False
 
     @property
     def blurred(self) -> float:
-        """By how much more a share has to be where the motion is estimated."""
+        """Factor by which a share must be larger if the motion is estimated."""
         return 1.0 if self.setting.exact else self.policy.estimated_motion
 
     def share(self, of: Hypothesis) -> float:
-        """Return the part of what a set explains that each of its effects has to explain alone."""
+        """Return the fraction of the explained misfit that each effect must explain alone."""
         return of_size(self.policy.needed_share, len(of.names)) * self.blurred
 
     def explained(self, of: Hypothesis, which: int) -> float:
-        """Return the misfit that a set explains of the kind that one of its effects is to explain.
+        """Return the misfit explained by a set, of the kind that one of its effects can explain.
 
-        A fall of chi-squared: for a law of damping in a free decay, of all such laws of the set.
+        As a reduction of chi-squared; for damping in a free decay, that of all damping laws in the
+        set.
         """
         whole = self.null.chi2 - of.chi2
         if not (self.setting.swings and of.parts[which].dissipates):
@@ -324,7 +325,7 @@ class Court:
         return whole if without is None else without.chi2 - of.chi2
 
     def less(self, of: Hypothesis, which: int) -> Hypothesis | None:
-        """Return a set without one of its effects; None where that is no physical law."""
+        """Return a set without one of its effects; None if that is not a physical law."""
         if len(of.parts) == 1:
             return self.null
         known = self.by_names.get(of.without(which))
@@ -336,15 +337,15 @@ class Court:
         return found
 
     def times(self, of: Hypothesis) -> float:
-        """Return how many times its price an effect of a set has to earn."""
+        """Return the multiple of its price that an effect of a set must earn."""
         return times_price(self.policy, len(of.parts))
 
     def strained(self, of: Hypothesis) -> bool:
-        """Return whether a set takes a time offset that is no nuisance any more."""
+        """Return whether a set has a time offset too large to be a nuisance parameter."""
         return of.offset_sd > self.policy.strained_offset
 
     def ends_at_noise(self, one: Hypothesis, other: Hypothesis) -> bool:
-        """Return whether a set leaves little beyond the noise where another one leaves more."""
+        """Return whether a set reaches the noise and another one leaves more."""
         policy, n = self.policy, self.setting.rows
         seen = {"force": policy.form_seen, "motion": policy.form_moved, "rig": policy.form_of_rig}
         left = other.chi2 - n
@@ -352,11 +353,11 @@ class Court:
         return left > seen[self.setting.judged] * n and at_noise
 
 
-# ---- rules that refuse a set --------------------------------------------------------------------
+# ---- rules that reject a set --------------------------------------------------------------------
 
 
 def needed(court: Court, of: Hypothesis) -> bool:
-    """Each effect has to earn its price beside the others, and to be no form of theirs."""
+    """Each effect must earn its price in addition to the others, and not be a form of theirs."""
     for i, part in enumerate(of.parts):
         less = court.less(of, i)
         if less is None:
@@ -368,20 +369,20 @@ def needed(court: Court, of: Hypothesis) -> bool:
         if not several:
             continue
         least = court.share(of) * court.explained(of, i)
-        # What moves a stated number is seen against its tolerance, not in the residual.
+        # A change of a stated value shows against its tolerance, not in the residual.
         by_force = part.stated and court.setting.judged == "force"
         stated = by_force or (not part.late and part.name in less.bent)
         if own >= least or stated or _no_form(court, of, i, less):
             continue
-        # Unless a time offset beyond what is normal would have to stand in for it. Beside a naive
-        # model that says nothing: there an offset takes up what the form of a law leaves.
+        # Except if an abnormal time offset would otherwise have to compensate. For a naive model
+        # this is no evidence: there an offset absorbs errors in the form of a law.
         if court.setting.naive or court.strained(of) or not court.strained(less):
             return court.refuse("share", of, part=part.name, found=own, wanted=least)
     return True
 
 
 def _no_form(court: Court, of: Hypothesis, which: int, less: Hypothesis) -> bool:
-    """Return whether an effect that explains little is more than the form of another's law."""
+    """Return whether an effect with a small share is more than the form of another's law."""
     return (
         _completes(court, of, less)
         or _of_no_form(court, of, which)
@@ -390,9 +391,9 @@ def _no_form(court: Court, of: Hypothesis, which: int, less: Hypothesis) -> bool
 
 
 def _completes(court: Court, of: Hypothesis, less: Hypothesis) -> bool:
-    """Return whether nothing but noise is left with an effect where without it there is more.
+    """Return whether a set leaves only noise, but more without one of its effects.
 
-    What one law leaves of another's form is not all taken up by a third.
+    A third law does not absorb all that one law leaves because of the form of another.
     """
     sliders = court.laws.sliders
     more = sliders.issubset(of.names) and not sliders.issubset(less.names)
@@ -400,11 +401,11 @@ def _completes(court: Court, of: Hypothesis, less: Hypothesis) -> bool:
 
 
 def _of_no_form(court: Court, of: Hypothesis, which: int) -> bool:
-    """Return whether an effect of the load cell is no form of the laws beside it.
+    """Return whether a load cell effect is independent of the form of the laws beside it.
 
-    Where nothing but noise is left, and it earns its price still with each of those laws free to be
-    itself times any smooth function of displacement and of velocity: no law follows what a load
-    cell does by itself.
+    This is so if only noise is left, and the effect still earns its price if each of those laws may
+    be multiplied by any smooth function of displacement and of velocity: no law can imitate a
+    disturbance of the load cell itself.
     """
     part, policy, n = of.parts[which], court.policy, court.setting.rows
     at_noise = of.chi2 - n < policy.excess_as_noise * n
@@ -416,10 +417,10 @@ def _of_no_form(court: Court, of: Hypothesis, which: int) -> bool:
 
 
 def _before_a_dashpot(court: Court, of: Hypothesis, which: int) -> bool:
-    """Return whether an effect does better than a dashpot in its place that would be named.
+    """Return whether an effect is better than a dashpot in its place that would be named.
 
-    The dashpot moves a stated number and is excused from the share; what it only looks like is not
-    to lose to it by that.
+    The dashpot only changes a stated value and is exempt from the share; an effect should not lose
+    to its imitation for that reason.
     """
     dashpot = court.laws.slow_as.get(of.parts[which].name)
     if dashpot is None:
@@ -431,11 +432,11 @@ def _before_a_dashpot(court: Court, of: Hypothesis, which: int) -> bool:
 
 
 def goes_on(court: Court, of: Hypothesis) -> bool:
-    """A drift beside a naive model has to go on within the halves of the recording.
+    """For a naive model, a drift must continue within the halves of the recording.
 
-    What the forms of the other laws leave differs between early and late by chance of what was
-    moved when, and a constant has a slope as well where it is taken to begin at nothing. A wander
-    is there within each half, whatever level it has there, if the half can show it at all.
+    Errors in the form of other laws may differ by chance between early and late motion, and a
+    constant also has a slope if it is assumed to begin at zero. A real drift is present within each
+    half, whatever its offset there, if the half is long enough to show it.
     """
     if court.laws.wanders.isdisjoint(of.names) or not court.setting.naive:
         return True
@@ -448,9 +449,9 @@ def goes_on(court: Court, of: Hypothesis) -> bool:
 
 
 def off_zero(court: Court, of: Hypothesis) -> bool:
-    """A constant force on a free body has to move it by more than its sensor's zero may be off.
+    """A constant force on a free body must move it by more than its sensor's zero error.
 
-    A displacement is set to zero by a reading at rest, which has the sensor's noise.
+    A displacement is zeroed by a reading at rest, which contains the sensor's noise.
     """
     setting = court.setting
     if setting.naive or setting.judged != "motion":
@@ -471,9 +472,10 @@ Sets = list[Hypothesis]
 
 
 def worth_their_size(court: Court, sets: Sets) -> Sets:
-    """Beside a naive model a set has to do better than the best of fewer laws.
+    """For a naive model, a set must be better than the best set with fewer laws.
 
-    Its misfit is one of form, and two laws in a bad form leave to a third what another pair does.
+    Its misfit is due to form: if two laws have the wrong form, a third can absorb what another pair
+    would explain.
     """
     if not court.setting.naive:
         return sets
@@ -481,7 +483,7 @@ def worth_their_size(court: Court, sets: Sets) -> Sets:
     for of in sets:
         fewer = [h.chi2 for h in sets if len(h.parts) < len(of.parts)]
         own = min(fewer, default=np.inf) - of.chi2
-        # What the last of them is to explain; of a decay the damping, see there.
+        # What the last law can explain; in a decay, the damping, see above.
         wanted = court.share(of) * min(court.explained(of, i) for i in range(len(of.parts)))
         if own >= wanted or court.refuse("more laws", of, found=own, wanted=wanted):
             out.append(of)
@@ -489,11 +491,11 @@ def worth_their_size(court: Court, sets: Sets) -> Sets:
 
 
 def one_of_a_kind(court: Court, sets: Sets) -> Sets:
-    """Bristles with another stiffness are left out where they are yielding by another name.
+    """Bristles with a changed stiffness are omitted if they are yielding by another name.
 
     k (alpha x + (1 - alpha) z) is a weaker spring and a slider on a spring: the same force. So is
-    yielding beside a spring that is wrong as well; there the better one of the two stays. Of a
-    model whose stiffness is free another one stands beside every set.
+    yielding together with a wrong spring; the better of the two remains. If the model's stiffness
+    is free, every set contains a changed spring.
     """
     if court.setting.k_free:
         sets = _with_yielding(court, sets)
@@ -522,7 +524,7 @@ def _yields(court: Court, of: Hypothesis, by_names: Mapping[tuple[str, ...], Hyp
 
 
 def _with_yielding(court: Court, sets: Sets) -> Sets:
-    """Return the sets with those that have yielding in the place of the best ones' bristles."""
+    """Return the sets, and the best ones with bristles also with yielding in their place."""
     also, names = court.laws.also, {h.names for h in sets}
     found = []
     for of in sets[:CLOSER]:
@@ -537,10 +539,10 @@ def _with_yielding(court: Court, sets: Sets) -> Sets:
 
 
 def plainest(court: Court, sets: Sets) -> Sets:
-    """Richer friction has to do better than dry friction in its place.
+    """More complex friction must be better than dry friction in its place.
 
-    Both go over into it; what they gain then is the form of the jump. So does relaxation that is
-    over at once: it is a dashpot.
+    Both contain it as a special case; what they then gain is the form of the jump. The same applies
+    to relaxation with a negligible time, which is a dashpot.
     """
     policy, out = court.policy, []
     share = policy.richer_friction_share * court.blurred
@@ -574,12 +576,12 @@ def _plainer_of(court: Court, of: Hypothesis, sets: Sets) -> Hypothesis | None:
 
 
 def simplest_first(court: Court, sets: Sets) -> Sets:
-    """The set of fewest parameters goes first among those that differ by a law's form only."""
+    """Of sets that differ only by the form of a law, the one with fewest parameters is first."""
     if not sets:
         return sets
     best = sets[0]
     form = court.policy.form_alone * (court.null.chi2 - best.chi2)
-    # One that begins in mid-record has been chosen among as many moments, whatever its law.
+    # An onset was chosen among equally many times, whatever its law.
     simple = [
         h
         for h in sets
@@ -597,12 +599,12 @@ def simplest_first(court: Court, sets: Sets) -> Sets:
 
 
 def driven(court: Court, of: Hypothesis) -> bool:
-    """In a closed loop each effect has to earn its price by the motion that the test makes.
+    """In a closed loop, each effect must earn its price by the motion that the test imposes.
 
-    Above the band of that the noise of the load cell is all that moves the specimen, and a law can
-    have that noise back out of the motion that it made: see `feedback`. A late load cell has to in
-    any recording: beside an offset of its channel it filters that noise, moved or not. But where an
-    accelerometer shows how late it is, that is evidence of its own.
+    Above that band, the specimen is moved only by the load cell's noise, and a law can recover that
+    noise from the motion that it caused: see `feedback`. A delayed load cell must do so in any
+    recording: together with an offset of its channel it filters that noise, moved or not. However,
+    if an accelerometer shows its delay, that is evidence of its own.
     """
     setting = court.setting
     alone = setting.judged == "force" and not setting.naive and not setting.witnessed
@@ -611,7 +613,7 @@ def driven(court: Court, of: Hypothesis) -> bool:
         return True
     times = court.times(of)
     for part, own in zip(of.parts, court.ask("driven", of), strict=False):
-        # What a load cell does by itself, as hum, is no function of the motion.
+        # Disturbances of the load cell itself, such as hum, are no function of the motion.
         follows = part.carries or (setting.returns and not part.sensor)
         wanted = times * part.price
         if follows and own < wanted:
@@ -620,7 +622,7 @@ def driven(court: Court, of: Hypothesis) -> bool:
 
 
 def each(rule: Callable[[Court, Hypothesis], bool]) -> Callable[[Court, Sets], Sets]:
-    """Return a rule that judges one set after the other as one that judges all."""
+    """Return a rule for all sets from a rule for one set."""
     return lambda court, sets: [h for h in sets if rule(court, h)]
 
 
@@ -634,28 +636,28 @@ RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
     "plainest": plainest,
     "simplest first": simplest_first,
 }
-"""Rules that refuse or order sets, in turn."""
+"""Rules that reject or reorder sets, in this order."""
 
 
-# ---- rules for the one that is left first -------------------------------------------------------
+# ---- rules for the set that remains first -------------------------------------------------------
 
 
 def earns(court: Court, of: Hypothesis) -> bool:
-    """It has to be worth its price; of several effects there are many to choose from."""
+    """The set must be worth its price; with several effects, there are many sets to choose from."""
     gain = court.null.chi2 - of.chi2
     wanted = of.price * court.times(of)
     return gain > wanted or court.refuse("earns", of, found=gain, wanted=wanted)
 
 
 def is_a_finding(court: Court, of: Hypothesis) -> bool:
-    """Its force has to be of some size."""
+    """Its force must have a minimum size."""
     size = court.ask("size", of)
     wanted = court.policy.least_force
     return size > wanted or court.refuse("size", of, found=size, wanted=wanted)
 
 
 def holds(court: Court, of: Hypothesis) -> bool:
-    """It has to hold on rows that it was not fitted to."""
+    """It must be confirmed on rows to which it was not fitted."""
     held = court.ask("held out", of)
     wanted = court.policy.held_out_share
     return held >= wanted or court.refuse("held out", of, found=held, wanted=wanted)
@@ -666,14 +668,14 @@ NAMING: dict[str, Callable[[Court, Hypothesis], bool]] = {
     "size": is_a_finding,
     "held out": holds,
 }
-"""What the first set has to be to be named; no other one takes its place."""
+"""Requirements on the first set to be named; no other set takes its place."""
 
 
-# ---- sets that fit alike ------------------------------------------------------------------------
+# ---- sets that fit equally well -----------------------------------------------------------------
 
 
 def alike(court: Court, best: Hypothesis, sets: Sets) -> Sets:
-    """Sets that differ by less than evidence can tell, a further parameter counted."""
+    """Sets that differ by less than the evidence can resolve, counting additional parameters."""
     policy = court.policy
     out = []
     for of in sets:
@@ -685,10 +687,10 @@ def alike(court: Court, best: Hypothesis, sets: Sets) -> Sets:
 
 
 def twins(court: Court, best: Hypothesis, sets: Sets) -> Sets:
-    """Single effects that do the same as a single best one and were refused for their price.
+    """Single effects equivalent to a single best one that were rejected for their higher price.
 
-    To move a stated number is cheap, but where the recording shows no difference at all, being the
-    cheaper one is no evidence.
+    Changing a stated value is cheap, but if the recording shows no difference at all, a lower price
+    is no evidence.
     """
     if len(best.parts) != 1 or not best.parts[0].stated:
         return []
@@ -705,19 +707,19 @@ def twins(court: Court, best: Hypothesis, sets: Sets) -> Sets:
 
 
 ALIKE: dict[str, Callable[[Court, Hypothesis, Sets], Sets]] = {"alike": alike, "twins": twins}
-"""Rules that find what cannot be told apart from the set that is named."""
+"""Rules that find sets indistinguishable from the one that is named."""
 
 
-# ---- all of them --------------------------------------------------------------------------------
+# ---- all rules ----------------------------------------------------------------------------------
 
 
 def choose(evidence: Evidence, policy: Policy, less: Iterable[str] = ()) -> Choice | Need:
-    """Return which set is named and which fit as well, or what has to be known for that.
+    """Return which set is named and which fit equally well, or what must be known first.
 
     Args:
         evidence: what is known.
         policy: the thresholds.
-        less: rules, by name, that are left out: to see what each is there for.
+        less: names of rules to omit, to show the effect of each.
     """
     court, gone = Court(evidence, policy), set(less)
     try:
@@ -756,13 +758,13 @@ def gathered(
     answer: Callable[[Need], Any],
     beside: Callable[[], Sequence[Hypothesis]] = tuple,
 ) -> Choice:
-    """Return what is decided with evidence gathered as the rules ask for it.
+    """Return the decision, with evidence gathered as the rules require it.
 
     Args:
-        evidence: what is known at first.
+        evidence: what is known initially.
         policy: the thresholds.
         answer: gathers what is needed.
-        beside: gives the sets that have become known on the way, to be compared with.
+        beside: returns further sets that became known meanwhile, for comparison.
     """
     while isinstance(done := choose(evidence, policy), Need):
         known = {**evidence.known, done: answer(done)}

@@ -1,4 +1,4 @@
-"""The force channel: which effects the specimen, or its load cell, has beside the model."""
+"""The force channel: effects of the specimen, or of its load cell, missing from the model."""
 
 from __future__ import annotations
 
@@ -29,40 +29,40 @@ from rthyb_rt.diagnose.select import (
 )
 
 POOL = 6
-"""Sets, and single effects, whose motion is simulated."""
+"""Number of sets, and of single effects, whose motion is simulated."""
 LEADING = 3
-"""Sets that are looked at more closely."""
+"""Number of sets examined more closely."""
 SETTLED = 0.01
-"""Part of a misfit by which one more fit of a motion has to better it."""
+"""Fraction of a misfit by which a further fit of a motion must improve it."""
 PARTS = 150
-"""Simulations that are left for the parts of the best sets: three fits of a set of two."""
+"""Simulations reserved for subsets of the best sets: three fits of a set of two."""
 RIVALS = 6
-"""Sets that are kept to be shown beside the one that is named."""
+"""Number of sets kept for display beside the one that is named."""
 AGAIN = 3
-"""Times that such a fit is begun again at most."""
+"""Largest number of times that such a fit is restarted."""
 NUMBERS = ("k", "c", "moving_mass")
-"""Numbers of the model whose effects are always among them: what is missing may look like them at
-one frequency."""
+"""Numbers of the model whose effects are always candidates: at one frequency, a missing effect may
+look like them."""
 
 
 @dataclass
 class Search:
-    """What a search came to.
+    """Result of a search.
 
     Attributes:
-        null: nothing but nuisance.
+        null: nuisance parameters only.
         fits: refined sets, best first.
-        best: the set that is named; without members when nothing is missing.
-        equal: other sets that fit as well.
+        best: the set that is named; without members if nothing is missing.
+        equal: other sets that fit equally well.
         excess_before, excess_after: misfit beyond noise, per row, in units of the noise.
         gain: what `best` earns beyond its price.
-        held_gain: drop of the misfit on blocks left out, as part of the drop on all.
-        scale: by how much evidence was scaled down for coloured noise.
-        moved: whether it is the simulated motion that was judged, see `freebody`.
-        balance: what the balance of forces came to, where it was not believed.
-        pool: the best sets while every row still counted, whatever came of them.
-        quiet: whether what a simulated motion leaves is within the displacement's data sheet.
-        ledger: what each rule of `decide` has done.
+        held_gain: reduction of the misfit on blocks held out, relative to that on all blocks.
+        scale: factor by which evidence was scaled down for coloured noise.
+        moved: whether the simulated motion was evaluated, see `freebody`.
+        balance: result from the force balance, if it was not accepted.
+        pool: the best sets before evidence was scaled, whether or not they were rejected later.
+        quiet: whether the residual of a simulated motion is within the displacement's data sheet.
+        ledger: what each rule of `decide` did.
     """
 
     problem: Problem
@@ -85,7 +85,7 @@ class Search:
 
 
 class _Fitter:
-    """Refines sets once each."""
+    """Refines each set once."""
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
@@ -114,21 +114,21 @@ class _Fitter:
         return self.known[key]
 
     def keep(self, found: Fit) -> None:
-        """Take a refined set, where it is better than the one of its names.
+        """Keep a refined set if it is better than the one with the same names.
 
-        Of two forms of a law the one with more parameters has to earn them.
+        Of two forms of a law, the one with more parameters must earn them.
         """
         old = self.by_names.get(found.names)
         if old is None or self.score(found) < self.score(old):
             self.by_names[found.names] = found
 
     def hear(self, known: redundant.Witness, members: Sequence[Member], null: Fit) -> Fit:
-        """Count what channels say of the load cell that tell it besides; return the null as well.
+        """Include redundant channels that show the load cell's errors; return the null as well.
 
         Args:
-            known: what they say.
-            members: effects in the shapes that are tried first.
-            null: nothing but nuisance.
+            known: the redundant channels.
+            members: effects in the shapes to try first.
+            null: nuisance parameters only.
         """
         ranked = sorted(self.by_names.values(), key=self.score)[:LEADING]
         culprit = redundant.accused(known, members)
@@ -148,11 +148,11 @@ class _Fitter:
         return replace(null, chi2=null.chi2 + self.testimony(null))
 
     def held(self, null: Fit) -> Callable[[Fit], float]:
-        """Return how much of a set's gain is there on rows that it was not fitted to."""
+        """Return how much of a set's gain is confirmed on rows to which it was not fitted."""
         against = self.testimony(null)
 
         def share(fit: Fit) -> float:
-            # No set is fitted to the rows of channels that tell the load cell besides.
+            # No set is fitted to the rows of redundant channels.
             if against - self.testimony(fit) > self.price(fit):
                 return 1.0
             return held_out_gain(self.problem, fit)
@@ -160,10 +160,10 @@ class _Fitter:
         return share
 
     def exchange(self) -> None:
-        """Put each law of the best sets of each size in the form that it has in a leading one.
+        """Give each law of the best sets of each size the form that it has in a leading set.
 
-        A set is refined in one form of each law, the one that lay nearest on the grid or by another
-        measure: of two with the same law one would win by that law's form.
+        A set is refined in one form of each law, the nearest on the grid or by another measure: of
+        two sets with the same law, one could otherwise win by that law's form.
         """
         ranked = sorted(self.by_names.values(), key=self.score)
         sizes = [[f for f in ranked if len(f.members) == size][:LEADING] for size in (1, 2, 3)]
@@ -183,9 +183,10 @@ class _Fitter:
         self.fit((*fit.members[:which], member, *fit.members[which + 1 :]))
 
     def relieve(self) -> None:
-        """Give the best sets, where they bend a stated number out of its tolerance, its effect.
+        """Give the best sets the effect that they replace by straining a stated value.
 
-        As a nuisance it costs a few hundred at most, which a large misfit does not feel.
+        As a nuisance parameter, the shift costs a few hundred at most, little beside a large
+        misfit.
         """
         by_name = {e.name: e for e in self.problem.effects}
         for _ in range(2):
@@ -213,14 +214,14 @@ class _Mover(_Fitter):
         self.body, self.first = body, first
         self.tried: list[Fit] = []
         self.scale = 1.0
-        # A simulated motion is no estimate; but two good simulators differ by a little.
+        # A simulated motion is no estimate, but two accurate simulators differ slightly.
         self.exact, self.rows = True, float(body.rows.size)
         self.judged = "rig" if body.whole_rig else "motion"
 
     def move(self, fit: Fit) -> Fit | None:
-        """Refine a set that was found in the balance of forces; the better of its shapes stays.
+        """Refine a set that was found in the force balance; the better of its shapes is kept.
 
-        One that meets the motion is not to be bettered from anywhere else.
+        A set that reproduces the motion cannot be improved from another start.
         """
         known = self.by_names.get(fit.names)
         if known is not None and known.chi2 < POLICY.motion_met_alone * self.rows:
@@ -240,9 +241,9 @@ class _Mover(_Fitter):
         return self.move(begun) if begun is not None else None
 
     def rescale(self, scale: float, plain: Fit) -> None:
-        """Take rows for less evidence, in all that was simulated and will be.
+        """Scale down the evidence of rows in all simulations, past and future.
 
-        Rows of coloured noise tell less; what the lab states of its model tells what it did.
+        Coloured noise makes rows less informative; the tolerances of the model are unaffected.
         """
         self.scale = scale
         for fit in (plain, *self.tried):
@@ -253,10 +254,11 @@ class _Mover(_Fitter):
         fit.chi2 += own / self.scale - own
 
     def pointless(self, names: tuple[str, ...]) -> bool:
-        """Return whether a set need not be simulated: without one of its effects or more, or with
-        fewer of others, the noise is reached, and no stated number is bent for it.
+        """Return whether a set need not be simulated: if without one or more of its effects, or
+        with fewer others, the noise is reached and no stated value leaves its tolerance.
 
-        Of a whole rig a set with one effect more is simulated still: its force tells a small one.
+        For a whole rig, a set with one more effect is simulated nevertheless: its force may be
+        small.
         """
         met = [f for f in self.by_names.values() if f.chi2 < POLICY.motion_met_alone * self.rows]
         return any(
@@ -266,9 +268,9 @@ class _Mover(_Fitter):
         )
 
     def plain_friction(self) -> None:
-        """Put dry friction in the place of a richer one in the best sets.
+        """Replace a more complex friction by dry friction in the best sets.
 
-        Both go over into it, and a rig that is met with a richer one may be met without.
+        They contain it as a special case, and a rig that is reproduced with one may be without it.
         """
         plainer = _plainer_friction()
         for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
@@ -291,14 +293,14 @@ class _Mover(_Fitter):
         self.move(replace(fit, members=members, betas=betas, covariance=None))
 
     def settle(self) -> None:
-        """Go on with the best sets until they move no more, then with their parts from there.
+        """Continue with the best sets until they no longer change, then with their subsets.
 
-        A set with one law more may have found the valley that its part has missed.
+        A set with one more law may have found the optimum that its subset has missed.
         """
         for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
             self._go_on(fit)
-        # However many simulations the search has taken: a part that is not judged is none that
-        # would do.
+        # Regardless of the number of simulations so far: a subset that was not evaluated must not
+        # count as one that fails.
         self.body.runs = max(self.body.runs, PARTS)
         done: set[tuple[str, ...]] = set()
         for _ in range(2):
@@ -307,7 +309,7 @@ class _Mover(_Fitter):
                 done.add(fit.names)
                 for i in range(len(fit.members)):
                     part = _without(self.problem, fit, i)
-                    # Of a rig that is met nothing but the parts' own misfit is asked.
+                    # If the rig is reproduced, only the misfit of the subsets is needed.
                     met = self.body.whole_rig and fit.chi2 < POLICY.motion_met_alone * self.rows
                     if not (met and part.names in self.by_names):
                         self.move(part)
@@ -324,7 +326,7 @@ class _Mover(_Fitter):
 
 
 def _without(problem: Problem, fit: Fit, member: int) -> Fit:
-    """Return a set less one effect; what that had of a stated number goes to the number."""
+    """Return a set without one effect, whose part of a stated value is returned to that value."""
     gone, beta = fit.members[member], fit.betas[member]
     shift = [float(beta[0]) if n.effect == gone.name else 0.0 for n in problem.nuisances]
     return replace(
@@ -336,7 +338,7 @@ def _without(problem: Problem, fit: Fit, member: int) -> Fit:
 
 
 def _stiff(problem: Problem) -> Problem:
-    """Return a problem whose model hardly gives way: an effect begins with all that is missing."""
+    """Return a problem with tight tolerances, so that an effect begins with all the misfit."""
     out = copy(problem)
     out.nuisances = [
         n if n.sigma is None else replace(n, sigma=1e-3 * n.sigma) for n in problem.nuisances
@@ -345,9 +347,9 @@ def _stiff(problem: Problem) -> Problem:
 
 
 def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[Fit, _Mover] | None:
-    """Judge nothing and each linear effect alone by its motion; None where that runs off.
+    """Evaluate nothing and each linear effect by its motion; None if that diverges.
 
-    A set that holds one of them has to be judged against it.
+    A set that contains one of them must be compared with it.
     """
     plain = body.refined(problem, null)
     if plain is None:
@@ -365,10 +367,10 @@ def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[F
 
 
 def _nothing(problem: Problem, body: Body, mover: _Mover, plain: Fit) -> Fit:
-    """Return nothing but nuisance, from where the best effect left it if it meets the motion.
+    """Return nuisance parameters only, started from the best effect if it reproduces the motion.
 
-    The balance may begin it too far off: then an effect of no size would explain what it misses. If
-    it does not meet the motion from there either, an effect of some size is needed after all.
+    The balance may start them too far off: then an effect of zero size would explain the
+    difference. If the motion is not reproduced from there either, an effect of some size is needed.
     """
     best = min(mover.by_names.values(), key=lambda f: f.chi2, default=plain)
     if len(best.members) != 1 or best.chi2 >= plain.chi2 or plain.chi2 < body.met * mover.rows:
@@ -378,9 +380,9 @@ def _nothing(problem: Problem, body: Body, mover: _Mover, plain: Fit) -> Fit:
 
 
 def _met(plain: Fit, mover: _Mover) -> bool:
-    """Return whether a linear effect simulates the displacement to its noise, and has to for that.
+    """Return whether a linear effect reproduces the displacement to its noise, and is needed.
 
-    What a displacement does not show at all is left to the balance of forces.
+    What a displacement does not show at all is left to the force balance.
     """
     return any(
         inflation(f.residual) < POLICY.white_residual and mover.score(f) < plain.chi2
@@ -389,39 +391,39 @@ def _met(plain: Fit, mover: _Mover) -> bool:
 
 
 def _plainer_friction() -> dict[str, str]:
-    """Return the richer laws of dry friction, each with the one that it goes over into."""
+    """Return the friction laws that contain a simpler one as a special case, each with that one."""
     return {n: e.plainer for n, e in catalogue().items() if e.dry and e.plainer}
 
 
 def _slow_as() -> dict[str, str]:
-    """Return the effects that a slow motion does not tell from a plainer one, each with that."""
+    """Return the effects that slow motion cannot distinguish from a simpler one, with that one."""
     return {n: e.slow_as for n, e in catalogue().items() if e.slow_as}
 
 
 def _seen_only(members: Iterable[Member]) -> bool:
-    """Return whether a set holds an effect of the load cell, which moves nothing."""
+    """Return whether a set contains a load cell effect, which moves nothing."""
     return any(m.effect.sensor for m in members)
 
 
 def _moved(
     dictionary: Dictionary, body: Body, fitter: _Fitter, named: Fit, plain: Fit, mover: _Mover
 ) -> Search | None:
-    """Judge the most promising sets by the motion that they simulate; None where none meets it."""
+    """Evaluate the most promising sets by simulated motion; None if none reproduces it."""
     problem = dictionary.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     ranked = [f for f in ranked if body.quick(f)]
-    # What only a load cell sees does not move the body.
+    # Effects seen only by the load cell do not move the body.
     ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
     singles = [f for f in ranked if len(f.members) == 1]
-    # The set that the balance names and the one it puts first, after their parts: simulations are
-    # counted.
+    # The set named by the balance and its first set, after their subsets: the number of simulations
+    # is limited.
     felt = [f for f in (named, *ranked[:1]) if not body.held or not _seen_only(f.members)]
     leading = [f for f in {f.names: f for f in felt}.values() if len(f.members) == 2]
     parts = [f for f in singles if any(set(f.names) < set(pair.names) for pair in leading)]
     first = body.first(ranked)
     for fit in first:
         mover.move(fit)
-    # Where those explain the motion, no others than their like are looked at.
+    # If those explain the motion, only similar sets are examined.
     enough = any(
         f.chi2 < POLICY.moved_decisive * plain.chi2 for f in mover.by_names.values() if first
     )
@@ -450,7 +452,7 @@ def _moved(
     if problem.decays:
         mover.exchange()
     mover.settle()
-    # A part that leads now may bend a stated number, or have a plainer friction.
+    # A subset that now leads may strain a stated value, or have a simpler friction.
     body.runs = max(body.runs, PARTS)
     mover.relieve()
     mover.plain_friction()
@@ -476,10 +478,10 @@ def search(
 
     Args:
         problem: the residual and the effects.
-        progress: told the name of each effect and stage.
-        body: where a body moves freely: its sets can be judged by their motion.
-        doubtful: whether what the balance of forces says has to be judged so.
-        seeds: sets that are refined as well, from the shapes given.
+        progress: receives the name of each effect and stage.
+        body: a freely moving body, whose sets can be evaluated by their motion.
+        doubtful: whether the result of the force balance must be evaluated in this way.
+        seeds: sets to refine as well, from the given shapes.
     """
     null = solve(problem, [], [])
     if null is None:
@@ -490,7 +492,7 @@ def search(
     _sweep(dictionary, fitter, seeds)
     progress("onset")
     if problem.case.model.k_tol is not None:
-        # A naive model is refitted as a whole: what it lacks does not begin anywhere.
+        # A naive model is refitted as a whole: what it lacks has no onset.
         _begun(dictionary, fitter)
     plain_best = plain_null
     pool = sorted(fitter.by_names.values(), key=fitter.score)[: noise.TRIED]
@@ -520,7 +522,7 @@ def search(
     if doubted or done.best.members:
         progress("motion")
         begun = _linear(problem, body, fitter, null)
-        # What one linear effect simulates to the noise, no law in the balance says better.
+        # If one linear effect simulates the motion to the noise, the balance cannot improve on it.
         if begun is not None and (doubted or _met(*begun)):
             by_motion = _moved(dictionary, body, fitter, done.best, *begun)
             return replace(by_motion, balance=done) if by_motion is not None else done
@@ -528,7 +530,7 @@ def search(
 
 
 def _begun(dictionary: Dictionary, fitter: _Fitter) -> None:
-    """Try effects that begin in mid-record, others beside them, and then their beginning anew."""
+    """Try effects with an onset, others in combination, and then their onsets again."""
     for fit in onset.propose(dictionary, fitter)[:LEADING]:
         for members in _beside(dictionary, fit, 4) if len(fit.members) < 3 else ():
             fitter.fit(members)
@@ -536,10 +538,10 @@ def _begun(dictionary: Dictionary, fitter: _Fitter) -> None:
 
 
 def _sure_of_its_beginning(fitter: _Fitter) -> Fit:
-    """Return the best set; one with a beginning in mid-record only where noise makes none of it.
+    """Return the best set; one with an onset only if noise cannot explain it.
 
-    A law that may begin anywhere takes up what slow noise does from somewhere on: its gain counts
-    as little as rows do that hang together, before what it leaves says how much they do.
+    A law with a free onset absorbs slow noise from some time on: its gain must be scaled down for
+    correlated rows before its residual shows how much.
     """
     fits = fitter.by_names.values()
     best = min(fits, key=fitter.score)
@@ -552,10 +554,10 @@ def _sure_of_its_beginning(fitter: _Fitter) -> Fit:
 
 
 def _refused(fitter: _Fitter, done: Search) -> bool:
-    """Return whether one effect more earns its price many times, and was refused for its share.
+    """Return whether one more effect earns its price many times, but was rejected for its share.
 
-    Noise is not what such an effect takes up; whether the blur of the estimated motion is, its
-    simulation tells.
+    Such an effect does not absorb noise; whether it absorbs the error of the estimated motion is
+    shown by its simulation.
     """
     best = done.best
     if not best.members or done.excess_after < POLICY.refused_excess:
@@ -583,7 +585,7 @@ def _sweep(
         fitter.fit(group)
     best = float(singles.chi2.min(initial=np.inf)) if len(singles) else null
     pairs = _promising(dictionary, dictionary.pairs(), null)
-    # A pair has to do better than its better half before its shapes are worth fitting.
+    # A pair must be better than its better member before its shapes are worth fitting.
     if len(singles):
         pairs = pairs.where(pairs.chi2 < best - POLICY.promising_pair)
     leading = dictionary.best(pairs, 12)
@@ -605,14 +607,14 @@ def _sweep(
     reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
     _reform(dictionary, fitter, reached > POLICY.search_ends * rows)
     fitter.exchange()
-    # Parts of what was refined must be there to be compared with.
+    # Subsets of refined sets must be present for comparison.
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):
             rest = tuple(m for j, m in enumerate(fit.members) if j != i)
             names = tuple(sorted(n for m in rest for n in m.effect.names))
             if names not in fitter.by_names:
                 fitter.fit(rest)
-    # Of three effects a pair in the same forms: another form of it would make the third one needed.
+    # For three effects, a pair in the same forms: another form would require the third effect.
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     for fit in [f for f in ranked[:2] if len(f.members) == 3]:
         for i in range(3):
@@ -620,10 +622,10 @@ def _sweep(
 
 
 def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
-    """Try the other forms of each law of the best sets beside the rest as it was refined.
+    """Try the other forms of each law of the best sets together with the refined rest.
 
-    Of a set the sweep refines one form only, the one that lay nearest on the grid. Laws of dry
-    friction are forms of one another here, if so asked.
+    The sweep refines only one form of a set, the nearest on the grid. If requested, laws of dry
+    friction are treated as forms of one another.
     """
     problem, groups = fitter.problem, dictionary.groups
     friction = having(lambda e: e.dry)
@@ -651,7 +653,7 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
 
 
 def _dashpots(dictionary: Dictionary, fitter: _Fitter) -> None:
-    """Put a dashpot in the place of what looks like one where the motion is slow."""
+    """Replace laws by a dashpot if slow motion cannot distinguish them."""
     slow_as = _slow_as()
     for fit in list(fitter.by_names.values()):
         for i, member in enumerate(fit.members):
@@ -665,7 +667,7 @@ def _dashpots(dictionary: Dictionary, fitter: _Fitter) -> None:
 
 
 def _grow(dictionary: Dictionary, fitter: _Fitter) -> None:
-    """Put every other effect beside the best sets in their refined shapes, and refine the best."""
+    """Add every other effect to the best sets in their refined shapes, and refine the best."""
     done: set[tuple[str, ...]] = set()
     for _ in range(2):
         ranked = sorted(fitter.by_names.values(), key=fitter.score)
@@ -676,10 +678,10 @@ def _grow(dictionary: Dictionary, fitter: _Fitter) -> None:
 
 
 def _damped(dictionary: Dictionary, fitter: _Fitter) -> None:
-    """Try two laws of damping beside the best spring of a body that is let go, and the best law.
+    """Try two damping laws with the best spring of a freely decaying body, and the best law.
 
-    Of several elastic laws one makes up for the form of another, and is no part of what is
-    simulated with two laws of damping.
+    Of several elastic laws, one compensates for the form of another; such combinations are not
+    simulated with two damping laws.
     """
     problem = fitter.problem
     if not problem.decays or problem.case.model.k_tol is not None:
@@ -693,7 +695,7 @@ def _damped(dictionary: Dictionary, fitter: _Fitter) -> None:
 
 
 def _modulated(fitter: _Fitter) -> None:
-    """Let channels that no model knows change the laws of the best sets, one law after another."""
+    """Let channels unknown to the model modulate the laws of the best sets, one at a time."""
     done: set[int] = set()
     for _ in range(3 if fitter.problem.case.further else 0):
         for fit in sorted(fitter.by_names.values(), key=fitter.score)[:LEADING]:
@@ -704,10 +706,10 @@ def _modulated(fitter: _Fitter) -> None:
 
 
 def _beside(dictionary: Dictionary, fit: Fit, most: int) -> list[tuple[Member, ...]]:
-    """Return a set with each of the effects that promise most beside it.
+    """Return a set with each of the most promising effects added.
 
-    The dictionary's shapes lie on a grid: what stands beside one of them makes up for the grid
-    before it shows what is missing. Here the set has its shapes as refined.
+    The dictionary's shapes lie on a grid: an effect added to one of them would first compensate for
+    the grid. Here the set has its refined shapes.
     """
     beside = dictionary.beside(fit)
     others = [
@@ -728,7 +730,7 @@ def _beside(dictionary: Dictionary, fit: Fit, most: int) -> list[tuple[Member, .
 
 
 def _promising(dictionary: Dictionary, found: Solved, null: float) -> Solved:
-    """Leave out sets that earn so little that no fitting of shapes could make up for it."""
+    """Omit sets whose gain is so small that fitting shapes could not compensate."""
     costs = dictionary.penalties(found.groups)
     return found.where(null - found.chi2 > POLICY.promising_price * costs)
 
@@ -745,7 +747,7 @@ def _decide(
     evidence = Gathered(fitter, null, held_out)
     choice = evidence.choose()
     best, fits = evidence.fit(choice.best), [evidence.fit(h) for h in choice.ranked]
-    # The residual of a motion is that of its rows, the balance's is scaled like its problem.
+    # The residual of a motion has its own rows; that of the balance is scaled like its problem.
     moved = isinstance(fitter, _Mover)
     rest = float(best.residual @ best.residual) * (1.0 if moved else scale)
     after = rest + best.chi2 - rest / scale if best.members else plain[0]
@@ -768,10 +770,10 @@ def _decide(
 
 
 def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:
-    """Return fits of the same effects that do nearly as well.
+    """Return fits of the same effects that are nearly as good.
 
-    By other forms of their laws; of a simulated motion, from where else the fit came to rest: where
-    a body sticks, the next row's noise decides in which of many valleys that is.
+    With other forms of their laws; for a simulated motion, from other local minima: if a body
+    sticks, the noise of the next row decides which of many minima that is.
     """
     others: Iterable[Fit | None] = fitter.known.values()
     share = POLICY.other_form

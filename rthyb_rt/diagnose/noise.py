@@ -1,10 +1,10 @@
-"""Of what colour a channel's noise is, read where the motion has no part in it.
+"""The colour of a channel's noise, determined where the motion does not contribute.
 
-A data sheet states how large noise is, not of what colour. Of what the best set of effects leaves,
-all that lies outside the band of the motion is noise; within the band it may be a law as well, and
-the noise there is what stands to either side of it (Whittle's likelihood of a spectrum, Ark. Mat.
-2 (1953) 423, with one level for each of some bands). All of it together is no larger than the sheet
-allows: a misfit beyond that is a finding, whatever its spectrum.
+A data sheet states the size of the noise, not its spectrum. In the residual of the best set of
+effects, everything outside the band of the motion is noise; within the band it may also be a
+missing law, and the noise is interpolated from both sides (Whittle's likelihood of a spectrum, Ark.
+Mat. 2 (1953) 423, with one level per band). The total is limited by the data sheet: any further
+misfit is a finding, whatever its spectrum.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.policy import POLICY
 
 OCTAVE = 0.5
-"""Width of one level of the spectrum, octaves, where that holds `LINES` lines."""
+"""Width of one level of the spectrum, octaves, if it contains `LINES` lines."""
 LINES = 12
-"""Least number of lines of one level: it is known to 1 / sqrt(12), 30 per cent, then."""
+"""Least number of lines per level: its standard error is then 1 / sqrt(12), 30 per cent."""
 SCORINGS = 12
 TRIED = 12
-"""Sets that are tried with the colour of what they leave."""
+"""Number of sets that are tried with the colour of their residual."""
 FADE_S = 0.25
-"""Time within which rows that are not judged are faded out."""
+"""Time over which the data are faded out beside rows that are not evaluated."""
 EULER = 0.5772156649015329
-"""The mean of the logarithm of a line's power lies so far below the logarithm of the mean."""
+"""Mean of the logarithm of a line's power less the logarithm of its mean."""
 
 
 @dataclass(frozen=True)
 class Colour:
-    """A spectrum of noise, in units of the white noise that stood for it.
+    """A noise spectrum, relative to the white noise that it replaces.
 
     Attributes:
-        f_hz: middles of its levels above the motion, (m,).
-        power: power at each of them over that of the white noise, (m,).
-        red: the same below: a floor, what adds to it at 1 Hz, and the power of 1 / f it goes with.
-        from_hz: where the levels begin to count.
-        least_hz: below this it is taken to change no more: half of the lowest line that was seen.
+        f_hz: centres of its levels above the motion, (m,).
+        power: power of each, relative to that of the white noise, (m,).
+        red: the spectrum below: a floor, an addition at 1 Hz, and its exponent of 1 / f.
+        from_hz: frequency from which the levels apply.
+        least_hz: lower limit of the slope: half of the lowest line observed.
     """
 
     f_hz: Floats
@@ -50,33 +50,33 @@ class Colour:
 
     @property
     def count(self) -> int:
-        """How many numbers it has."""
+        """Number of parameters."""
         return self.f_hz.size + len(self.red)
 
     def at(self, f_hz: Floats) -> Floats:
-        """Return the power at any frequencies, over that of the white noise, (n,)."""
+        """Return the power at given frequencies, relative to that of the white noise, (n,)."""
         low = np.maximum(f_hz, self.least_hz)
         above = _between(low, self.f_hz, self.power)
         return np.where(low < self.from_hz, _red(low, self.red), above)
 
     def scatter(self, rows: int, fs_hz: float) -> float:
-        """Return the relative standard deviation of such noise's rms over a number of rows.
+        """Return the relative standard deviation of this noise's rms over a number of rows.
 
-        Of a Gaussian process each line of the spectrum scatters by its own power.
+        For a Gaussian process, each line of the spectrum scatters in proportion to its power.
         """
         power = self.at(np.asarray(np.fft.rfftfreq(rows, 1.0 / fs_hz), dtype=np.float64)[1:])
         return float(0.5 * np.sqrt(np.sum(power**2)) / np.sum(power))
 
 
 class Lines:
-    """The spectra of what is left of one channel by one set of effects or another.
+    """The spectra of one channel's residuals for different sets of effects.
 
     Attributes:
         f_hz: the lines, (m,).
     """
 
     def __init__(self, rows: NDArray[np.bool_], fs_hz: float) -> None:
-        """Take in which rows count, (n,), and how many there are a second."""
+        """Set which rows count, (n,), and the number of rows per second."""
         self.fs_hz, self.enough = fs_hz, bool(rows.mean() >= POLICY.noise_rows and rows.size >= 256)
         self.f_hz = np.asarray(np.fft.rfftfreq(rows.size, 1.0 / fs_hz), dtype=np.float64)
         self.taper = _faded(rows, fs_hz) if self.enough else np.zeros(rows.size)
@@ -84,7 +84,7 @@ class Lines:
         self._kept: tuple[Floats, tuple[float, float] | None] | None = None
 
     def power(self, residual: Floats) -> Floats | None:
-        """Return the power of each line of a residual of shape (n,), (m,); None of too few rows."""
+        """Return the power of each line of a residual of shape (n,), (m,); None: too few rows."""
         if not self.enough or self.scale < 128:
             return None
         mean = float(np.sum(self.taper * residual) / np.sum(self.taper))
@@ -92,9 +92,9 @@ class Lines:
         return power if np.isfinite(power).all() else None
 
     def band(self, velocity: Floats) -> tuple[float, float] | None:
-        """Return the ends of a motion's band, Hz, from its velocity, (n,); None: it stands still.
+        """Return the bounds of a motion's band, Hz, from its velocity, (n,); None: at rest.
 
-        Sets along one motion are asked about one after another: its band is kept.
+        Sets along one motion are evaluated in succession: its band is cached.
         """
         if self._kept is None or self._kept[0] is not velocity:
             moved = np.cumsum(np.abs(np.fft.rfft(self.taper * velocity)) ** 2)
@@ -110,15 +110,15 @@ class Lines:
 def colour_of(
     lines: Lines, power: Floats | None, velocity: Floats, sheet: float | None
 ) -> Colour | None:
-    """Return the colour of what is left of a channel; None where it is white or cannot be told.
+    """Return the colour of a channel's residual; None if it is white or cannot be determined.
 
     Args:
         lines: the rows that count.
-        power: of what is left, over the standard deviation of its noise were that white, as
-            `Lines.power` has it.
-        velocity: of the motion, of any unit, (n,).
-        sheet: what the data sheet states, in the residual's unit; None: nothing bounds the noise,
-            and a misfit that is no noise could not be told from it.
+        power: power of the residual, relative to the standard deviation that its noise would have
+            if white, from `Lines.power`.
+        velocity: velocity of the motion, in any unit, (n,).
+        sheet: data sheet value in the residual's unit; None: nothing bounds the noise, and a
+            misfit could not be distinguished from it.
     """
     ends = lines.band(velocity) if power is not None and sheet else None
     if power is None or sheet is None or ends is None:
@@ -126,10 +126,10 @@ def colour_of(
     f_hz, (low_hz, high_hz) = lines.f_hz, ends
     beside = np.flatnonzero(((f_hz < low_hz) | (f_hz > high_hz)) & (np.arange(f_hz.size) > 1))
     beside = beside[beside < f_hz.size - 1]
-    # With little room above the motion nothing tells its noise from what it makes.
+    # If little of the spectrum is left above the motion, the two cannot be separated.
     if beside.size < 8 * LINES or high_hz > POLICY.noise_room * lines.fs_hz:
         return None
-    # Seen from above only, noise is known as far as it goes on evenly: an octave to either side.
+    # If seen from above only, noise is extrapolated as far as it is regular: an octave each way.
     below = f_hz[beside[0]] < low_hz
     near = beside[f_hz[beside] < (POLICY.noise_near if below else 2.0) * high_hz]
     above = beside[f_hz[beside] > high_hz]
@@ -143,14 +143,14 @@ def colour_of(
 def colour_above(
     f_hz: Floats, power: Floats, spectra: int, from_hz: float, lines: Floats, sheet: float
 ) -> Colour | None:
-    """Return the colour of noise that is seen from a frequency on; None where it is white.
+    """Return the colour of noise that is observed above a frequency; None if it is white.
 
     Args:
-        f_hz, power: lines from there on and the power of each over that of white noise, (m,).
-        spectra: how many that power is the mean of.
+        f_hz, power: lines from there on, and their power relative to white noise, (m,).
+        spectra: number of spectra averaged in that power.
         from_hz: that frequency.
-        lines: all lines that there are, Hz.
-        sheet: what the data sheet states, over the standard deviation of the white noise.
+        lines: all lines, Hz.
+        sheet: data sheet value relative to the standard deviation of the white noise.
     """
     near = f_hz < POLICY.noise_near * from_hz
     if near.sum() < 3:
@@ -158,17 +158,18 @@ def colour_above(
     red = _fitted_red(f_hz[near], power[near])
     levels = _levels(f_hz, power, 0.5 / spectra)
     found = Colour(*levels, red, from_hz, 0.5 * float(f_hz[0]))
-    # How small it is has been measured, and slower noise than was seen is the sheet's as well.
+    # A low level was measured, but slower noise than was observed is bounded by the sheet as well.
     return _held(found, lines, sheet, least=0.0) if _better(found, f_hz, power) else None
 
 
 def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | None:
-    """Return a floor and what rises from it towards slow motion, read within the motion's band too.
+    """Return a floor and a rise towards low frequency, also fitted within the motion's band.
 
-    Slow noise swells over all of the band, where the force of a law has the lines of the motion: if
-    a set leaves such noise, it is for the likelihoods of all sets to say.
+    Slow noise extends over the band in which the force of a law has the lines of the motion:
+    whether a set leaves such noise is decided by the likelihoods of all sets.
 
     Args:
+        lines, power, sheet: as for `colour_of`.
         lines, power, sheet: as of `colour_of`.
     """
     if power is None or not sheet:
@@ -182,11 +183,11 @@ def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | 
 
 
 def _held(found: Colour, f_hz: Floats, sheet: float, least: float | None = None) -> Colour:
-    """Return a colour as large as the data sheet allows, over all lines that a recording has.
+    """Return a colour scaled to the size that the data sheet permits, over all lines.
 
-    Those of the motion's band count as well, into which it is continued. Slower noise stands in the
-    mean of the recording, which is a nuisance. ``least`` takes the place of what the sheet allows
-    at least.
+    This includes the lines of the motion's band, into which it is extrapolated. Slower noise
+    appears in the mean of the recording, which is a nuisance parameter. ``least`` overrides the
+    lower bound from the sheet.
     """
     has, red = f_hz >= min(2.0 * found.least_hz, float(f_hz[2])), found.red
     total = float(np.sum(found.at(f_hz[has]))) / f_hz.size
@@ -197,7 +198,7 @@ def _held(found: Colour, f_hz: Floats, sheet: float, least: float | None = None)
 
 
 def _faded(rows: NDArray[np.bool_], fs_hz: float) -> Floats:
-    """Return a weight for each row that falls to nothing towards those that do not count."""
+    """Return a weight for each row that fades to zero towards rows that do not count."""
     reach = max(int(FADE_S * fs_hz), 2)
     inner = np.convolve(~rows, np.ones(2 * reach + 1), mode="same") < 0.5
     inner[:reach] = inner[-reach:] = False
@@ -206,9 +207,9 @@ def _faded(rows: NDArray[np.bool_], fs_hz: float) -> Floats:
 
 
 def _levels(f_hz: Floats, power: Floats, below: float = EULER) -> tuple[Floats, Floats]:
-    """Return the levels of a spectrum, of `OCTAVE` each where there are lines enough.
+    """Return the levels of a spectrum, `OCTAVE` wide each if there are enough lines.
 
-    ``below`` says by how much the mean of a line's logarithm lies below that of its mean.
+    ``below``: mean of a line's logarithm less the logarithm of its mean, negated.
     """
     cuts = [0]
     for i in range(1, f_hz.size):
@@ -218,7 +219,7 @@ def _levels(f_hz: Floats, power: Floats, below: float = EULER) -> tuple[Floats, 
         cuts.pop()
     parts = [slice(a, b) for a, b in zip(cuts, [*cuts[1:], f_hz.size], strict=True)]
     middles = np.array([float(np.exp(np.mean(np.log(f_hz[p])))) for p in parts])
-    # By the logarithm: a line, such as hum, does not count as noise.
+    # By the logarithm: a single line, such as hum, does not count as noise.
     logs = np.array([float(np.mean(np.log(power[p] + 1e-300))) + below for p in parts])
     return middles, np.exp(logs)
 
@@ -233,9 +234,9 @@ def _red(f_hz: Floats, red: tuple[float, float, float]) -> Floats:
 
 
 def _fitted_red(f_hz: Floats, power: Floats) -> tuple[float, float, float]:
-    """Return floor, rise at 1 Hz and its slope of greatest Whittle likelihood.
+    """Return floor, rise at 1 Hz and exponent with the largest Whittle likelihood.
 
-    For each slope the two others by Fisher scoring, neither below nothing.
+    For each exponent, the other two by Fisher scoring, both non-negative.
     """
     mean = float(np.mean(power))
     best, found = np.inf, (mean, 0.0, 0.0)
@@ -244,7 +245,7 @@ def _fitted_red(f_hz: Floats, power: Floats) -> tuple[float, float, float]:
         level = np.full(f_hz.size, mean)
         floor = more = 0.0
         for turn in range(SCORINGS):
-            # What stands far out of such a spectrum is a line, and no noise.
+            # A component far above such a spectrum is a line, not noise.
             noise = power if turn < SCORINGS // 2 else np.minimum(power, POLICY.noise_line * level)
             floor, more = _not_negative(1.0 / level, rise if slope > 0.0 else None, noise / level)
             level = np.maximum(floor + more * rise, 1e-6 * mean)
@@ -255,9 +256,9 @@ def _fitted_red(f_hz: Floats, power: Floats) -> tuple[float, float, float]:
 
 
 def _not_negative(weight: Floats, rise: Floats | None, y: Floats) -> tuple[float, float]:
-    """Return the coefficients of ``weight``, and of it times ``rise``, that are not negative.
+    """Return the non-negative coefficients of ``weight`` and of ``weight`` times ``rise``.
 
-    Of least squares of ``y``, each (n,).
+    By least squares for ``y``, each (n,).
     """
     one, right_one = float(weight @ weight), float(weight @ y)
     alone = max(right_one / one, 0.0)
@@ -276,23 +277,23 @@ def _not_negative(weight: Floats, rise: Floats | None, y: Floats) -> tuple[float
 
 
 def _better(found: Colour, f_hz: Floats, power: Floats) -> bool:
-    """Return whether the levels tell the lines better than one for all of them (BIC)."""
+    """Return whether the levels describe the lines better than a single level (BIC)."""
     level, white = found.at(f_hz), float(np.mean(power))
     gain = np.sum(np.log(white) + power / white) - np.sum(np.log(level) + power / level)
     return bool(2.0 * gain > found.count * np.log(f_hz.size))
 
 
 def mere(rest: Floats, white: Floats, sheet: float, fs_hz: float) -> bool:
-    """Return whether what is left of a channel is within its data sheet, and in no bursts.
+    """Return whether a channel's residual is within its data sheet, and without bursts.
 
-    As it is, (n,), and as it would be were its noise white, (n,): slow noise swells by itself, and
-    the rms of one recording scatters about what a sheet states.
+    Given as it is, (n,), and whitened, (n,): slow noise varies in strength, and the rms of one
+    recording scatters about the data sheet value.
     """
     return _rms(rest) < POLICY.sheet_factor * sheet and steady(white, fs_hz)
 
 
 def steady(white: Floats, fs_hz: float) -> bool:
-    """Return whether noise that is made white, (n,), comes in no bursts of a second."""
+    """Return whether whitened noise, (n,), has no bursts of a second."""
     count = max(int(white.size / max(fs_hz, 1.0)), 1)
     loudest = max(_rms(part) for part in np.array_split(white, count))
     return loudest < POLICY.noise_burst * _rms(white)

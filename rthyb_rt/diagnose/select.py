@@ -1,9 +1,9 @@
-"""Which set of effects explains a force residual: singles, pairs and triples at once.
+"""Which set of effects explains a force residual: singles, pairs and triples together.
 
-All trial shapes of all effects become columns of one dictionary. Their products are kept block by
-block in time, so that any set of effects is solved, and any block left out, without touching a row
-again. What the model may have wrong within its stated tolerance stands beside the effects as
-nuisance columns with a prior.
+All trial shapes of all effects become columns of one dictionary. Their products are stored block by
+block in time, so that any set of effects can be solved, and any block held out, without reading the
+rows again. Possible errors of the model within its stated tolerances are nuisance columns with a
+prior.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from rthyb_rt.diagnose.policy import POLICY
 
 BLOCKS = 16
 STRETCHES = 24
-"""Stretches of a recording whose misfits scatter independently."""
+"""Number of stretches of a recording whose misfits scatter independently."""
 ROWS_MAX = 24_000
-"""Rows that a search looks at; a longer recording is thinned."""
+"""Number of rows that a search uses; a longer recording is thinned."""
 LONG = 4
-"""Times as many from which a search whitens pieces of the recording, and not all of it."""
+"""Multiple of this from which a search whitens pieces of the recording instead of all of it."""
 PIECE = 1024
-"""Rows of such a piece."""
+"""Number of rows of such a piece."""
 KEPT = 64
-"""Blocks of columns that are kept, of a few tenths of a megabyte each."""
+"""Number of cached blocks of columns, a few tenths of a megabyte each."""
 SLOPES = 101
-"""Displacements between the ends of the motion at which the slope of a spring is taken."""
+"""Number of displacements, over the range of motion, at which the slope of a spring is taken."""
 
 
 @dataclass(frozen=True)
 class Nuisance:
-    """A column that is always there: what may be wrong without being a finding.
+    """A column that is always present: a possible error that is not a finding.
 
     Attributes:
-        name: of the effect that stands for it, or of what no effect does.
+        name: name of the equivalent effect, or of its own if there is none.
         column: its force per unit, (n,), N.
         sigma: its standard deviation; None: free.
-        plain: what it is, in words.
-        unit: of how far it is moved; "%" of a part.
-        number: the number of the model that it moves; empty: none.
-        effect: the effect in whose place it bends what is stated; empty: none.
-        cell: whether it is the load cell's, which nothing carries.
+        plain: description in words.
+        unit: unit of its adjustment; "%" of a relative one.
+        number: the number of the model that it changes; empty: none.
+        effect: the effect that it replaces by changing a stated value; empty: none.
+        cell: whether it belongs to the load cell, so that no effect carries it.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Nuisance:
     cell: bool = False
 
     def moves(self, model: Model, by: float) -> Model:
-        """Return a model with the number moved: the stiffness as a part, the others as they are."""
+        """Return a model with the number changed: the stiffness relatively, others absolutely."""
         if not self.number:
             return model
         old = getattr(model, self.number)
@@ -98,9 +98,9 @@ def columns_of(ctx: Context, members: Sequence[Member]) -> list[list[Floats]]:
 
 
 def bending(problem: Problem, members: Sequence[Member]) -> list[Floats]:
-    """Return the columns of the nuisance, each (n,), N, as the load cell shows them.
+    """Return the nuisance columns, each (n,), N, as the load cell shows them.
 
-    What it says of the specimen goes through the cell as the specimen's force does.
+    Nuisance forces on the specimen pass through the load cell like the specimen's force.
     """
     out = [n.column for n in problem.nuisances]
     for cell in (m for m in members if m.effect.carries):
@@ -111,7 +111,7 @@ def bending(problem: Problem, members: Sequence[Member]) -> list[Floats]:
 
 
 def leaning(problem: Problem, fit: Fit) -> Floats:
-    """Return what the nuisance of a fit adds to the model's force, (n,), N."""
+    """Return what the nuisance parameters of a fit add to the model's force, (n,), N."""
     out = np.zeros(problem.ctx.t.size)
     for b, column in zip(fit.nuisance, bending(problem, fit.members), strict=True):
         out += b * column
@@ -119,7 +119,7 @@ def leaning(problem: Problem, fit: Fit) -> Floats:
 
 
 def whole(problem: Problem, fit: Fit, ctx: Context) -> Floats:
-    """Return all of a fit's force along another motion: its effects', the model's, nuisance, N.
+    """Return the entire force of a fit along another motion: effects, model, nuisance, N.
 
     Of shape (n,), as the load cell shows it.
     """
@@ -142,11 +142,11 @@ class Fit:
         members: effects with their shapes.
         betas: linear coefficients of each.
         chi2: sum of squares of the whitened residual and of the priors.
-        count: parameters that were fitted.
-        residual: whitened, judged rows; empty before refinement.
+        count: number of fitted parameters.
+        residual: whitened, evaluated rows; empty before refinement.
         covariance: of (log shapes, coefficients), before scaling.
-        scatter: the same as the residual shows it, see `clustered`; of a simulated motion only.
-        start: displacement, m, and velocity, m/s, with which that motion begins.
+        scatter: the same from the residual itself, see `clustered`; for a simulated motion only.
+        start: initial displacement, m, and velocity, m/s, of that motion.
     """
 
     members: tuple[Member, ...]
@@ -161,12 +161,12 @@ class Fit:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Sorted names, those of a joint law apart."""
+        """Sorted names, with those of a joint law listed separately."""
         return tuple(sorted(n for m in self.members for n in m.effect.names))
 
 
 class Problem:
-    """The residual of one recording, the nuisance, and the dictionary of effects."""
+    """The residual of one recording, the nuisance columns, and the dictionary of effects."""
 
     def __init__(
         self,
@@ -216,11 +216,11 @@ class Problem:
 
     @property
     def decays(self) -> bool:
-        """Whether nothing acts on a body: then its mass is the scale of all forces, and stays."""
+        """Whether no force acts on a body: then its mass scales all forces, and is fixed."""
         return self.case.model.family == "forced" and not np.any(self.ctx.force)
 
     def nuisances_along(self, ctx: Context) -> list[Nuisance]:
-        """Return the nuisance as it is along another motion."""
+        """Return the nuisance columns along another motion."""
         return list(self._nuisances(ctx))
 
     def _nuisances(self, ctx: Context) -> Iterable[Nuisance]:
@@ -243,7 +243,7 @@ class Problem:
             one, sigma = np.ones_like(ctx.t), self.case.tare_error_n
             yield Nuisance(name, one, sigma, "zero of the load cell", "N", cell=True)
         if model.k_tol is not None and self.blurred:
-            # An estimated acceleration is a little too small: no finding about the mass.
+            # An estimated acceleration is slightly too small: not a finding about the mass.
             kg = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
             if kg > 0.0:
                 yield Nuisance("blur", ctx.a, POLICY.mass_blur * kg, "mass", "kg", effect=mass)
@@ -260,21 +260,21 @@ class Problem:
         return any(n.number == number and n.sigma is None for n in self.nuisances)
 
     def late_as(self, rate: Floats) -> None:
-        """Take the nuisance of a time offset for a line over this rate of the force, (n,), N/s."""
+        """Replace the column of the time offset, given this rate of the force, (n,), N/s."""
         self.nuisances = [
             replace(n, column=rate) if n.name == "skew" else n for n in self.nuisances
         ]
         self.base = np.column_stack([self.seen(n.column) for n in self.nuisances])
 
     def rescale(self, factor: float) -> None:
-        """Take the noise ``sqrt(factor)`` times as large: rows of coloured noise tell less."""
+        """Increase the noise by ``sqrt(factor)``: coloured noise makes rows less informative."""
         root = float(np.sqrt(factor))
         self.loudness *= root
         self.y = self.y / root
         self.base = self.base / root
 
     def seen(self, column: Floats) -> Floats:
-        """Return a force as it is judged: whitened, judged rows only."""
+        """Return a force as evaluated: whitened, evaluated rows only."""
         if self.cut_hz is not None:
             column = low_passed(column, self.case.fs_hz, self.cut_hz)
         pieces, whiten = self.pieces, self.estimate.pieces
@@ -284,7 +284,7 @@ class Problem:
         return np.asarray(clean[pieces.judged] / self.loudness)
 
     def below(self, cut_hz: float) -> Problem:
-        """Return the same problem judged up to a frequency: its residual and every column of it."""
+        """Return the same problem up to a frequency: its residual and all its columns."""
         out = copy(self)
         out.cut_hz, out._blocks, out._kept = cut_hz, OrderedDict(), None
         out.y = out.seen(self.estimate.force - self.ctx.total)
@@ -294,7 +294,7 @@ class Problem:
         return out
 
     def sensible(self, fit: Fit) -> bool:
-        """Return whether every effect of a fit makes a physical law, and so do its springs."""
+        """Return whether every effect of a fit, and its springs together, are physical."""
         return (
             all(
                 m.effect.sensible(self.ctx, m.trial, b)
@@ -307,10 +307,10 @@ class Problem:
         )
 
     def _weighs_nothing(self, fit: Fit) -> bool:
-        """Return whether a set takes more mass off than there is.
+        """Return whether a set subtracts more mass than there is.
 
-        Along a motion whose acceleration follows its velocity, as behind a first-order lag, that
-        would be a dashpot by another name.
+        Along a motion whose acceleration is proportional to its velocity, as behind a first-order
+        lag, that would be a dashpot by another name.
         """
         model = self.case.model
         there = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
@@ -318,10 +318,10 @@ class Problem:
         return there + sum(kg for kg in added if kg is not None) < 0.0
 
     def _pushes(self, fit: Fit) -> bool:
-        """Return whether a law of damping gives a naive model energy.
+        """Return whether a damping law adds energy to a naive model.
 
-        That model's dashpot is refitted beside it: what takes off from one there bends it down to
-        nothing, and drives the motion as soon as that is larger.
+        The model's dashpot is refitted with it: a negative law first reduces that to zero, and
+        drives the motion as soon as it is larger.
         """
         return self.case.model.k_tol is None and any(
             m.effect.dissipates and min(b) < 0.0
@@ -329,10 +329,10 @@ class Problem:
         )
 
     def _gives_way(self, fit: Fit) -> bool:
-        """Return whether beside a yielding law an elastic spring pushes outwards, of a naive model.
+        """Return whether, with a yielding law in a naive model, an elastic spring pushes outwards.
 
-        What softens there is the loop. A polynomial that takes that over has a slope below zero
-        within the motion, and foretells nothing beyond it.
+        What softens there is the loop. A polynomial that imitates this has a negative slope within
+        the motion, and predicts nothing beyond it.
         """
         ctx = self.ctx
         if not ctx.k_free or not any(m.effect.yields for m in fit.members):
@@ -353,11 +353,11 @@ class Problem:
         )
 
     def beside(self, members: Sequence[Member]) -> Floats:
-        """Return the judged columns of the nuisance beside a set, (rows, nuisances)."""
+        """Return the evaluated nuisance columns with a set, (rows, nuisances)."""
         cells = [m for m in members if m.effect.carries]
         if not cells:
             return self.base
-        # Of one set this is asked several times over while its cell's shape stays.
+        # Called several times for one set while the shape of its cell effect is unchanged.
         key, kept = (self.loudness, *((m.effect, m.trial) for m in cells)), self._kept
         if kept is None or kept[0] != key or kept[1] is not self.nuisances:
             seen = [self.seen(c) for c in bending(self, members)]
@@ -365,13 +365,13 @@ class Problem:
         return kept[2]
 
     def columns(self, member: Member) -> Floats:
-        """Return the judged columns of an effect in one shape, (rows, coefficients)."""
+        """Return the evaluated columns of an effect in one shape, (rows, coefficients)."""
         return self.blocks([member])[0]
 
     def blocks(self, members: Sequence[Member]) -> list[Floats]:
-        """Return the judged columns of a set, each (rows, coefficients); not to be written to.
+        """Return the evaluated columns of a set, each (rows, coefficients); read-only.
 
-        The last ones are kept: a search asks again for most of what it has refined.
+        The latest are cached: a search needs most of what it has refined again.
         """
         cells = [m for m in members if m.effect.carries]
         return [self._block(m, [] if m.effect.sensor else cells) for m in members]
@@ -382,7 +382,7 @@ class Problem:
         if found is None:
             columns = columns_of(self.ctx, [member, *cells])[0]
             found = np.column_stack([self.seen(c) for c in columns])
-            # One that begins in mid-record is an effect of its own each time.
+            # Each onset is an effect of its own.
             if not any(m.effect.late for m in (member, *cells)):
                 self._blocks[key] = found
             if len(self._blocks) > KEPT:
@@ -394,7 +394,7 @@ class Problem:
     def changed(
         self, members: Sequence[Member], blocks: Sequence[Floats], which: int
     ) -> list[Floats]:
-        """Return the blocks of a set of which one effect has another shape than its block."""
+        """Return the blocks of a set in which one effect has a different shape."""
         if members[which].effect.carries:
             return self.blocks(members)
         alone = [members[which], *(m for m in members if m.effect.carries)]
@@ -403,11 +403,11 @@ class Problem:
 
 @dataclass(frozen=True)
 class Pieces:
-    """Stretches of a long recording that stand for all of it.
+    """Stretches of a long recording that represent all of it.
 
     Attributes:
         first: first row of each, (m,).
-        judged: which of their rows are judged, (m, PIECE).
+        judged: which of their rows are evaluated, (m, PIECE).
         rows: those rows, in order.
     """
 
@@ -417,7 +417,7 @@ class Pieces:
 
 
 def _pieces(estimate: Estimate, ctx: Context) -> Pieces:
-    """Choose half of the pieces evenly, and half where the model is farthest off."""
+    """Choose half of the pieces evenly, and half where the model's error is largest."""
     count = estimate.rows.size // PIECE
     most = ROWS_MAX // PIECE
     at = np.arange(count)
@@ -467,7 +467,7 @@ class Solved:
         )
 
     def where(self, kept: NDArray[np.bool_]) -> Solved:
-        """Return some of them."""
+        """Return a selection."""
         return Solved(self.chi2[kept], self.groups[kept])
 
 
@@ -484,7 +484,8 @@ class Dictionary:
                 member = Member(effect, trial)
                 block = problem.columns(member)
                 norms = np.sqrt(np.sum(block**2, axis=0))
-                # No least size: a coefficient's unit may make a column as small as it likes.
+                # No lower bound: depending on its unit, a coefficient's column may be arbitrarily
+                # small.
                 if not np.isfinite(norms).all() or not (norms > 0.0).any():
                     continue
                 (signs, pinned), count = effect.settings(problem.ctx, trial)
@@ -531,7 +532,7 @@ class Dictionary:
                     self.pin_c[g] += 1.0 / sigma**2
 
     def reduced(self, gram: Floats | None = None) -> tuple[Floats, Floats, float]:
-        """Return the products with the nuisance taken out: A, b and the sum of squares left."""
+        """Return the products after eliminating the nuisance: A, b and the sum of squares left."""
         g = self.grams.sum(axis=0) if gram is None else gram
         p, b = self.p, self.b
         bb = g[p : p + b, p : p + b] + np.diag(self.ridge + 1e-12 * g.diagonal()[p : p + b])
@@ -541,11 +542,11 @@ class Dictionary:
         return rest[:p, :p], rest[:p, -1], float(rest[-1, -1])
 
     def beside(self, fit: Fit) -> tuple[Floats, Floats, float]:
-        """Return the products with the nuisance and a set, its shapes free to move, taken out."""
+        """Return the products after eliminating the nuisance and a set with free shapes."""
         return self.begun(fit, self.cuts[:-1])[0]
 
     def begun(self, fit: Fit, rows: Rows) -> list[tuple[Floats, Floats, float]]:
-        """Return the same products of columns that begin at each of some judged rows, in order."""
+        """Return the same products for columns that begin at each of some rows, in order."""
         base, pins, y, extra = self._taken_out(fit)
         size = np.sqrt(np.maximum(np.sum(base**2, axis=0), 1e-200))
         base = base / size
@@ -554,7 +555,7 @@ class Dictionary:
         beside = np.column_stack([base, y])
         from_base = np.linalg.solve(held, base.T @ y)
         left = float(y @ y - (base.T @ y) @ from_base) + extra
-        # In the columns' products alone the nuisance is still there: none of it is out yet.
+        # The products of the columns alone still contain the nuisance, which is not yet eliminated.
         gram, cross = np.zeros((self.p, self.p)), np.zeros((pins.size, self.p))
         right, end = np.zeros(self.p), y.size
         out = []
@@ -565,7 +566,7 @@ class Dictionary:
                     gram += (own.T @ own) / loudness**2
                 else:
                     gram += self.grams[whole, : self.p, : self.p]
-            # One product for the nuisance, the set and what it leaves: each reads all columns.
+            # One product for nuisance, set and residual, because each reads all columns.
             products = beside[first:end].T @ data[first:end] / loudness
             cross += products[:-1]
             right += products[-1]
@@ -575,14 +576,14 @@ class Dictionary:
         return out[::-1]
 
     def _parts(self, first: int, end: int) -> Iterable[tuple[slice, int | None]]:
-        """Give a stretch of judged rows in parts: blocks whose products are known, and the rest."""
+        """Divide a stretch of evaluated rows into blocks with known products, and the remainder."""
         inside = self.cuts[(self.cuts > first) & (self.cuts < end)]
         known = {(int(i), int(j)): b for b, (i, j) in enumerate(pairwise(self.cuts))}
         for i, j in pairwise([first, *map(int, inside), end]):
             yield slice(i, j), known.get((i, j))
 
     def _taken_out(self, fit: Fit) -> tuple[Floats, Floats, Floats, float]:
-        """Return nuisance and columns of a set, their priors, what it leaves, its own priors."""
+        """Return nuisance and set columns, their priors, the residual, and its own priors."""
         problem = self.problem
         blocks = [problem.beside(fit.members)]
         pins = [0.0 if n.sigma is None else n.sigma**-2 for n in problem.nuisances]
@@ -592,7 +593,7 @@ class Dictionary:
         for i, (member, beta) in enumerate(zip(fit.members, fit.betas, strict=True)):
             block = own[i]
             (_, pinned), _ = member.effect.settings(problem.ctx, member.trial)
-            # Counted from where the fit has them: a coefficient held at one stays near it.
+            # Relative to the fit: a coefficient fixed at one stays near it.
             y = y - block @ beta
             for b, sigma in zip(beta, pinned, strict=True):
                 pins.append(0.0 if sigma is None else sigma**-2)
@@ -605,11 +606,11 @@ class Dictionary:
         return np.column_stack(blocks), np.array(pins), y, extra
 
     def _loudness(self) -> float:
-        """Return by how much rows have been scaled down since the dictionary was made."""
+        """Return the factor by which rows were scaled down since the dictionary was created."""
         return self.problem.loudness / self.made
 
     def singles(self) -> Solved:
-        """Return chi2 of every group on its own; impossible ones are left out."""
+        """Return chi2 of every group alone; unphysical ones are omitted."""
         return self.sets([(g,) for g in range(len(self.groups))])
 
     def sets(
@@ -617,7 +618,7 @@ class Dictionary:
         sets: Sequence[tuple[int, ...]] | Rows,
         reduced: tuple[Floats, Floats, float] | None = None,
     ) -> Solved:
-        """Return chi2 of sets of groups of one size, impossible ones left out."""
+        """Return chi2 of sets of groups of one size; unphysical ones are omitted."""
         if len(sets) == 0:
             return Solved(np.zeros(0), np.zeros((0, 1), dtype=np.int64))
         a, b, j0 = self.reduced() if reduced is None else reduced
@@ -654,17 +655,17 @@ class Dictionary:
         return Solved(*map(np.concatenate, zip(*out, strict=True)))
 
     def penalties(self, groups: Rows) -> Floats:
-        """Return what each of some sets, (m, size), has to earn, (m,)."""
+        """Return the price of each of some sets, (m, size), (m,)."""
         return np.asarray(self.costs[groups].sum(axis=1))
 
     def penalty(self, groups: Sequence[int]) -> float:
-        """Return what a set has to earn: its parameters, and having been picked among many."""
+        """Return the price of a set: for its parameters, and for its selection among many."""
         return sum(float(self.costs[g]) for g in groups)
 
     def best(self, found: Solved, most: int, variants: int = 1) -> list[tuple[int, ...]]:
-        """Return the best sets of groups, up to ``most`` sets of names in order.
+        """Return the best sets of groups, up to ``most`` different sets of names, in order.
 
-        Of each set of names up to ``variants`` shapes of different variants are kept.
+        For each set of names, up to ``variants`` shapes of different variants are returned.
         """
         scores = found.chi2 + self.penalties(found.groups)
         order = np.lexsort((*found.groups.T[::-1], scores))
@@ -691,7 +692,7 @@ class Dictionary:
         return self.sets(np.column_stack([i[differ], j[differ]]))
 
     def extended(self, seeds: Sequence[tuple[int, ...]]) -> Solved:
-        """Return chi2 of the seeds with one more effect each."""
+        """Return chi2 of the seeds with one additional effect each."""
         sets = []
         for seed in seeds:
             names = {self.groups[g].member.name for g in seed}
@@ -702,10 +703,10 @@ class Dictionary:
 
 
 def compatible(members: Sequence[Member]) -> bool:
-    """Return whether effects may stand beside one another.
+    """Return whether effects may be combined.
 
-    A contact has one law of friction: a second one beside it is the first in a form of its own, and
-    takes up what the first one's form leaves.
+    A contact has one law of friction: a second one would be another form of the first, and would
+    absorb errors in the form of the first.
     """
     if sum(m.effect.dry for m in members) > 1:
         return False
@@ -720,14 +721,14 @@ def penalty(ln_n: float, count: int) -> float:
 
 
 def price(problem: Problem, effect: Effect, count: int) -> float:
-    """Return the price of an effect; one that only moves a stated number has nothing to choose."""
+    """Return the price of an effect; one that only changes a stated value involves no selection."""
     known = {n.name for n in problem.nuisances if n.sigma is not None}
     moved = effect.name in known and not effect.late
     return POLICY.stated_number_price if moved else penalty(problem.ln_n, count)
 
 
 def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats]) -> Fit | None:
-    """Solve for the linear coefficients of effects whose judged columns are given."""
+    """Solve for the linear coefficients of effects with given evaluated columns."""
     base = problem.beside(members)
     design = np.column_stack([*blocks, base]) if blocks else base
     y = problem.y
@@ -757,7 +758,7 @@ def _solved(
 ) -> tuple[Floats, Floats, float] | None:
     """Return coefficients, inverse and chi-squared of the normal equations of scaled columns.
 
-    None where they have no solution, or one of a sign that no law has.
+    None if they have no solution, or a sign that no law permits.
     """
     extra, signs, j = 0.0, "", 0
     for member in members:
@@ -786,9 +787,9 @@ def _solved(
 
 
 class Scan:
-    """A set of which the last effect changes its shape, and all others stay: chi-squared of each.
+    """Chi-squared of a set in which only the last effect changes its shape.
 
-    What the others' columns come to with one another is known beforehand.
+    The products of the other columns are computed in advance.
     """
 
     def __init__(self, problem: Problem, members: Sequence[Member]) -> None:
@@ -801,7 +802,7 @@ class Scan:
             self.gram, self.right = self.fixed.T @ self.fixed, self.fixed.T @ problem.y
 
     def chi2(self, last: Member) -> float | None:
-        """Return chi-squared with the last effect so; None where it cannot be solved for."""
+        """Return chi-squared with this shape of the last effect; None if it cannot be solved."""
         problem, members = self.problem, [*self.rest, last]
         blocks = problem.changed(members, self.blocks, len(self.rest))
         if not self.alone:
@@ -821,9 +822,9 @@ class Scan:
 
 
 def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit | None:
-    """Fit the shape parameters as well, from the shapes given.
+    """Fit the shape parameters as well, starting from the given shapes.
 
-    Damped Gauss-Newton over their logarithms.
+    Damped Gauss-Newton in their logarithms.
     """
     members = list(members)
     blocks = problem.blocks(members)
@@ -837,7 +838,7 @@ def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit |
         design = _design(problem, members, blocks, places, fit)
         gram = design.T @ design
         prior = priors_of(problem, members, len(places), gram.shape[0])
-        # Units must not matter: columns are brought to one size.
+        # Units must not matter: columns are scaled to the same norm.
         unit = 1.0 / np.sqrt(np.maximum(gram.diagonal() + prior.diagonal(), 1e-300))
         held = np.r_[np.zeros(len(places)), *fit.betas, fit.nuisance]
         aim = np.zeros(held.size)
@@ -869,7 +870,7 @@ def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit |
                 improved = True
                 break
             damping *= 8.0
-        if not improved:  # the slopes are still those of the point
+        if not improved:  # the slopes are still valid
             return _with_covariance(problem, members, design, len(places), fit)
         if gain < 1e-5 * fit.chi2 + 0.02:
             break
@@ -918,7 +919,7 @@ def _stepped(
 
 
 def design_of(problem: Problem, fit: Fit) -> Floats:
-    """Return the slopes of the judged rows to (log shapes, coefficients, nuisance), (rows, p)."""
+    """Return the slopes of the rows to (log shapes, coefficients, nuisance), (rows, p)."""
     blocks = problem.blocks(fit.members)
     places = [(i, j) for i, m in enumerate(fit.members) for j in range(len(m.trial.theta))]
     return _design(problem, fit.members, blocks, places, fit)
@@ -942,7 +943,7 @@ def _slopes(
     places: Sequence[tuple[int, int]],
     fit: Fit,
 ) -> list[Floats]:
-    """Return the slopes of the judged rows to the logarithm of each shape parameter."""
+    """Return the slopes of the evaluated rows to the logarithm of each shape parameter."""
     jacobian = []
     for i, j in places:
         moved, step = _moved(problem, members[i], j, 1e-3), 1e-3
@@ -950,7 +951,7 @@ def _slopes(
             moved, step = _moved(problem, members[i], j, -1e-3), -1e-3
         slope = np.zeros(problem.y.size)
         if moved is not None and moved.effect.carries:
-            # It changes every block: their sum is made white at once.
+            # It changes every block: their sum is whitened in one pass.
             now_all = columns_of(problem.ctx, [*members[:i], moved, *members[i + 1 :]])
             pairs = zip(fit.betas, now_all, strict=True)
             force = sum(b * c for beta, own in pairs for b, c in zip(beta, own, strict=True))
@@ -968,7 +969,7 @@ def _slopes(
 def _with_covariance(
     problem: Problem, members: Sequence[Member], design: Floats, shapes: int, fit: Fit
 ) -> Fit:
-    """Put the joint covariance of (log shapes, coefficients, nuisance) in."""
+    """Add the joint covariance of (log shapes, coefficients, nuisance)."""
     gram = design.T @ design + priors_of(problem, members, shapes, design.shape[1])
     scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-12, hermitian=True)
@@ -977,16 +978,16 @@ def _with_covariance(
 
 
 def clustered(design: Floats, residual: Floats, inverse: Floats) -> Floats:
-    """Return the covariance of least squares that the residual itself shows, (p, p).
+    """Return the covariance of least squares from the residual itself, (p, p).
 
-    What a law's form leaves hangs together over a stretch of the recording and counts there as one
-    finding, not as one a row: the sums of ``design * residual`` over stretches are taken for what
-    scatters (Liang and Zeger, Biometrika 73 (1986) 13, with the factor g / (g - 1)).
+    Errors in the form of a law are correlated over a stretch of the recording and count there as
+    one observation, not one per row: the sums of ``design * residual`` over stretches are taken as
+    independent (Liang and Zeger, Biometrika 73 (1986) 13, with the factor g / (g - 1)).
 
     Args:
-        design: slopes of the judged rows, (rows, p).
+        design: slopes of the evaluated rows, (rows, p).
         residual: whitened, (rows,).
-        inverse: of the normal matrix with the priors, (p, p).
+        inverse: inverse of the normal matrix including the priors, (p, p).
     """
     cuts = np.linspace(0, residual.size, STRETCHES + 1).astype(np.int64)
     scores = np.stack([design[i:j].T @ residual[i:j] for i, j in pairwise(cuts)])
@@ -995,15 +996,15 @@ def clustered(design: Floats, residual: Floats, inverse: Floats) -> Floats:
 
 
 def inflation(residual: Floats) -> float:
-    """Return by how much a residual's colour and size overstate evidence (1 for unit white noise).
+    """Return the inflation of evidence by a residual's colour and size (1 for unit white noise).
 
-    The variance of a mean over many rows against that of unit white noise: variance times the
+    The variance of a mean over many rows relative to that of unit white noise: variance times
     correlation length.
     """
     n = residual.size
     if n < 32:
         return max(1.0, float(np.mean(residual**2)))
-    # So long that no lag that is looked at goes round the transform.
+    # Long enough that no lag considered wraps around in the transform.
     size = fast_length(n + n // 4)
     spectrum = np.abs(np.fft.rfft(residual - residual.mean(), size)) ** 2
     correlation = np.fft.irfft(spectrum, size)[: n // 4] / (n - np.arange(n // 4))
