@@ -1,4 +1,4 @@
-"""Diagnosis: when simulation and recording differ, say what physics the model leaves out."""
+"""Diagnosis: find the physics that a model lacks when simulation and recording differ."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 
 class _Room(ModuleType):
-    """The room of the diagnosis, which is the public function of the same name as well."""
+    """The package of the diagnosis, which is also the public function of the same name."""
 
     def __call__(self, *args: Any, **named: Any) -> Any:
-        """Say what physics a model leaves out; `rthyb_rt.api.diagnosing.diagnose`."""
+        """Find the physics that a model lacks; `rthyb_rt.api.diagnosing.diagnose`."""
         from rthyb_rt.api.diagnosing import diagnose
 
         return diagnose(*args, **named)

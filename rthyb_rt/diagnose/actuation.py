@@ -1,4 +1,4 @@
-"""The displacement channel: what the actuator does otherwise than its model, x_cmd to x_meas."""
+"""The displacement channel: how the actuator differs from its model, x_cmd to x_meas."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from rthyb_rt.diagnose.select import clustered, inflation, penalty
 
 @dataclass(frozen=True)
 class ActuatorEffect:
-    """A parameter, or two, of the actuator's model that may be wrong.
+    """One or two parameters of the actuator's model that may be wrong.
 
     Attributes:
-        plain, phrase: as a laboratory calls it, and the same with its size; see `effects.Effect`.
-        log: its numbers are positive, and fitted by their logarithms.
-        late: from a moment in mid-record on only; up to then the model has it right.
-        limit: it does nothing where it is not met, and has no slope there.
-        in_rig_file: a rig file's actuator can hold it.
+        plain, phrase: common name, and the same with its size; see `effects.Effect`.
+        log: its parameters are positive, and fitted by their logarithms.
+        late: it begins in mid-recording; until then the model is right.
+        limit: it has no effect, and no slope, until it is reached.
+        in_rig_file: a rig file's actuator can represent it.
     """
 
     name: str
@@ -53,16 +53,16 @@ class ActuatorEffect:
     in_rig_file: bool = True
 
     def acts(self, model: ActuatorModel) -> bool:
-        """Return whether a model, in which 0 stands for none of it, has any of it."""
+        """Return whether a model, in which 0 means absent, has it."""
         return any(getattr(model, name) != 0.0 for name in self.fields)
 
     @property
     def count(self) -> int:
-        """How many parameters are fitted, a beginning among them."""
+        """Number of fitted parameters, including an onset."""
         return len(self.fields) + int(self.late)
 
     def starts(self, base: ActuatorModel, v_max: float) -> list[tuple[dict[str, Any], Floats]]:
-        """Return settings of the variants and where to begin each."""
+        """Return settings of the variants and the initial values of each."""
         if self.name == "delay":
             return [({}, np.array([base.delay_s]))]
         if self.name == "act_gain":
@@ -125,27 +125,27 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
 )  # fmt: skip
 
 LONG_ROWS = 100_000
-"""Rows from which the effects are fitted on two cores at once."""
+"""Number of rows from which the effects are fitted on two cores in parallel."""
 START_S = 0.01
-"""Of a recording: whether its displacement stands or moves."""
+"""Time from the start in which a displacement is judged to be at rest or moving."""
 MASK_S = 0.4
 STEPS = 12
 UNDAMPED = 1e-9
-"""Of the normal matrix's diagonal: what its rounding comes to."""
+"""Relative to the diagonal of the normal matrix: size of its rounding errors."""
 NEAR = 4.0
-"""Misfit, in noise power, up to which a fit may be the answer in noise of its own colour."""
+"""Misfit, in noise power, up to which a fit may be the answer with coloured noise."""
 ZEROS = 10
-"""Parts of a recording whose displacement may have a zero of its own."""
+"""Number of parts of a recording whose displacement may have separate zeros."""
 ROW = "row"
-"""The field that stands for when an effect begins."""
+"""Name of the field for the onset of an effect."""
 LAGS = {"delay", "oil_column"}
-"""Effects whose lag a slow motion does not tell apart."""
+"""Effects whose lags a slow motion cannot distinguish."""
 TRADES = (1.4, 2.0, 2.8, 4.0)
-"""Factors of an oil column's frequency to begin with beside a delay."""
+"""Initial factors of an oil column's frequency together with a delay."""
 
 
 Before = tuple[float, ActuatorModel] | None
-"""What an actuator is up to a row, where it changes in mid-record."""
+"""The actuator before a row at which it changes in mid-recording."""
 
 
 @dataclass
@@ -153,14 +153,14 @@ class ActuatorFit:
     """Effects of the actuator fitted to the displacement.
 
     Attributes:
-        model: the actuator, as it is at the end of the recording.
-        before: what it was up to a row, where an effect begins there.
-        covariance: of the numbers and the time offset, as noise alone makes it, (p, p).
-        scatter: the same as the residual shows it, see `select.clustered`.
-        slopes: of the whitened rows to the numbers and the time offset, (rows, p).
-        motion: as simulated, on the zero of the displacement sensor.
-        zero_m: by how much that lies from that of the command, mean of the rows.
-        others: the same effects fitted in another form, or come to rest elsewhere.
+        model: the actuator at the end of the recording.
+        before: the actuator up to a row, if an effect begins there.
+        covariance: of the parameters and the time offset, from noise alone, (p, p).
+        scatter: the same from the residual itself, see `select.clustered`.
+        slopes: of the whitened rows to the parameters and the time offset, (rows, p).
+        motion: the simulated motion, relative to the zero of the displacement sensor.
+        zero_m: difference of that zero from the zero of the command, mean of the rows.
+        others: the same effects in another form, or from another local minimum.
     """
 
     effects: tuple[ActuatorEffect, ...]
@@ -183,15 +183,15 @@ class ActuatorFit:
         return tuple(sorted(e.name for e in self.effects))
 
     def misfit(self, scale: float) -> float:
-        """Return chi-squared with the rows' share scaled down; the prior's is not."""
+        """Return chi-squared, with the rows' part scaled down but not that of the prior."""
         prior = (self.model.shift_s / POLICY.offset_prior_s) ** 2
         return (self.chi2 - prior) / scale + prior
 
     def known(self, scale: float) -> Floats:
-        """Return the covariance of the numbers, (p, p): as noise makes it, or its scatter if more.
+        """Return the covariance of the parameters, (p, p): from noise, or its scatter if larger.
 
         Args:
-            scale: by how much evidence is scaled down.
+            scale: factor by which evidence is scaled down.
         """
         noise, shown = scale * self.covariance, self.scatter.diagonal()
         wider = np.sqrt(np.maximum(shown / np.maximum(noise.diagonal(), 1e-300), 1.0))
@@ -199,10 +199,10 @@ class ActuatorFit:
 
 
 def from_rest(case: Case) -> bool:
-    """Return whether a recording begins at rest: else its first rows follow commands of before.
+    """Return whether a recording begins at rest: otherwise its first rows follow earlier commands.
 
-    A command that is at its zero may be on its way through it: then the displacement moves, at more
-    than a share of its largest velocity in the first hundredth of a second.
+    A command at its zero may be passing through it: then the displacement moves, with more than a
+    fraction of its largest velocity in the first hundredth of a second.
     """
     u = filled(case.channels["x_cmd"])
     if not abs(u[0]) < POLICY.command_at_rest * (float(np.max(np.abs(u))) or 1.0):
@@ -219,7 +219,7 @@ def from_rest(case: Case) -> bool:
 
 
 def settled(case: Case) -> int:
-    """Return the first row that is no longer under the influence of an unknown start."""
+    """Return the first row that is not affected by an unknown initial state."""
     return 0 if from_rest(case) else int(MASK_S * case.fs_hz)
 
 
@@ -242,14 +242,14 @@ class Actuation:
         self.ln_n = float(np.log(max(self.rows.size, 2)))
 
     def simulate(self, model: ActuatorModel, before: Before = None) -> Motion:
-        """Return the motion that a model, another one up to a row, makes of the command."""
+        """Return the motion of a model, with another model up to a row, along the command."""
         return actuator(model, self.u, self.case.fs_hz, before)
 
     def residual(self, model: ActuatorModel, before: Before = None) -> tuple[Floats, Motion, float]:
-        """Return what a model leaves, less its mean: command and sensor have zeros of their own.
+        """Return the residual of a model less its mean: command and sensor have separate zeros.
 
-        A lag, a gain, a limit of velocity move no mean; what does is the sensor's zero or a
-        servo valve's, and to be read as one of them it would bend the others.
+        A lag, a gain or a velocity limit does not change the mean; the zero of the sensor or of a
+        servo valve does, and would bias them.
         """
         motion = self.simulate(model, before)
         off = (self.x - motion.x)[self.rows]
@@ -261,17 +261,17 @@ class Actuation:
         return white, motion, zero
 
     def _between(self, off: Floats) -> Floats:
-        """Return a residual with a straight line over the rows that are not judged, (n,)."""
+        """Return a residual with a straight line over rows that are not evaluated, (n,)."""
         return np.interp(np.arange(off.size), self.rows, off[self.rows])
 
     def left(self, fit: ActuatorFit) -> Floats:
-        """Return what a fit leaves of the displacement, (n,), m; between judged rows a line."""
+        """Return a fit's residual in the displacement, (n,), m; a line between evaluated rows."""
         return self._between(self.x - fit.motion.x)
 
     def hear(self, fits: Sequence[ActuatorFit]) -> bool:
-        """Take the noise for what the likeliest of some fits leaves; return whether it is coloured.
+        """Set the noise to that left by the likeliest of some fits; return whether it is coloured.
 
-        As of the force, see `noise`.
+        As for the force, see `noise`.
         """
         judged = np.zeros(self.x.size, dtype=np.bool_)
         judged[self.rows] = True
@@ -289,8 +289,8 @@ class Actuation:
     ) -> ActuatorFit | None:
         """Fit the parameters of some effects and the time offset between the channels.
 
-        ``starts`` are settings of variants with the parameters' first values; without them the
-        effect's own, of a single one. Effects that are late begin within a few rows of ``row``.
+        ``starts`` are settings of variants with the parameters' initial values; default: those of
+        the single effect. Effects with an onset begin within a few rows of ``row``.
         """
         if starts is None:
             starts = effects[0].starts(self.base, self.v_max) if effects else [({}, np.zeros(0))]
@@ -304,7 +304,7 @@ class Actuation:
             return float(r @ r)
 
         if len(starts) > 2:
-            # Of each variant the most promising ones.
+            # The most promising ones of each variant.
             starts = sorted(starts, key=first)[:3]
         fits = [self._from(effects, settings, start, row) for settings, start in starts]
         good = sorted((f for f in fits if f is not None), key=lambda f: f.chi2)
@@ -318,7 +318,7 @@ class Actuation:
         shift_s: float,
         row: float,
     ) -> tuple[ActuatorModel, Before]:
-        """Return the actuator with the effects' values, and what it is up to where one begins."""
+        """Return the actuator with the effects' values, and the one before an onset."""
         always: dict[str, Any] = {}
         later: dict[str, Any] = {}
         given = iter(values)
@@ -350,15 +350,15 @@ class Actuation:
         )  # fmt: skip
 
     def around(self, fit: ActuatorFit, scale: float, motion: Motion) -> list[Motion]:
-        """Return motions that lie one standard deviation of a fit's numbers away, each (n,).
+        """Return motions for parameters one standard deviation away from a fit, each (n,).
 
-        As many as there are numbers, independent of one another; none of another motion than the
-        fit's, but for its time.
+        As many independent ones as there are parameters; none if the motion is not that of the fit,
+        except for its time.
 
         Args:
             fit: the actuator.
-            scale: by how much evidence is scaled down.
-            motion: along which the force was judged.
+            scale: factor by which evidence is scaled down.
+            motion: motion along which the force was evaluated.
         """
         v = fit.motion.v
         late = -float((motion.x - fit.motion.x) @ v) / max(float(v @ v), 1e-300)
@@ -379,7 +379,7 @@ class Actuation:
         return out
 
     def of_form(self, fit: ActuatorFit) -> Floats:
-        """Return the covariance of a fit's numbers that comes of its effects' forms, (p, p)."""
+        """Return the covariance of a fit's parameters due to its effects' forms, (p, p)."""
         out = np.zeros_like(fit.covariance)
         reach = [float(np.max(np.abs(s))) or 1.0 for s in (fit.motion.x, fit.motion.v)]
         over = list(zip((fit.motion.x, fit.motion.v), reach, strict=True))
@@ -392,17 +392,17 @@ class Actuation:
         return out
 
     def _seen(self, moved: Floats) -> Floats:
-        """Return a displacement, (n,), m, as a residual of it would be judged: white, (rows,)."""
+        """Return a displacement, (n,), m, as it enters the residual: whitened, (rows,)."""
         own = moved[self.rows] - float(np.mean(moved[self.rows]))
         if self.own is None:
             return np.asarray(own / self.sigma)
         return self.own.whiten(self._between(moved))[self.rows]
 
     def late_zero(self, fit: ActuatorFit) -> float:
-        """Return the zero at the end of the recording, m: the mean's where it does not wander.
+        """Return the zero at the end of the recording, m: that of the mean if it does not drift.
 
-        It wanders where the mean of a tenth of the recording tells that of the next one better than
-        the whole's does (von Neumann's ratio below one; 2 for tenths that know nothing of another).
+        It drifts if the mean of a tenth of the recording predicts that of the next one better than
+        the overall mean does (von Neumann's ratio below one; 2 for independent tenths).
         """
         off = self.left(fit)[self.rows]
         parts = np.array([float(np.mean(p)) for p in np.array_split(off, ZEROS)])
@@ -411,16 +411,16 @@ class Actuation:
         return fit.zero_m + float(parts[-1])
 
     def price(self, fit: ActuatorFit) -> float:
-        """Return what a fit has to earn."""
+        """Return what a fit must earn."""
         return sum(self.price_of(e) for e in fit.effects)
 
     def price_of(self, effect: ActuatorEffect) -> float:
-        """Return what one effect has to earn."""
+        """Return what one effect must earn."""
         return penalty(self.ln_n, effect.count)
 
 
 class _Unknown:
-    """The numbers of some effects, scaled for least squares; the last one is the time offset."""
+    """The parameters of some effects, scaled for least squares; the last one is the time offset."""
 
     def __init__(
         self, task: Actuation, effects: Sequence[ActuatorEffect], settings: dict[str, Any],
@@ -429,10 +429,10 @@ class _Unknown:
         self.task, self.effects, self.settings, self.row = task, effects, settings, row
         self.fields = [f for e in effects for f in e.fields]
         self.logs = [e.log for e in effects for _ in e.fields]
-        # A lag that is slow for its damping goes on towards one of first order without an end.
+        # A heavily damped lag approaches a first-order lag without limit.
         limits = [(np.log(q.low), np.log(q.high)) if e.log else (-np.inf, np.inf)
                   for e in effects for q in e.params]  # fmt: skip
-        if any(e.late for e in effects):  # when they begin, in rows, is fitted as well
+        if any(e.late for e in effects):  # the onset, in rows, is fitted as well
             self.fields, self.logs = [*self.fields, ROW], [*self.logs, False]
             limits.append((-np.inf, np.inf))
         own_scales = {"delay_s": 1e-3, "kappa_s2_m": 1e-2}
@@ -441,14 +441,14 @@ class _Unknown:
         self.low, self.high = np.array([*limits, (-most, most)]).T / self.scales
 
     def first(self, start: Floats) -> Floats:
-        """Return the scaled numbers of a start, with no time offset."""
+        """Return the scaled parameters of a start, without time offset."""
         if ROW in self.fields:
             start = np.r_[start, self.row]
         own = [np.log(v) if log else v for v, log in zip(start, self.logs, strict=True)]
         return np.asarray(np.r_[own, 0.0] / self.scales)
 
     def model(self, p: Floats) -> tuple[ActuatorModel, Before]:
-        """Return the actuator that scaled numbers stand for, and what it is up to a row."""
+        """Return the actuator for scaled parameters, and the one before an onset."""
         values = [
             float(np.exp(q * s)) if log else float(q * s)
             for q, s, log in zip(p[:-1], self.scales[:-1], self.logs, strict=True)
@@ -458,12 +458,12 @@ class _Unknown:
         return self.task.models(self.effects, self.settings, values, shift_s, at)
 
     def residual(self, p: Floats) -> Floats:
-        """Return what is left of the displacement; one more row holds the time offset's prior."""
+        """Return the residual of the displacement; one more row has the time offset's prior."""
         r = self.task.residual(*self.model(p))[0]
         return np.asarray(np.r_[r, p[-1] * self.scales[-1] / POLICY.offset_prior_s])
 
     def chain(self, best: ActuatorModel) -> Floats:
-        """Return the slope of each number in its own unit to the scaled one."""
+        """Return the derivative of each parameter with respect to the scaled one."""
         own = [
             s * (float(getattr(best, f)) if log else 1.0)
             for f, s, log in zip(self.fields, self.scales, self.logs, strict=False)
@@ -471,7 +471,7 @@ class _Unknown:
         return np.array([*own, self.scales[-1]])
 
     def least(self, p: Floats) -> tuple[Floats, float, Floats] | None:
-        """Return numbers of least squares, chi-squared and slopes; None: it cannot be simulated."""
+        """Return least-squares parameters, chi-squared and slopes; None if the simulation fails."""
         try:
             r = self.residual(p)
         except SimulationError:
@@ -489,8 +489,8 @@ class _Unknown:
                 step = np.linalg.solve(damped, right)
                 last = float(np.clip(p[-1] + step[-1], self.low[-1], self.high[-1]) - p[-1])
                 if last != step[-1]:
-                    # The others step to where they are best with it at its end: what a delay or a
-                    # slower column trades for an offset in time is many times the noise.
+                    # The others move to their optimum with it at its limit: the trade-off between a
+                    # delay or a slower column and a time offset is many times the noise.
                     step = np.r_[
                         np.linalg.solve(damped[:-1, :-1], right[:-1] - last * damped[:-1, -1]), last
                     ]
@@ -508,15 +508,15 @@ class _Unknown:
                 damping *= 10.0
             if better and gain >= 1e-5 * chi2 + 0.02:
                 continue
-            # Damping holds back along a valley, and what is gained there looks like nothing: a fit
-            # that may be the answer rests only where it rests without.
+            # Damping slows progress along a valley, so the gain looks negligible: a fit that may be
+            # the answer has converged only if it also has without damping.
             if damping <= UNDAMPED or chi2 > NEAR * r.size:
                 break
             damping = UNDAMPED
         return p, chi2, jacobian
 
     def _slopes(self, p: Floats, r: Floats, jacobian: Floats) -> None:
-        """Put the slopes of the residual to each number into their columns, (rows, numbers)."""
+        """Fill in the slopes of the residual to each parameter, (rows, parameters)."""
         for j in range(p.size):
             step = 1e-3 if j < p.size - 1 else 1e-1
             moved = p.copy()
@@ -530,7 +530,7 @@ class _Unknown:
 def _warm(
     task: Actuation, group: Sequence[ActuatorEffect], known: dict[str, ActuatorFit]
 ) -> list[tuple[dict[str, Any], Floats]]:
-    """Return starts of a group from the fits of its members, each with the others at rest."""
+    """Return starts of a group from the fits of its members, with the others inactive."""
     starts = []
     for lead in group:
         fit = known.get(lead.name)
@@ -560,9 +560,9 @@ def _warm(
 
 
 def _parts(task: Actuation, fit: ActuatorFit) -> list[ActuatorFit]:
-    """Return the sets with one effect less, fitted again from where the whole came to rest.
+    """Return the sets without one effect, fitted again from the optimum of the whole set.
 
-    A lag that began far from its own may have stopped in another valley.
+    A lag started far from its optimum may have ended in another local minimum.
     """
     found = []
     for gone in fit.effects if len(fit.effects) > 1 else ():
@@ -577,10 +577,9 @@ def _parts(task: Actuation, fit: ActuatorFit) -> list[ActuatorFit]:
 def _traded(
     slow: ActuatorModel, group: Sequence[ActuatorEffect], settings: dict[str, Any], values: Floats
 ) -> list[tuple[dict[str, Any], Floats]]:
-    """Return starts in which a stiffer column lags less and a delay makes up for it.
+    """Return starts in which a stiffer column lags less and a delay compensates for it.
 
-    What a slow motion sees of both is their sum, delay + 2 zeta / omega: the way from one end of
-    that valley to the other is long and bent.
+    Slow motion depends only on their sum, delay + 2 zeta / omega: the valley is long and curved.
     """
     starts = []
     for factor in TRADES:
@@ -594,7 +593,7 @@ def _traded(
 
 
 def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
-    """Fit nothing, every effect, and pairs and triples as far as they are needed.
+    """Fit nothing, every effect, and pairs and triples as far as necessary.
 
     Returns the fit of nothing, all others best first, and the factor that scales evidence.
     """
@@ -603,14 +602,14 @@ def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
 
 
 def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
-    """Fit nothing, every effect, and pairs and triples in the noise as it is heard so far."""
+    """Fit nothing, every effect, and pairs and triples, with the present estimate of the noise."""
     from rthyb_rt.diagnose import actuator_onset
 
     null = task.fit(())
     if null is None:
         raise SimulationError("the model's own actuator cannot be simulated along this command")
     if task.x.size > LONG_ROWS:
-        # Most of a long recording's time goes here, in the core, which lets other threads run.
+        # Long recordings spend most time here, in the core, which lets other threads run.
         with ThreadPoolExecutor(2) as pool:
             singles = list(pool.map(lambda e: task.fit((e,)), CATALOGUE))
     else:
@@ -619,18 +618,18 @@ def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
     known = {f.names[0]: f for f in fits}
     n = max(task.rows.size, 1)
     stated = task.case.model.k_tol is not None
-    # First what begins in mid-record alone: where that is all, no pair throughout is looked for.
-    # As of the force: what a naive model lacks does not begin anywhere, and what a lag in another
-    # form leaves of the rest before a test would pass for a beginning.
+    # First a single onset: if it explains everything, no constant pair is needed. As for the force:
+    # what a naive model lacks has no onset, and the residual of a lag with a wrong form, before a
+    # test would reject it, would be taken for one.
     if stated:
         fits += actuator_onset.propose(task, null, fits)
     for size in (2, 3):
         best = min(fits, key=lambda f: f.chi2)
         left = best.chi2 - n
         groups = list(combinations(CATALOGUE, size))
-        # What is left beside what was explained: the law of a single effect does as well. Where the
-        # model is known well two that nearly cancel leave little of one another, so that only noise
-        # ends the search for a pair; a delay and an oil column may leave less than that.
+        # A single effect also leaves errors in the form of its law. If the model is known well, two
+        # effects that nearly cancel leave little, so that only noise ends the search for a pair; a
+        # delay together with an oil column may leave less than that.
         close = size == 2 and stated
         if left < (
             POLICY.pair_beyond_chance * np.sqrt(2.0 * n)

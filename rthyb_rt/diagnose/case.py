@@ -1,4 +1,4 @@
-"""What is diagnosed: a recording's channels and the model that the lab has of them."""
+"""The subject of a diagnosis: a recording's channels and the laboratory's model of it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Family = Literal["drive", "ground", "forced", "loop"]
 FAMILIES: tuple[Family, ...] = ("drive", "ground", "forced", "loop")
 
 NO_READING = 1e12
-"""What no sensor reads, in any unit: far beyond the core's own bounds."""
+"""A value that no sensor reads in any unit, far beyond the core's own bounds."""
 CHANNELS: dict[str, str] = {
     "ag": "m/s^2",
     "x_num": "m",
@@ -47,7 +47,7 @@ class BoucWen:
 
     def element(self, k: float, share: float = 1.0) -> core.ElementConfig:
         """Return the core's element for a stiffness ``k``; ``share`` scales the whole force."""
-        # The core's b goes with sgn(v z), its c without.
+        # The core's b multiplies the term in sgn(v z), its c the one without.
         per = self.xy**self.n
         return core.element(
             "hysteresis",
@@ -62,11 +62,11 @@ class BoucWen:
 
 @dataclass(frozen=True)
 class Model:
-    """The lab's model: F = k x + c x' + moving_mass x'', and what surrounds it.
+    """The laboratory's model: F = k x + c x' + moving_mass x'', and its surroundings.
 
-    ``k_tol`` and ``c_tol`` are relative standard deviations; None: free to refit. ``rig`` is the
-    rig file that the model came from, ``plc`` the weights W1, W2 of the phase-lead compensator,
-    ``rfc`` whether force was compensated; None where the model does not say.
+    ``k_tol`` and ``c_tol`` are relative standard deviations; None: refitted freely. ``rig`` is the
+    rig file from which the model was made, ``plc`` the weights W1, W2 of the phase-lead
+    compensator, ``rfc`` whether the force was compensated; None if the model does not state it.
     """
 
     family: Family
@@ -91,7 +91,7 @@ class Model:
 
     @property
     def hold(self) -> Hold:
-        """How a command or a force runs between the rows."""
+        """How a command or a force is interpolated between rows."""
         return self.actuator.hold if self.actuator else "foh"
 
     def spring(self, x: Floats) -> Floats:
@@ -101,7 +101,7 @@ class Model:
         return core.Element(self.bouc_wen.element(self.k)).run(x)
 
     def further(self, x: Floats, v: Floats, a: Floats) -> Floats:
-        """Return the force of elements beyond spring, dashpot and mass, N."""
+        """Return the force of elements other than spring, dashpot and mass, N."""
         total = np.zeros_like(x)
         for config in self.extra:
             total += core.Element(config).run(x, v, a, 1.0 / self.fs_hz)
@@ -122,7 +122,7 @@ class Model:
 
 
 def tare_rows(rec: Recording) -> NDArray[np.int64]:
-    """Return the numbers of the rows over which a recording of this program was zeroed."""
+    """Return the indices of the rows over which a recording of this program was zeroed."""
     rows = rec.samples
     zeroed = np.flatnonzero(rows["state"] == STATES.index("ZEROED"))
     before = rows[: zeroed[0]] if zeroed.size else rows[:0]
@@ -133,7 +133,7 @@ def tare_rows(rec: Recording) -> NDArray[np.int64]:
 
 
 def error_of_zero(readings: Floats) -> float:
-    """Return the standard error of a mean of readings, (n,), in their unit; 0: of too few."""
+    """Return the standard error of a mean of readings, (n,), in their unit; 0 for too few."""
     return float(readings.std(ddof=1) / np.sqrt(readings.size)) if readings.size > 2 else 0.0
 
 
@@ -144,14 +144,14 @@ class Case:
     Attributes:
         t: uniform time, (n,), s.
         channels: each (n,), SI, NaN where nothing was recorded.
-        rows: which rows are to be used, (n,).
-        notes: conditions met in the data and handled, in words.
-        own: the whole recording, where it is one of this program.
-        folder: name of the folder that it lies in.
-        further: columns that are no channel, by what stands over them, each (n,), in a unit of
-            their own.
-        axis: name of the axis, where the recording is of several.
-        zero_error_n: `tare_error_n`, where it is known otherwise.
+        rows: which rows are used, (n,).
+        notes: irregularities that were found in the data and handled, in words.
+        own: the complete recording, if it is one of this program.
+        folder: name of its folder.
+        further: columns that are not channels, by their header, each (n,), in a unit of their
+            own.
+        axis: name of the axis, for a recording of several axes.
+        zero_error_n: overrides `tare_error_n`, if known from elsewhere.
     """
 
     name: str
@@ -168,7 +168,7 @@ class Case:
 
     @property
     def recorded(self) -> dict[str, Floats]:
-        """All that was recorded, channels or not, each (n,)."""
+        """Everything that was recorded, channels or not, each (n,)."""
         return {**self.further, **self.channels}
 
     @property
@@ -185,7 +185,7 @@ class Case:
     def tare_error_n(self) -> float:
         """Standard error of the force's zero in a recording of this program, N; 0: not known.
 
-        The zero is a mean over rows at rest: what it is off by is no fault of the load cell.
+        The zero is a mean over rows at rest: its error is not an error of the load cell.
         """
         if self.zero_error_n is not None:
             return self.zero_error_n
@@ -198,5 +198,5 @@ class Case:
         return self.channels.get(name)
 
     def with_model(self, model: Model) -> Case:
-        """Return the same recording beside another model."""
+        """Return the same recording with another model."""
         return replace(self, model=model)

@@ -1,4 +1,4 @@
-"""What is known of sets of effects before one is named: the evidence that `decide` weighs."""
+"""Evidence on sets of effects, gathered for the rules of `decide`."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ FOLDS = 4
 
 
 class Fitter(Protocol):
-    """What refines sets: in the balance of forces, or by the motion that they simulate.
+    """Refines sets, by the force balance or by simulated motion.
 
     Attributes:
-        stated: names of what moves a stated number within its tolerance.
-        exact: whether the motion is known without the noise of an estimate.
-        rows: independent rows that are judged.
-        judged: what they are rows of, see `decide.Setting`.
-        witnessed: whether another channel shows what the load cell does, see `redundant`.
+        stated: names of effects that change a stated value within its tolerance.
+        exact: whether the motion is free of estimation noise.
+        rows: number of independent rows evaluated.
+        judged: what is evaluated, see `decide.Setting`.
+        witnessed: whether another channel verifies the load cell, see `redundant`.
     """
 
     problem: Problem
@@ -51,14 +51,14 @@ class Fitter(Protocol):
     witnessed: bool
 
     def fit(self, members: Iterable[Member]) -> Fit | None:
-        """Refine a set; None where it makes no physical law."""
+        """Refine a set; None if it is not a physical law."""
 
 
 class Gathered:
     """The sets that a search has refined, as evidence."""
 
     def __init__(self, fitter: Fitter, null: Fit, held_out: Callable[[Fit], float]) -> None:
-        """Take what refines sets, nothing but nuisance, and what of a gain holds on other rows."""
+        """Take the fitter, the null, and the fraction of a gain that other rows confirm."""
         self.fitter, self.held_out = fitter, held_out
         self.problem = fitter.problem
         self.laws = Laws.of(catalogue())
@@ -69,21 +69,21 @@ class Gathered:
 
     @cached_property
     def driven(self) -> Driven | None:
-        """What laws earn by the motion that the test makes; None where the specimen is still."""
+        """What laws earn by the motion that the test imposes; None if the specimen is still."""
         return Driven.of(self.problem)
 
     def choose(self) -> Choice:
-        """Return what is decided."""
+        """Return the decision."""
         sets = tuple(self.of(f) for f in self.first.values())
         evidence = Evidence(self._setting(), self.null, sets)
         return decided(evidence, POLICY, self._answer, self._beside)
 
     def fit(self, known: Hypothesis) -> Fit:
-        """Return the fit of which something is known."""
+        """Return the fit behind a hypothesis."""
         return self._fits[known]
 
     def of(self, fit: Fit) -> Hypothesis:
-        """Return what is known of a fit at once."""
+        """Return what is always known of a fit."""
         made = self._made.get(id(fit))
         if made is None:
             made = self._made[id(fit)] = self._read(fit)
@@ -139,13 +139,13 @@ class Gathered:
             problem.decays and naive,
             problem.frees("k"),
             (model.k_tol or 0.0) * abs(model.k),
-            # A simulated motion is held against the measured one: its noise is in no regressor.
+            # A simulated motion is compared with the measured one: no regressor contains its noise.
             self.fitter.judged == "force" and returns(problem.case),
             self.fitter.witnessed,
         )
 
     def _beside(self) -> list[Hypothesis]:
-        """Return the sets that were refined, or refined better, since the evidence was taken."""
+        """Return the sets refined, or refined better, since the evidence was gathered."""
         return [self.of(f) for n, f in self.fitter.by_names.items() if self.first.get(n) is not f]
 
     def _answer(self, need: Need) -> Any:
@@ -172,7 +172,7 @@ class Gathered:
         return None if found is None else self.of(found)
 
     def _yielding(self, fit: Fit) -> list[Member] | None:
-        """Return a set with yielding in the place of its bristles."""
+        """Return a set with yielding in place of its bristles."""
         bristles = next(n for n in self.laws.also if n in fit.names)
         name = self.laws.also[bristles]
         yielding = next((e for e in self.problem.effects if e.name == name), None)
@@ -185,7 +185,7 @@ class Gathered:
 
 
 def count(problem: Problem, fit: Fit) -> int:
-    """Return how many parameters a set has."""
+    """Return the number of parameters of a set."""
     return sum(m.effect.settings(problem.ctx, m.trial)[1] for m in fit.members)
 
 
@@ -197,12 +197,12 @@ def cost(problem: Problem, fit: Fit) -> float:
 
 
 def to_earn(problem: Problem, fit: Fit) -> float:
-    """Return what a set has to earn to be named."""
+    """Return what a set must earn to be named."""
     return times_price(POLICY, len(fit.members)) * cost(problem, fit)
 
 
 def bent(problem: Problem, fit: Fit) -> set[str]:
-    """Return the effects in whose place a fit bends a stated number out of its tolerance."""
+    """Return the effects that a fit replaces by moving a stated value out of its tolerance."""
     return {
         n.effect
         for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
@@ -211,7 +211,7 @@ def bent(problem: Problem, fit: Fit) -> set[str]:
 
 
 def offset_sd(problem: Problem, fit: Fit) -> float:
-    """Return the time offset between the channels that a fit takes, in standard deviations."""
+    """Return a fit's time offset between the channels, in standard deviations."""
     pairs = zip(fit.nuisance, problem.nuisances, strict=True)
     skews = (abs(float(b)) / n.sigma for b, n in pairs if n.name == "skew" and n.sigma is not None)
     return max(skews, default=0.0)
@@ -226,7 +226,7 @@ def contribution(problem: Problem, fit: Fit, member: int) -> Floats:
 
 
 def size(problem: Problem, fit: Fit) -> float:
-    """Return the size of a set as a part of the recorded force."""
+    """Return the size of a set relative to the recorded force."""
     total = sum(contribution(problem, fit, i) for i in range(len(fit.members)))
     rows = problem.rows
     force = problem.estimate.force[rows]
@@ -236,7 +236,7 @@ def size(problem: Problem, fit: Fit) -> float:
 
 
 def beyond_forms(problem: Problem, fit: Fit, which: int) -> float:
-    """Return what an effect of the load cell earns beside the others in any smooth form of them."""
+    """Return what a load cell effect earns if the others may take any smooth form."""
     ctx, own = problem.ctx, problem.columns(fit.members[which])
     over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
     near = [problem.base]
@@ -255,7 +255,7 @@ def beyond_forms(problem: Problem, fit: Fit, which: int) -> float:
 
 
 def drift(problem: Problem, fit: Fit, laws: Laws) -> Drift:
-    """Return the drift of a set as the halves of the recording show it."""
+    """Return the drift of a set as shown by the halves of the recording."""
     member = next(m for m in fit.members if m.name in laws.wanders)
     rest = [problem.columns(m) for m in fit.members if m is not member]
     level = [] if laws.zeros & set(fit.names) else [problem.seen(np.ones(problem.ctx.t.size))]
@@ -278,9 +278,10 @@ def drift(problem: Problem, fit: Fit, laws: Laws) -> Drift:
 
 
 def held_out_gain(problem: Problem, fit: Fit) -> float:
-    """Return how much of a set's gain is there on blocks that it was not fitted to.
+    """Return how much of a set's gain is confirmed on blocks to which it was not fitted.
 
-    Blocks of a quarter of a second go round the folds, so that what happens once is in all of them.
+    Blocks of a quarter of a second alternate between the folds, so that each fold contains part of
+    every event.
     """
     blocks = problem.blocks(fit.members)
     design = np.column_stack([*blocks, problem.base])
@@ -314,7 +315,7 @@ def held_out_gain(problem: Problem, fit: Fit) -> float:
             right = d[~out].T @ y[~out] + pin[part]
             beta = np.linalg.solve(gram, right) if gram.size else np.zeros(0)
             rest = y[out] - d[out] @ beta
-            # The prior counts as well: moving a stated number costs what it costs.
+            # The prior is included: moving a stated value has the same cost.
             prior = float(np.sum(np.where(pin[part] > 0, 0.0, ridge[part] * beta**2))) / FOLDS
             if use:
                 after += float(rest @ rest) + prior

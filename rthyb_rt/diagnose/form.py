@@ -1,11 +1,11 @@
-"""How far a law's numbers may be off for its form alone.
+"""How far a law's parameters may be off because of its form alone.
 
-A law is never true, only near. Its force may as well be that times a smooth function of
-displacement or velocity which is one within some per cent, and a part of any such function looks
-like a change of the law's numbers. How large it is, what the fit leaves tells: its parts along such
-functions, beyond what noise puts there (a variance component of greatest restricted likelihood;
-Searle, Casella and McCulloch, Variance Components, 1992, ch. 6). Where a fit leaves noise alone,
-nothing comes of it.
+No law is exactly true. The real force may equal the law times a smooth function of displacement or
+velocity that is within some per cent of one, and part of any such function looks like a change of
+the law's parameters. Its size is estimated from the residual: its components along such functions
+beyond those caused by noise (a variance component by restricted maximum likelihood; Searle, Casella
+and McCulloch, Variance Components, 1992, ch. 6). If the residual is noise alone, the result is
+zero.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.policy import POLICY
 
 DEGREE = 4
-"""Chebyshev polynomials up to this one: a smooth function over the range is that to a per cent."""
+"""Largest degree of Chebyshev polynomials, which approximate smooth functions to one per cent."""
 
 
 def neighbours(force: Floats, over: list[tuple[Floats, float]]) -> list[Floats]:
-    """Return a law's force or motion times each polynomial of what it may go with, each (n,).
+    """Return a law's force or motion times each polynomial of its possible arguments, each (n,).
 
     Args:
-        force: of the law, (n,).
+        force: force of the law, (n,).
         over: displacement, velocity, each (n,), with their ranges.
     """
     out = []
@@ -35,12 +35,12 @@ def neighbours(force: Floats, over: list[tuple[Floats, float]]) -> list[Floats]:
 
 
 def of_form(design: Floats, residual: Floats, inverse: Floats, near: Floats) -> Floats:
-    """Return the covariance of a fit's numbers that comes of one law's form, (p, p).
+    """Return the covariance of a fit's parameters that is due to one law's form, (p, p).
 
     Args:
-        design: slopes of the judged rows, whitened, (rows, p).
+        design: slopes of the evaluated rows, whitened, (rows, p).
         residual: whitened, (rows,).
-        inverse: of the normal matrix with the priors, (p, p).
+        inverse: inverse of the normal matrix including the priors, (p, p).
         near: the law's `neighbours`, whitened, (rows, q).
     """
     taken = inverse @ (design.T @ near)
@@ -49,7 +49,7 @@ def of_form(design: Floats, residual: Floats, inverse: Floats, near: Floats) -> 
     score = right.T @ (seen.T @ residual)
     known = gram > 1e-10 * max(float(gram[-1]), 1e-300)
     gram, score = gram[known], score[known]
-    # The noise is what none of the neighbours takes up.
+    # The noise is the part that none of the neighbours explains.
     rest = float(residual @ residual) - float(np.sum(score**2 / gram))
     noise = max(rest, 0.0) / max(residual.size - gram.size, 1)
     if not noise > 0.0:
@@ -58,15 +58,15 @@ def of_form(design: Floats, residual: Floats, inverse: Floats, near: Floats) -> 
     power = gram * (noise + sizes[:, None] * gram)
     likelihood = np.sum(np.log(power) + score**2 / power, axis=1)
     size2 = float(sizes[int(np.argmin(likelihood))])
-    # Known from so few directions the size is not Gaussian but Student's.
+    # Estimated from so few directions, the size follows Student's distribution, not a Gaussian.
     freedom = max(float(np.sum((size2 * gram / (noise + size2 * gram)) ** 2)), 1.0)
     return np.asarray(size2 * _wider(freedom) ** 2 * (taken @ taken.T))
 
 
 def _wider(freedom: float) -> float:
-    """Return by how much 95 % of Student's distribution are wider than of a normal one.
+    """Return the ratio of the 95 % points of Student's and the normal distribution.
 
-    By the first terms in 1 / freedom (Abramowitz and Stegun 26.7.5): 1.39 of 4, the true one 1.42.
+    By the first terms in 1 / freedom (Abramowitz and Stegun 26.7.5): for 4, 1.39 instead of 1.42.
     """
     z2 = 1.96**2
     return (

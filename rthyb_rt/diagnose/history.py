@@ -1,8 +1,8 @@
-"""What a specimen with a memory went through before a recording began.
+"""The loading history of a specimen with a memory before a recording begins.
 
-A play that is taken up, a slider that was pushed, a loop that was left half way: a second recording
-begins there, and its first rows of force show it. The past is taken to be one excursion, out and
-back to the first displacement; how far it went is what best gives those rows.
+A closed play, a displaced slider or a partly yielded loop: a second recording starts in that state,
+and its first rows of force show it. The history is modelled as a single excursion, out and back to
+the first displacement; its size is the one that best reproduces those rows.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.policy import POLICY
 
 HEAD = 0.15
-"""Part of a recording whose force may tell of its past: in files of inputs so much is given."""
+"""Fraction of a recording whose force may show its history: files of inputs provide this much."""
 LEAST = 8
-"""Rows that it takes."""
+"""Least number of these rows."""
 ROWS = 400
-"""Rows of each way of the excursion, and of the rest after it, in which relaxation ends."""
+"""Number of rows of each way of the excursion, and of the rest after it, for relaxation to end."""
 FARTHEST = 33
-"""Excursions that are tried first, evenly over the displacements that the specimen knows."""
+"""Number of excursions tried first, evenly over the displacements of the fitted recording."""
 CLOSER = 2
-"""Times that the place between the neighbours of the best is divided anew."""
+"""Number of refinements between the neighbours of the best one."""
 
 Force = Callable[[Motion, Floats, dict[str, Floats]], Floats]
 
@@ -32,14 +32,14 @@ Force = Callable[[Motion, Floats, dict[str, Floats]], Floats]
 def force_after(
     force: Force, case: Case, motion: Motion, other: dict[str, Floats], reach_m: float
 ) -> Floats:
-    """Return the force along a motion, begun where the first recorded rows of force say, (n,), N.
+    """Return the force along a motion, given the first recorded rows of force, (n,), N.
 
     Args:
-        force: of a motion, its times and other channels, from a state that knows no past.
-        case: the recording; `f_meas` may hold its first rows only.
-        motion: along which the force is wanted, each (n,).
+        force: function of a motion, its times and other channels, from a virgin state.
+        case: the recording; `f_meas` may contain its first rows only.
+        motion: the motion, each (n,).
         other: further channels, each (n,).
-        reach_m: displacement up to which the past may have gone to either side.
+        reach_m: largest displacement of the history in either direction.
     """
     plain = force(motion, case.t, other)
     f_meas = case.channels.get("f_meas")

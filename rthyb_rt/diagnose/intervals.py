@@ -1,9 +1,8 @@
-"""How sure the parameters of what was found are.
+"""Confidence intervals of the parameters found.
 
-An interval of a law's parameter holds what noise makes of it, by its colour or by how the parts of
-the recording scatter; what the law's form may be off by (`form`); what the motion that was
-simulated is not sure of; and where another form of the law, or another reading of the same force,
-comes to.
+The interval of a parameter includes the effect of noise, by its colour or by how parts of the
+recording scatter; of errors in the law's form (`form`); of the uncertainty of the simulated motion;
+and the results of other forms of the law, or of other interpretations of the same force.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from rthyb_rt.diagnose.select import (
 )
 
 SIDES = 1.96
-"""Standard deviations to either side of 95 % of a normal distribution."""
+"""Half-width in standard deviations of the 95 % interval of a normal distribution."""
 STEP = 1e-4
 Intervals = dict[str, list[float]]
 
@@ -38,16 +37,16 @@ class Sure:
     """The parameters of a search's best set with their intervals."""
 
     def __init__(self, search: force.Search, ctx: Context, motions: Sequence[Motion] = ()) -> None:
-        """Take in what was found.
+        """Compute the covariances.
 
         Args:
             search: the search.
-            ctx: what the laws see.
+            ctx: the quantities on which the laws depend.
             motions: one standard deviation away from that motion each.
         """
         self.search, self.ctx = search, ctx
         best = search.best
-        # Rows whose noise hangs together a little tell less than their number.
+        # Correlated rows are less informative than their number.
         self.wider = float(np.sqrt(inflation(best.residual)))
         self.shown, self.more = best.scatter, None
         if best.scatter is not None or best.covariance is None or not best.members:
@@ -60,7 +59,7 @@ class Sure:
         self.more += self._of_motion(slopes, best.covariance, motions)
 
     def _of_forms(self, slopes: Floats, inverse: Floats) -> Floats:
-        """Return the covariance that comes of the laws' forms, (p, p)."""
+        """Return the covariance due to the laws' forms, (p, p)."""
         problem, best, ctx = self.search.problem, self.search.best, self.ctx
         out = np.zeros_like(inverse)
         over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
@@ -73,10 +72,10 @@ class Sure:
         return out
 
     def _of_motion(self, slopes: Floats, inverse: Floats, motions: Sequence[Motion]) -> Floats:
-        """Return the covariance that comes of the motion's uncertainty, (p, p).
+        """Return the covariance due to the motion's uncertainty, (p, p).
 
-        All of the force goes along with the motion: what the laws have of it lands in their numbers
-        as far as it looks like them.
+        The entire force follows the motion: the part that resembles the laws changes their
+        parameters.
         """
         problem, best = self.search.problem, self.search.best
         out = np.zeros_like(inverse)
@@ -104,9 +103,9 @@ class Sure:
         return params, ci
 
     def _widen(self, ci: Intervals, params: dict[str, float], member: int) -> None:
-        """Let intervals reach to what other forms of a law come to; none is known to be true.
+        """Extend intervals to the results of other forms of a law, any of which may be true.
 
-        Nor are those that were tried all that there are: a law with a shape has a least half-width.
+        These are not all possible forms either: a law with a shape has a least half-width.
         """
         search, ctx, own = self.search, self.ctx, self.search.best.members[member]
         name = own.name
@@ -115,13 +114,13 @@ class Sure:
         )
         exact = search.problem.estimate.exact
         least = POLICY.interval_simulated if exact else POLICY.interval_estimated
-        # What bends a stated number in the place of its effect says nothing of how large that is.
+        # A strained stated value that replaces an effect does not show how large the effect is.
         stands = [f for f in search.forms if name not in evidence.bent(search.problem, f)]
         for fit in stands:
             for i, m in enumerate(fit.members):
                 if m.name == name:
                     other = m.effect.report(ctx, m.trial, fit.betas[i])
-                    # The true form may lie to the other side of this one by as much.
+                    # The true form may lie equally far on the other side of this one.
                     for k, v in other.items():
                         apart = abs(v - params[k])
                         ci[k] = [min(ci[k][0], params[k] - apart), max(ci[k][1], params[k] + apart)]
@@ -137,9 +136,9 @@ def _half(ends: list[float]) -> float:
 def of_the_spring_there_is(
     problem: Problem, fit: Fit, name: str, params: dict[str, float], ci: dict[str, list[float]]
 ) -> None:
-    """Count what a spring loses as a part of the stiffness found, where the model's was wrong.
+    """Express the loss of a spring relative to the stiffness found if the model's was wrong.
 
-    Be that a finding or within the tolerance of the model's.
+    Whether as a finding or within the model's tolerance.
     """
     stiffer = sum(
         float(b[0])
@@ -149,7 +148,7 @@ def of_the_spring_there_is(
     law = effects.catalogue().get(name)
     key = law.of_spring if law is not None else ""
     found = stiffer != 0.0
-    # A loop's spring is not the model's where that is only a line through the loop.
+    # A loop's spring is not the model's if that is only a line through the loop.
     if key != "alpha":
         stiffer += sum(
             float(b)
@@ -159,7 +158,7 @@ def of_the_spring_there_is(
     if key not in params or not stiffer > -POLICY.spring_gone:
         return
 
-    # Stiffness times gap is what is seen beyond it.
+    # Only the product of stiffness and gap is observed beyond the gap.
     seen = 1.0
     if key == "gap_m":
         seen = next(
@@ -171,8 +170,8 @@ def of_the_spring_there_is(
             return 1.0 - (1.0 - value) / (1.0 + stiffer)
         return seen * value / (1.0 + stiffer)
 
-    # Beside what the model's spring lacks the same force is that of less slack in all of it and of
-    # more in a part: which of them lies in series, no recording says.
+    # If the model's spring is too stiff, the same force results from less slack in the whole spring
+    # and more in a part: a recording does not show which part is in series.
     apart = [params[key]] if found else []
     params[key] = counted(params[key])
     ends = [*map(counted, ci[key]), *(seen * v for v in apart)]

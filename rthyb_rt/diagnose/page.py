@@ -1,4 +1,4 @@
-"""The diagnosis as a page, with the answer and the augmented model beside it."""
+"""The diagnosis as a page, together with the answer and the augmented model."""
 
 from __future__ import annotations
 
@@ -43,24 +43,24 @@ if TYPE_CHECKING:
     from rthyb_rt.report.drawing import Plate
 
 AXES_SCHEMA = "rthyb-diagnose-axes/1"
-"""Of the JSON of a recording of several axes: an answer of ``rthyb-diagnose/1`` for each."""
+"""Schema of the JSON of a recording with several axes: a ``rthyb-diagnose/1`` answer for each."""
 STATES = {"none": "good", "explained": "found", "ambiguous": "open", "unknown": "dark"}
-"""Colour of a verdict; none of them is an alarm's."""
+"""Colour of a verdict; none is the colour of an alarm."""
 SHADES = 21
-"""Colours of a map, an odd number: the middle one is for nothing."""
+"""Number of colours of a map, odd so that the middle one represents zero."""
 LOOP_CELLS, LOOP_POINTS = 250, 6000
-"""Pixels across a loop, and points that it has at most."""
+"""Width of a loop in pixels, and its largest number of points."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """A diagnosis as the page has it: of a recording, or of one of its axes.
+    """The diagnosis of a recording, or of one of its axes, as shown on the page.
 
     Attributes:
         d: the diagnosis.
-        outcome: what followed from it.
-        checks: of the self-check; None where there was none.
-        reasons: the ledger of decisions, see `why.to_json`; made for the page where it is None.
+        outcome: predictions and validation.
+        checks: results of the self-check; None if there was none.
+        reasons: the ledger of decisions, see `why.to_json`; None: created for the page.
     """
 
     d: Diagnosis
@@ -80,9 +80,9 @@ def write_report(
     """Write report.html, diagnosis.json and augmented.toml; return their paths.
 
     Args:
-        folder: where.
+        folder: output folder.
         d, outcome, checks, reasons: see `Part`.
-        model_path: the model's file, to be named.
+        model_path: file of the model, to be named on the page.
 
     Raises:
         InputError: matplotlib or jinja2 is not installed.
@@ -98,9 +98,9 @@ def write_axes_report(folder: Path, parts: Sequence[Part], model_path: Path) -> 
     """Write one page and one JSON file of all axes, and an augmented model of each.
 
     Args:
-        folder: where.
-        parts: of each axis.
-        model_path: the model's file, to be named.
+        folder: output folder.
+        parts: one for each axis.
+        model_path: file of the model, to be named on the page.
 
     Returns:
         ``report.html``, ``diagnosis.json`` and ``augmented-AXIS.toml``.
@@ -136,7 +136,7 @@ def _written(folder: Path, files: dict[str, str]) -> list[Path]:
 
 
 def _page(parts: Sequence[Part], model_path: Path, *, named: bool) -> str:
-    """Return the page; ``named``: each part has the name of its axis above it."""
+    """Return the page; ``named``: whether each part is headed by the name of its axis."""
     with extra_needed("the page"):
         engine = environment()
     sections, number = [], 1
@@ -216,7 +216,7 @@ def _errors(d: Diagnosis) -> list[tuple[str, str, str]]:
 
 
 def _closed(d: Diagnosis, answer: dict[str, Any]) -> dict[str, Any]:
-    """Return what the page says of the closed loop; empty where there is none."""
+    """Return the text about the closed loop; empty if there is none."""
     loop = answer.get("closed_loop")
     if loop is None:
         return {}
@@ -237,14 +237,14 @@ def _percent(value: float) -> str:
 
 
 def _name(d: Diagnosis) -> str:
-    """Return what a lab calls the recording: its file, or the folder of a file of any name."""
+    """Return the recording's name: its file, or its folder if the file has the standard name."""
     if d.case.name != "recording":
         return d.case.name
     return d.case.folder or d.case.name
 
 
 def _after(d: Diagnosis) -> str:
-    """Return what the second of two models is."""
+    """Return a description of the second of two models."""
     if d.verdict in ("explained", "ambiguous"):
         return "with the effects found"
     return "parameters adjusted within tolerance"
@@ -268,7 +268,7 @@ def _ranked(d: Diagnosis) -> list[tuple[str, str, str, str, str, list[str]]]:
 
 
 def draw_all(d: Diagnosis) -> list[Plate]:
-    """Return the figures that the recording has data for."""
+    """Return the figures for which the recording has data."""
     from matplotlib import rc_context
 
     from rthyb_rt.report import drawing as draw
@@ -352,13 +352,13 @@ def _recovered(found: Recovered, outcome: Outcome) -> Plate | None:
 
 @dataclass(frozen=True)
 class _Signals:
-    """What was measured beside the model, as given and mended, of the channel that matters.
+    """Measured and modelled signals, before and after correction, of the relevant channel.
 
     Attributes:
         measured, before, after: each (n,), in ``unit``.
-        judged: rows that the answer rests on; beside gaps and before a motion has forgotten its
-            start nothing is judged, and nothing is shown of a residual.
-        label: of ``after``.
+        judged: rows on which the answer is based; residuals beside gaps and during the initial
+            transient are neither evaluated nor shown.
+        label: label of ``after``.
     """
 
     measured: Floats
@@ -370,7 +370,7 @@ class _Signals:
     label: str
 
     def left(self, model: Floats) -> Floats:
-        """Return what a model leaves, nan where that is not judged."""
+        """Return the residual of a model, nan where it is not evaluated."""
         return np.where(self.judged, self.measured - model, np.nan)
 
 
@@ -397,7 +397,7 @@ def _signals(d: Diagnosis) -> _Signals | None:
 
 
 def _only_motion(d: Diagnosis, label: str) -> _Signals | None:
-    """Return the displacement of a recording that has no force."""
+    """Return the displacement of a recording without force."""
     if d.disp is None:
         return None
     return _signals(replace(d, channel="disp"))
@@ -492,7 +492,7 @@ def _loops(d: Diagnosis, s: _Signals) -> Plate:
 def _looped(
     s: _Signals, x: Floats, curves: list[Floats], names: tuple[str, str], title: str, note: str
 ) -> Plate:
-    """Return the loops of record, model and mended model, named at both axes."""
+    """Return the loops of recording, model and corrected model, with labels for both axes."""
     from matplotlib.ticker import MaxNLocator
 
     from rthyb_rt.report import drawing as draw
@@ -523,7 +523,7 @@ def _looped(
 def _around_the_largest(
     rows: NDArray[np.int_], x: Floats, y: Floats, x_limit: float, y_limit: float
 ) -> NDArray[np.int_]:
-    """Return so many rows around the largest abscissa that a loop of them is not too heavy."""
+    """Return rows around the largest abscissa, few enough to draw as a loop."""
     kept = trace(x[rows], y[rows], 2.0 * x_limit, 2.0 * y_limit, LOOP_CELLS)[0].size
     if kept <= LOOP_POINTS:
         return rows
@@ -534,7 +534,7 @@ def _around_the_largest(
 
 
 def _energy(d: Diagnosis) -> Plate:
-    """Return the work of each term: what the model has already, and what was found beside it."""
+    """Return the work of each term: those of the model, and those that were found."""
     from rthyb_rt.report import drawing as draw
 
     motion, ctx, search = d.estimate.motion if d.estimate else None, d.context, d.force
@@ -554,7 +554,7 @@ def _energy(d: Diagnosis) -> Plate:
         "energy", draw.HALF_WIDTH_IN, (2.3,), bottom_in=draw.room_below(len(terms), 2)
     )
     (axes,) = paper.axes
-    # Before there is anything to be listed: the legend stands below.
+    # Before there are labelled curves, so that no legend is added: it is placed below.
     draw.head(axes, "energy, J")
     for force, colour, label in terms:
         draw.curve(axes, d.case.t, np.cumsum(force * dx), colour, 0.9, label)

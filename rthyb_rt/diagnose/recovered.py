@@ -1,17 +1,16 @@
-"""What a controller did, from its signals alone: its delay estimate and its tangent stiffness.
+"""A controller's delay estimate and tangent stiffness, recovered from its signals alone.
 
-A closed loop recorded by another program tells neither. Both follow from what it computed:
+A closed loop recorded by another program contains neither. Both follow from its signals:
 
 * the phase-lead compensator (Eqn 2.5, S = W1 + W2 + 1) as a recursion,
   ``W1 e[n] + W2 e[n-1] + e[n-2] = alpha[n] S (x_num[n] - x_num[n-1])`` with ``e = x_cmd - x_num``,
   gives ``alpha[n]`` wherever the command moves;
-* the numerical part, ``m (x'' + ag) + c x' + F = 0``, gives the force ``F`` that it was fed, and
+* the numerical part, ``m (x'' + ag) + c x' + F = 0``, gives the force ``F`` that it received, and
   the restoring-force compensator (Eqn 3.2), ``F = f + k_t (x_num - x_meas)``, gives ``k_t[n]``
-  wherever the specimen is off its target.
+  wherever there is a tracking error.
 
-Both are slopes of a line through the origin. They are taken over a short window, with the error
-that noise leaves and what they vary by within it; where that is large, at rest above all, the value
-is NaN.
+Both are slopes of a line through the origin, fitted over a short window, with a standard error that
+includes noise and variation within the window; where it is large, as at rest, the value is NaN.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from rthyb_rt.diagnose.estimate import white_noise
 from rthyb_rt.diagnose.policy import POLICY
 
 WINDOW_S = 1.0 / 32.0
-"""Both quantities are taken to be constant for so long."""
+"""Window over which both quantities are assumed constant."""
 CYCLE_S = 0.5
-"""alpha moves by no more than a few per cent in so long."""
+"""Time in which alpha changes by no more than a few per cent."""
 NOISE_SCATTER = 2.0
-"""By how much the scatter of a window's white noise may exceed its mean."""
+"""Factor by which the scatter of white noise in a window may exceed its mean."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +40,8 @@ class Slope:
     Attributes:
         value: (n,), in `unit`; NaN where it is not identifiable.
         error: standard error of each value, (n,), same unit.
-        unit: of both.
-        why: why nothing could be recovered, else "".
+        unit: unit of both.
+        why: reason if nothing could be recovered, else "".
     """
 
     value: Floats
@@ -68,7 +67,7 @@ class Slope:
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was recovered of a closed loop: alpha in samples, k_t in N/m."""
+    """Quantities recovered from a closed loop: alpha in samples, k_t in N/m."""
 
     alpha: Slope
     k_t: Slope
@@ -101,7 +100,8 @@ def recover_alpha(case: Case) -> Slope:
     right = (w1 + w2 + 1.0) * _behind(x, 0, 1)
     left = w1 * lead + w2 * _late(lead, 1) + _late(lead, 2)
     value, error, _ = _slope(left, right, case.fs_hz)
-    # Over a cycle another compensator's command is no such line; over a moment any one is.
+    # Over a cycle, another compensator's command does not fit this line; over a moment, any one
+    # does.
     _, _, unclosed = _slope(left, right, case.fs_hz, CYCLE_S)
     if unclosed > POLICY.recovered_unclosed:
         return _without(
@@ -116,9 +116,9 @@ def recover_alpha(case: Case) -> Slope:
 def recover_stiffness(case: Case) -> Slope:
     """Recover the tangent stiffness of the force compensation, N/m.
 
-    The integrator is not known: velocity by the central or by the backward difference, the force
-    taken at the row or the row after, the ground motion up to a row off; the choice that closes
-    best is taken.
+    The integrator is not known: velocity by central or backward difference, force at the same row
+    or the next, ground motion up to one row off; the combination with the smallest residual is
+    used.
     """
     unit = "N/m"
     needed = ("ag", "x_num", "x_meas", "f_meas")
@@ -150,7 +150,7 @@ def recover_stiffness(case: Case) -> Slope:
 
 
 def _compensation(case: Case) -> Iterator[Floats]:
-    """Give F - f along the recording, N, for each way of writing the equation of motion."""
+    """Yield F - f along the recording, N, for each form of the equation of motion."""
     model, fs = case.model, case.fs_hz
     x, f, ag = (case.channels[name] for name in ("x_num", "f_meas", "ag"))
     after = _late(x, -1)
@@ -159,12 +159,13 @@ def _compensation(case: Case) -> Iterator[Floats]:
         for late in (0, 1):
             for shift in (-1, 0, 1):
                 inertia = model.mass * (bend + _late(ag, shift + late)) + model.c_num * velocity
-                # What bends the command at a row was the force of that row, or of the row before.
+                # The curvature of the command at a row is due to the force of that row, or of the
+                # row before.
                 yield _late(-inertia, -late) - f
 
 
 def _late(signal: Floats, rows: int) -> Floats:
-    """Return a signal some rows later, (n,); NaN where it has no value."""
+    """Return a signal delayed by some rows, (n,); NaN where it has no value."""
     out = np.full(signal.size, np.nan)
     if rows >= 0:
         out[rows:] = signal[: signal.size - rows]
@@ -182,8 +183,8 @@ def _slope(
 ) -> tuple[Floats, Floats, float]:
     """Fit ``left = s right`` over a window around each row.
 
-    Returns the slope and its standard error, each (n,), and the rms of what a slope between 0 and
-    ``most`` leaves over that of ``left``.
+    Returns the slope and its standard error, each (n,), and the rms residual of a slope between 0
+    and ``most``, relative to the rms of ``left``.
     """
     good = np.isfinite(left) & np.isfinite(right)
     a, b = np.where(good, left, 0.0), np.where(good, right, 0.0)
@@ -195,7 +196,7 @@ def _slope(
     rest = np.where(good & np.isfinite(value), a - np.nan_to_num(value) * b, 0.0)
     count = np.maximum(np.convolve(good.astype(float), kernel, mode="same") - 1.0, 1.0)
     scatter = np.convolve(rest * rest, kernel, mode="same") / count
-    # White noise averages out over the window; what scatters beyond it is a slope that changes.
+    # White noise averages out over the window; additional scatter means that the slope changes.
     noise = white_noise(left)
     steady = min(noise, float(np.sqrt(np.median(scatter[good])))) ** 2 if good.any() else 0.0
     moving = np.maximum(scatter - NOISE_SCATTER * steady, 0.0)

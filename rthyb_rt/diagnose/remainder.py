@@ -1,4 +1,4 @@
-"""What model and effects leave of a recording's force, and what `verdict` has to know of that."""
+"""The residual of model and effects in the force, and what `verdict` needs to know about it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rthyb_rt.diagnose.verdict import Asked, Left, Rounded, Simulated
 
 
 def left_by(search: Search, fit: Fit) -> Floats:
-    """Return what model and effects leave of the force, the nuisance as fitted, (n,), N."""
+    """Return the residual of the force with model, effects and fitted nuisance, (n,), N."""
     problem = search.problem
     rest = problem.estimate.force - problem.ctx.total - leaning(problem, fit)
     for i in range(len(fit.members)):
@@ -28,15 +28,15 @@ def left_by(search: Search, fit: Fit) -> Floats:
 
 
 def bend(problem: Problem, fit: Fit) -> float:
-    """Return how far a fit moves a stated number at most, in standard deviations."""
+    """Return the largest change of a stated value by a fit, in standard deviations."""
     pairs = zip(fit.nuisance, problem.nuisances, strict=True)
     return max((abs(float(b)) / n.sigma for b, n in pairs if n.sigma is not None), default=0.0)
 
 
 def part_of_force(search: Search, fit: Fit, excess: float) -> float:
-    """Return a misfit beyond noise, rms, as a part of the force.
+    """Return a misfit beyond noise, rms, relative to the force.
 
-    Nothing pushes in a free decay, and so no noise of a push is the measure of what is left.
+    No force acts in a free decay, so the noise of such a force is no measure of the residual.
     """
     found, rows = search.problem.estimate, search.problem.estimate.rows
     if not np.any(found.force):
@@ -48,10 +48,10 @@ def part_of_force(search: Search, fit: Fit, excess: float) -> float:
 
 
 def _part_explained(search: Search) -> float:
-    """Return what the best set takes off the residual, rms, as a part of the force.
+    """Return the reduction of the residual by the best set, rms, relative to the force.
 
-    Of noise with a colour a misfit in units of that noise says nothing of its size in newtons: what
-    is slow is small beside slow noise. 0 of white noise, where it does.
+    For coloured noise, a misfit in units of that noise does not show its size in newtons: a slow
+    misfit is small relative to slow noise. 0 for white noise, for which it does.
     """
     found, rows = search.problem.estimate, search.problem.estimate.rows
     if not found.coloured or not np.any(found.force):
@@ -64,10 +64,10 @@ def _part_explained(search: Search) -> float:
 
 
 def left_of(search: Search) -> Left:
-    """Return what a search came to, as `verdict` judges it."""
+    """Return the result of a search in the form that `verdict` requires."""
     problem, best, found = search.problem, search.best, search.problem.estimate
     exact = found.exact
-    # Nothing is asked of it where the motion is known.
+    # Not needed if the motion is known.
     before = 0.0 if exact else part_of_force(search, search.null, search.excess_before)
     after = 0.0 if exact else part_of_force(search, best, search.excess_after)
     return Left(
@@ -94,9 +94,9 @@ def left_of(search: Search) -> Left:
 
 
 def loud(search: Search) -> bool:
-    """Return whether the model alone leaves more than the force's data sheet allows for noise.
+    """Return whether the model alone leaves more than the force's data sheet permits for noise.
 
-    Never along an estimated motion: what that adds has no sheet.
+    Never for an estimated motion: no data sheet covers its contribution.
     """
     found, sheet = search.problem.estimate, stated(search.problem.case)
     if not sheet or not found.exact or search.moved:
@@ -106,12 +106,12 @@ def loud(search: Search) -> bool:
 
 
 def understood(search: Search) -> bool:
-    """Return whether what was found leaves no more than the form of a law."""
+    """Return whether the residual of the effects found may be due to the form of a law."""
     return verdict.understood(left_of(search), POLICY, lambda: by_the_sheet(search))
 
 
 def blurred(search: Search) -> bool:
-    """Return whether the model alone is within what an estimated motion tells of the force."""
+    """Return whether the model alone is within the accuracy of an estimated motion."""
     left = left_of(search)
     return verdict.small(left, left.part_before, POLICY) and verdict.within(left.bent, POLICY)
 
@@ -123,11 +123,11 @@ def stated(case: Case) -> float | None:
 
 
 def by_the_sheet(search: Search) -> bool:
-    """Return whether what is left is within the load cell's data sheet.
+    """Return whether the residual is within the load cell's data sheet.
 
-    A sheet does not say of what colour the noise is; only its white part is measured. What no law
-    explains, stays in size within the sheet and comes in no bursts is not known to be anything
-    else, be there a set beside it that is named or none.
+    A data sheet does not state the colour of the noise; only its white part is measured. A residual
+    that no law explains, that is within the sheet and has no bursts, cannot be distinguished from
+    noise, whether a set is named or not.
     """
     case, found = search.problem.case, search.problem.estimate
     sheet = stated(case)
@@ -135,7 +135,7 @@ def by_the_sheet(search: Search) -> bool:
         return False
     rest = left_by(search, search.best)
     if found.coloured and found.blur is not None:
-        # What the estimate of the motion adds has no sheet; the colour was held within its own.
+        # No sheet covers the error of an estimated motion; its colour was limited by its own.
         white = found.whiten(rest)[found.rows]
         count = found.share * white.size
         most = 1.0 + POLICY.excess_as_noise + POLICY.power_scatter * np.sqrt(2.0 / count)
@@ -146,9 +146,9 @@ def by_the_sheet(search: Search) -> bool:
 
 
 def simulated(search: Search) -> Simulated | None:
-    """Return how the model alone, its numbers fitted, simulates a free body without a load cell.
+    """Return how the model alone, with fitted parameters, simulates a body without load cell.
 
-    None where the recording is of no such body, and its motion decides nothing.
+    None if the recording is not of such a body, so that its motion is not decisive.
     """
     case, m = search.problem.case, search.problem.case.model
     x_meas = case.channels.get("x_meas")
@@ -171,12 +171,12 @@ def simulated(search: Search) -> Simulated | None:
 
 
 def strength(search: Search, ctx: Context) -> float | None:
-    """Return the size of a set's one effect over its standard deviation, squared."""
+    """Return the squared ratio of a single effect's size to its standard deviation."""
     fit = search.best
     params, ends = Sure(search, ctx).of(0)
     member = fit.members[0]
     gone = member.effect.report(ctx, member.trial, 0.0 * fit.betas[0])
-    # How strong it is, and not where: a frequency is sharp however weak the hum.
+    # Its strength, not its location: a frequency is precise however weak the hum.
     sizes = [
         abs(params[k]) / (0.5 * (high - low) / SIDES)
         for k, (low, high) in ends.items()
@@ -204,7 +204,7 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
 
 
 def beyond(search: Search, fit: Fit, lsb_n: float) -> float:
-    """Return the part of the rows that a fit leaves by more than rounding and noise can."""
+    """Return the fraction of rows with a residual beyond rounding and noise."""
     problem = search.problem
     rest = left_by(search, fit)
     reach = 0.5 * lsb_n + POLICY.rounded_noise * (problem.case.model.f_std or 0.0)
@@ -212,7 +212,7 @@ def beyond(search: Search, fit: Fit, lsb_n: float) -> float:
 
 
 def rounded(search: Search, name: str, lsb_n: float) -> Rounded:
-    """Return what the steps of a load cell explain of what is left."""
+    """Return how much of the residual the quantisation of a load cell explains."""
     missing = left_by(search, search.null)[search.problem.estimate.rows]
     return Rounded(
         name,
@@ -224,7 +224,7 @@ def rounded(search: Search, name: str, lsb_n: float) -> Rounded:
 
 
 def within_rounding(search: Search, lsb_n: float) -> Search:
-    """Return the search with the set that stays within rounding, where the best one does not."""
+    """Return the search with the set that stays within rounding, if the best one does not."""
     if search.moved or not search.best.members:
         return search
     problem = search.problem
@@ -245,17 +245,17 @@ def within_rounding(search: Search, lsb_n: float) -> Search:
     )  # fmt: skip
 
 
-# ---- where it is left ---------------------------------------------------------------------------
+# ---- location of the residual -------------------------------------------------------------------
 
 
 def without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 1.0) -> Floats:
-    """Return a residual with its noise averaged down over a short time.
+    """Return a residual with its noise averaged over a short time.
 
     Args:
         residual: (n,).
         noise: standard deviation of its noise where it is white.
         fs_hz: rows per second.
-        share: part of the band in which there is any: slower noise is not averaged down.
+        share: fraction of the band that contains noise: slower noise is not averaged out.
     """
     k = max(int(POLICY.located_mean_s * fs_hz) | 1, 1)
     smooth = np.convolve(np.pad(residual, k // 2, mode="edge"), np.ones(k) / k, mode="valid")
@@ -264,10 +264,10 @@ def without_noise(residual: Floats, noise: float, fs_hz: float, share: float = 1
 
 
 def clear_residual(search: Search) -> Floats:
-    """Return the part of the force residual that stands out of its noise, (n,), N.
+    """Return the force residual where it is above its noise, (n,), N.
 
-    The force along an estimated motion has noise of any colour, far above that of its sensors where
-    the motion is badly known: where most of what is left is of that kind it is made white first.
+    The noise of the force along an estimated motion has any colour, and is far above that of the
+    sensors where the motion is poorly known: if it dominates the residual, it is whitened first.
     """
     found = search.problem.estimate
     residual = robust_residual(search)
@@ -279,11 +279,11 @@ def clear_residual(search: Search) -> Floats:
 
 
 def robust_residual(search: Search) -> Floats:
-    """Return the force residual with the nuisance fitted to what is not in the way, (n,), N.
+    """Return the force residual with the nuisance fitted outside the effect, (n,), N.
 
-    Least squares would bend stiffness and damping to take over part of what is missing. What is
-    missing is no noise of many independent rows either, so that it would outvote what the lab
-    states: a stated number moves no farther than its tolerance lets it.
+    Least squares would adjust stiffness and damping to absorb part of a missing effect. A missing
+    effect is not noise of many independent rows either, and must not outweigh the model's
+    tolerances: a stated value moves no farther than its tolerance permits.
     """
     problem = search.problem
     sigmas = [n.sigma for n in problem.nuisances]
@@ -304,7 +304,7 @@ def robust_residual(search: Search) -> Floats:
 
 
 def _robust(problem: Problem, prior: Floats) -> Floats:
-    """Return the nuisance by a loss that lets rows far off go, with the weights of its priors."""
+    """Return the nuisance parameters with a loss that ignores outliers, and prior weights."""
     y, base = problem.y, problem.base
     weight: Any = np.ones(y.size)
     beta: Any = np.zeros(base.shape[1])

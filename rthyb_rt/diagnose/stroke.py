@@ -1,12 +1,13 @@
-"""Whether a mass whose own spring changes with its stroke explains more than a set that has one.
+"""Whether a mass whose own spring changes with its stroke explains more than a set with one.
 
-A second mode is a mass on a linear spring. Liquid that sloshes in a tank and a pendulum soften with
-their stroke, a mass on a membrane hardens: its frequency moves with its amplitude (Duffing; Nayfeh
-and Mook, Nonlinear Oscillations, 1979, ch. 4). Beside such a mass taken for linear, a second law
-takes up what that leaves: a hum at the same frequency, a play, a further damper. So a set of
-several laws of which one is such a mass is held against this mass alone, its spring of the third
-power fitted. That has no name; where it explains more, the set is not the answer. The mass alone is
-not held against it: there a spring that changes a little is the form of its law.
+A second mode is a mass on a linear spring. Liquid sloshing in a tank and a pendulum soften with
+their stroke, a mass on a membrane hardens: the frequency changes with the amplitude (Duffing;
+Nayfeh and Mook, Nonlinear Oscillations, 1979, ch. 4). If such a mass is assumed to be linear, a
+second law absorbs the difference: a hum at the same frequency, a play, a further damper. A set of
+several laws that includes such a mass is therefore compared with this mass alone, with a cubic
+spring fitted. The latter has no name; if it explains more, the set is not the answer. A mass alone
+is not compared in this way: there, a small change of the spring is only an error in the form of its
+law.
 """
 
 from __future__ import annotations
@@ -19,20 +20,20 @@ from rthyb_rt.diagnose.select import Fit, Member, Problem, penalty
 from rthyb_rt.diagnose.steady import left, standing
 
 BEGUN = [(f, change) for f in (-0.02, 0.0, 0.03) for change in (-0.04, -0.01, 0.01, 0.03)]
-"""Logarithms of the frequency's factor, and changes of the spring, that a fit begins with."""
+"""Initial logarithms of the frequency's factor, and initial changes of the spring."""
 STEPS = 8
 STEP = np.array([1e-4, 1e-2, 1e-4])
 REACH = np.array([0.03, 0.5, 0.03])
-"""Slopes and steps: logarithms of frequency and damping, change of the spring."""
+"""Step sizes: logarithms of frequency and damping, change of the spring."""
 TRIED = 4
-"""Times that a step is shortened at most."""
+"""Largest number of times that a step is shortened."""
 
 
 def gain(problem: Problem, fit: Fit) -> float:
-    """Return what such a mass explains more than a set of several laws, in chi-squared.
+    """Return the additional gain of such a mass over a set of several laws, in chi-squared.
 
-    Prices counted, and over what rows that hang together overstate; minus infinity where the set
-    has no such mass beside others, or no slopes.
+    Including prices, and divided by the inflation due to correlated rows; minus infinity if the set
+    has no such mass with others, or no slopes.
     """
     own = standing(problem, fit) if len(fit.members) > 1 else None
     if own is None:
@@ -44,7 +45,7 @@ def gain(problem: Problem, fit: Fit) -> float:
 
 
 def _least(problem: Problem, member: Member) -> float | None:
-    """Return the least chi-squared of a mass by itself; None where it is none."""
+    """Return the least chi-squared of a mass alone; None if it is not physical."""
     sigmas = [n.sigma for n in problem.nuisances]
     prior = np.diag([0.0, *(0.0 if s is None else s**-2.0 for s in sigmas)])
 

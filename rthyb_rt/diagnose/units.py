@@ -1,4 +1,4 @@
-"""Units as labs write them over a column: ``[mm]``, ``(kN)``, ``_kN``, ``, kN``, ``m/s²``."""
+"""Units as written over a column: ``[mm]``, ``(kN)``, ``_kN``, ``, kN``, ``m/s²``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ USUAL: dict[str, tuple[str, ...]] = {
     "N": ("N", "kN", "MN", "kgf", "lbf", "kip"),
     "m/s^2": ("m/s^2", "cm/s^2", "mm/s^2", "g"),
 }
-"""What a column is written in where nobody says it; each two differ by more than two."""
+"""Usual units of a column that states none; any two differ by more than a factor of two."""
 
 _SPELLINGS: dict[str, str] = {
     "sec": "s", "secs": "s", "second": "s", "seconds": "s", "sek": "s", "sekunden": "s",
@@ -37,7 +37,7 @@ _FURTHER: dict[str, tuple[str, str]] = {
     "%g": ("0.0980665", "m/s^2"), "mgal": ("1e-5", "m/s^2"), "mil": ("2.54e-5", "m"),
     "mils": ("2.54e-5", "m"), "thou": ("2.54e-5", "m"), "ns": ("1e-9", "s"), "h": ("3600", "s"),
 }  # fmt: skip
-"""Units that a rig file has no need of."""
+"""Units that rig files do not use."""
 _ELECTRIC = ("v", "mv", "uv", "volt", "volts", "mv/v", "ma")
 _NONE = ("", "-", "--", "1", "none", "unitless", "[-]", "(-)")
 _BRACKETS = re.compile(r"(.*?)[\s_,/]*[\[({<]([^\[\](){}<>]*)[\])}>]\s*")
@@ -48,7 +48,7 @@ _TAIL = re.compile(r"(.+?)(?:\s*[,/:]\s*|\s+in\s+|[\s_]+)([^\s,_]+)")
 class Stated:
     """A unit as it was written, its factor to SI, and the SI unit of its kind.
 
-    ``si`` is none of a channel's units where the unit measures something else.
+    If it measures something else, ``si`` is not the unit of any channel.
     """
 
     text: str
@@ -57,7 +57,7 @@ class Stated:
 
 
 def read_unit(text: str) -> Stated | None:
-    """Return a unit in any spelling, or None for what is none."""
+    """Return a unit in any spelling, or None if it is not a unit."""
     plain = text.strip().strip("[](){}<>").strip().replace("**", "^").replace("\u00b7", "*")
     for spelled in (plain, _SPELLINGS.get(plain.lower(), ""), plain.lower()):
         if spelled in _NONE:
@@ -75,21 +75,21 @@ def read_unit(text: str) -> Stated | None:
 
 
 def means_none(text: str) -> bool:
-    """Return whether a text in place of a unit says that there is none."""
+    """Return whether a text in place of a unit means that there is none."""
     return text.strip().lower() in _NONE
 
 
 def is_electric(text: str) -> bool:
-    """Return whether a unit is of a sensor's signal, and not of what it measures."""
+    """Return whether a unit is that of a sensor's electrical signal."""
     return text.strip().strip("[](){}").strip().lower() in _ELECTRIC
 
 
 def split_name(header: str) -> tuple[str, str, bool]:
-    """Part the name over a column from the unit in it.
+    """Split the name over a column into name and unit.
 
     Returns:
-        Name, unit ("" for none), and whether brackets say that it is one; without them a last word
-        that reads as a unit may be a part of the name.
+        Name, unit ("" for none), and whether brackets mark the unit; without them a last word
+        that could be a unit may also be part of the name.
     """
     match = _BRACKETS.fullmatch(header)
     if match is not None and match[1].strip():
@@ -101,7 +101,7 @@ def split_name(header: str) -> tuple[str, str, bool]:
 
 
 def in_si(values: Floats, factor: Fraction) -> Floats:
-    """Return values in SI: two roundings at most, so that 9 mm is the double next to 0.009."""
+    """Return values in SI with at most two roundings, so that 9 mm is the double next to 0.009."""
     if factor == 1:
         return values
     return values * float(factor.numerator) / float(factor.denominator)

@@ -1,6 +1,6 @@
-"""The ledger of a diagnosis: the sets that were weighed, what each brought, and why it lost.
+"""The ledger of a diagnosis: the sets considered, the gain of each, and why it was rejected.
 
-All of it is read off what the search came to and the ledger of `decide`; nothing is decided here.
+Everything is taken from the search's result and the ledger of `decide`; nothing is decided here.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class Decision:
     Attributes:
         channel: "force" or "disp".
         effects: names as in the answer.
-        fate: "dropped" is a set that a rule took out before sets were compared, "refused" an effect
-            that came into no set that was worth a closer look.
-        params: in words, as the set has them.
-        chi2: sum of squares of what it leaves, in units of the noise.
-        price: what it had to earn, in the same.
-        left: part of the misfit beyond noise that it leaves.
+        fate: "dropped": a rule excluded the set before sets were compared; "refused": an effect
+            that was in no set worth examining.
+        params: fitted parameters in words.
+        chi2: sum of squares of the residual, in units of the noise.
+        price: what it had to earn, in the same units.
+        left: fraction of the misfit beyond noise that remains.
         why: the reason in words.
     """
 
@@ -52,12 +52,12 @@ class Decision:
 
 
 def ledger(d: Diagnosis, catalogue: bool = True) -> list[Decision]:
-    """Return the sets that were weighed, the actuator's first, and why each lost.
+    """Return the sets that were considered, the actuator's first, and why each was rejected.
 
     Args:
         d: the diagnosis.
-        catalogue: whether the effects that came into no set are tried once more, alone and beside
-            the best set, to show how much they would improve the fit; this takes a moment.
+        catalogue: whether to try the effects that were in no set once more, alone and with the
+            best set, to show how much they would improve the fit; this takes a moment.
     """
     out: list[Decision] = []
     if d.disp is not None:
@@ -72,7 +72,7 @@ def ledger(d: Diagnosis, catalogue: bool = True) -> list[Decision]:
 
 
 def facts(d: Diagnosis) -> list[tuple[str, str]]:
-    """Return what the answer rests on: noise, tolerances, rows, what may be left, notes."""
+    """Return the basis of the answer: noise, tolerances, rows, permitted misfit, notes."""
     rows: list[tuple[str, str]] = [("verdict", _verdict(d))]
     if d.disp is not None:
         rows += _facts_of_displacement(d, d.disp)
@@ -82,7 +82,7 @@ def facts(d: Diagnosis) -> list[tuple[str, str]]:
 
 
 def to_json(d: Diagnosis, catalogue: bool = True) -> dict[str, Any]:
-    """Return facts and ledger as they stand in the answer."""
+    """Return facts and ledger as in the answer."""
     sets = [asdict(row) for row in ledger(d, catalogue)]
     for row in sets:
         row |= {k: None for k, v in row.items() if isinstance(v, float) and not np.isfinite(v)}
@@ -103,7 +103,7 @@ TITLES = {
 
 
 def groups(why: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
-    """Return the sets of what `to_json` made under their titles, empty ones left out."""
+    """Return the sets from `to_json` under their titles, without empty groups."""
     out: dict[str, list[dict[str, Any]]] = {key: [] for key in TITLES}
     for row in why["sets"]:
         out[row["fate"] if row["fate"] in out else row["channel"]].append(row)
@@ -111,7 +111,7 @@ def groups(why: dict[str, Any]) -> list[tuple[str, list[dict[str, Any]]]]:
 
 
 def lines(why: dict[str, Any], width: int = 100) -> list[str]:
-    """Return what `to_json` made as lines of a terminal."""
+    """Return the result of `to_json` as lines for a terminal."""
     out = ["Why:"]
     column = max((len(row["what"]) for row in why["facts"]), default=0)
 
@@ -134,12 +134,12 @@ def lines(why: dict[str, Any], width: int = 100) -> list[str]:
 
 
 def words_of(row: dict[str, Any]) -> str:
-    """Return the effects of a set as a laboratory calls them."""
+    """Return the effects of a set by their common names."""
     return _words(row["effects"])
 
 
 def figures(row: dict[str, Any]) -> str:
-    """Return the figures of a set in words; empty where there are none."""
+    """Return the figures of a set in words; empty if there are none."""
     if row["chi2"] is None:
         return ""
     left = "" if row["left"] is None else f"; leaves {_percent(row['left'])} of the misfit"
@@ -147,7 +147,7 @@ def figures(row: dict[str, Any]) -> str:
 
 
 def count(value: float) -> str:
-    """Return a number of chi-squared: whole, its thousands apart."""
+    """Return a number in chi-squared as a whole number with separated thousands."""
     digits = 2 if abs(value) < 9.95 else 1 if abs(value) < 99.5 else 0
     return f"{value:,.{digits}f}".replace("-", "−").replace(",", "\u202f")
 
@@ -168,7 +168,7 @@ def _words(names: Sequence[str]) -> str:
 
 
 def _left(search: forces.Search, fit: Fit) -> float:
-    """Return which part of the misfit beyond noise a set leaves."""
+    """Return the fraction of the misfit beyond noise that a set leaves."""
     n = search.problem.y.size * search.problem.estimate.share
     if search.moved:
         n = float(fit.residual.size) or n
@@ -212,7 +212,7 @@ def _params(search: forces.Search, fit: Fit) -> tuple[str, ...]:
 
 
 def _texts(values: Sequence[tuple[str, dict[str, float]]]) -> tuple[str, ...]:
-    """Return the parameters of each effect in words, with its name where there are several."""
+    """Return the parameters of each effect in words, with its name if there are several."""
     texts = [", ".join(value_text(k, v) for k, v in params.items()) for _, params in values]
     if len(texts) == 1:
         return tuple(texts)
@@ -241,7 +241,7 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
 
 
 def _not_enough(search: forces.Search, fit: Fit, gain: float) -> str:
-    """Return why a set is not named where none is."""
+    """Return why a set is not named if none is."""
     needs = evidence.to_earn(search.problem, fit)
     if gain <= needs:
         return f"improves chi-squared by {_gain(gain)}, but must improve it by {count(needs)}"
@@ -280,13 +280,13 @@ DROPPED = {
     "plainest": "improves chi-squared by {found} more than {against}, but must improve it by "
     "{wanted} more",
 }
-"""What each rule of `decide` that takes a set out says of it."""
+"""Texts of the rules of `decide` that exclude a set."""
 MOST = 12
-"""Such sets that are listed."""
+"""Number of such sets that are listed."""
 
 
 def _dropped(search: forces.Search) -> list[Decision]:
-    """Return the sets that a rule took out, in the order in which they were looked at."""
+    """Return the sets that a rule excluded, in the order in which they were examined."""
     kept = {f.names for f in (*search.fits, *search.equal)}
     first = {r.names: r for r in reversed(search.ledger) if r.rule in DROPPED}
     nan, out = float("nan"), []
@@ -303,7 +303,7 @@ def _dropped(search: forces.Search) -> list[Decision]:
 def _against(
     own: tuple[float, float, tuple[str, ...]], named: tuple[float, float, tuple[str, ...]]
 ) -> str:
-    """Return why one set lost to another, each as (chi-squared, price, names)."""
+    """Return why one set lost to another, each given as (chi-squared, price, names)."""
     (chi2, costs, names), (best, best_costs, best_names) = own, named
     score = chi2 + costs - best - best_costs
     if set(names) > set(best_names):
@@ -338,7 +338,7 @@ def _parameters(more: int) -> str:
 
 
 def _refused(search: forces.Search, known: set[str]) -> list[Decision]:
-    """Return what the effects that came into no set bring alone, and beside the best set."""
+    """Return the gain of effects that were in no set, alone and with the best set."""
     problem = search.problem
     dictionary = Dictionary(problem)
     alone = _best_of(dictionary, dictionary.singles())
@@ -456,7 +456,7 @@ NAMELESS = {
     "varying": "a stiffness or damping that changes periodically with time",
     "stroke": "a second mass on a spring that hardens or softens with its stroke",
 }
-"""Laws in no catalogue that a set is held against, by the rule of `verdict`."""
+"""Laws outside the catalogue with which a set is compared, by the rule of `verdict`."""
 TURNED = {
     "blur": "the best set is no larger than the uncertainty of the estimated motion",
     "motion": "the model alone simulates the measured motion, within its tolerances and the "
@@ -466,14 +466,14 @@ TURNED = {
     **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},
     "steps": "the residual of the model is that of the load cell's quantization",
 }
-"""What each rule of `verdict` that takes a set back says."""
+"""Texts of the rules of `verdict` that withdraw a set."""
 
 
-# ---- what the answer rests on -------------------------------------------------------------------
+# ---- basis of the answer ------------------------------------------------------------------------
 
 
 def _no_noise(search: forces.Search) -> str:
-    """Return why what the best set leaves is no noise, though its spectrum would allow it."""
+    """Return why the best set's residual is not noise, although its spectrum would permit it."""
     off, most = bend(search.problem, search.best), POLICY.within_tolerance
     noise = "the best set leaves what might be noise of a spectrum read from the recording"
     if not within(off, POLICY):

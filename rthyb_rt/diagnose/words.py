@@ -1,4 +1,4 @@
-"""A diagnosis in words that a laboratory uses."""
+"""A diagnosis in the words of a laboratory."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ UNITS: dict[str, str] = {
     "m_s": "m/s", "N_m3": "N/m³", "N_m2": "N/m²", "Ns2_m2": "N s²/m²", "N_s": "N/s",
     "s2_m": "s²/m",
 }  # fmt: skip
-"""Unit of a parameter by the ending of its name."""
+"""Unit of a parameter, by the suffix of its name."""
 PREFIXES: dict[str, tuple[tuple[float, str], ...]] = {
     "m": ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm")),
     "N": ((1e6, "MN"), (1e3, "kN"), (1.0, "N")),
@@ -44,7 +44,7 @@ PREFIXES: dict[str, tuple[tuple[float, str], ...]] = {
 
 
 def quantity(value: float, unit: str, digits: int = 3) -> str:
-    """Return a value in the multiple of its unit that a reader expects: ``3.1 MN/m``."""
+    """Return a value in the customary multiple of its unit: ``3.1 MN/m``."""
     scales = PREFIXES.get(unit, ((1.0, unit),))
     size = abs(value)
     scale, name = next((s for s in scales if size >= s[0]), scales[-1])
@@ -52,7 +52,7 @@ def quantity(value: float, unit: str, digits: int = 3) -> str:
 
 
 def _plain(value: float, digits: int) -> str:
-    """Return a number rounded to its digits, with a power of ten only where it needs one."""
+    """Return a number rounded to its digits, with a power of ten only if necessary."""
     if value == 0.0 or not np.isfinite(value):
         return f"{value:g}"
     exponent = int(np.floor(np.log10(abs(value))))
@@ -72,7 +72,7 @@ def value_text(name: str, value: float) -> str:
 
 
 def interval_text(name: str, ci: list[float] | None) -> str:
-    """Return a 95 % interval in words, in the multiple of the unit that its larger end has."""
+    """Return a 95 % interval in words, in the multiple of the unit that suits its larger end."""
     if not ci:
         return ""
     unit = UNITS.get(name.partition("_")[2], "")
@@ -85,17 +85,17 @@ def interval_text(name: str, ci: list[float] | None) -> str:
 
 @dataclass(frozen=True)
 class Size:
-    """A parameter's value as a phrase has it in braces: ``{xs_m}`` in its unit, without its sign.
+    """A parameter's value for use in a phrase: ``{xs_m}`` in its unit, without its sign.
 
-    Behind a colon: ``+`` with its sign, ``%`` in per cent, a number of digits for a value without a
-    unit, ``less|more`` for one of two words by the sign.
+    After a colon: ``+`` with its sign, ``%`` in per cent, a number of digits for a dimensionless
+    value, ``less|more`` for one of two words by the sign.
     """
 
     name: str
     value: float
 
     def __format__(self, spec: str) -> str:
-        """Return the value as asked for."""
+        """Return the value in the requested format."""
         less, either, more = spec.partition("|")
         if either:
             return less if self.value < 0 else more
@@ -108,21 +108,21 @@ class Size:
 
 
 def _told() -> dict[str, Effect | ActuatorEffect]:
-    """Return whatever an answer may name, by name."""
+    """Return everything that an answer may name, by name."""
     own: list[Effect | ActuatorEffect] = [*CATALOGUE, QUANTISATION, *effects.catalogue().values()]
     return {e.name: e for e in own}
 
 
 def called(name: str) -> str:
-    """Return an effect as a laboratory calls it; one that nobody has told so by its name."""
+    """Return the common name of an effect; for an unknown one, its own name."""
     effect = _told().get(name)
     return effect.plain if effect is not None and effect.plain else name
 
 
 def _phrase(c: Found) -> str:
-    """Return an effect with its size, as a laboratory says it: ``a stop at 18.2 mm with 3.1 MN/m``.
+    """Return an effect with its size in words: ``a stop at 18.2 mm with 3.1 MN/m``.
 
-    An effect of the user's own, or one without its parameters, is named with all that it has.
+    A user-defined effect, or one without its parameters, is listed with all its values.
     """
     effect = _told().get(c.name)
     if effect is not None and effect.phrase:
@@ -141,7 +141,7 @@ LOOP_WORDS: dict[str, str] = {
 
 
 def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Return what the closed loop says, as rows of label, value and explanation."""
+    """Return the results of the closed loop as rows of label, value and explanation."""
     rows = []
     loop = answer.get("closed_loop")
     if loop and loop["possible"]:
@@ -167,7 +167,7 @@ def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def heldout_lines(d: Diagnosis) -> list[str]:
-    """Return what a second recording says of the answer, or how to have it judged by one."""
+    """Return the result of validation on a second recording, or how to obtain it."""
     after = (
         "with the effects found"
         if d.verdict in ("explained", "ambiguous")
@@ -188,7 +188,7 @@ def heldout_lines(d: Diagnosis) -> list[str]:
 
 
 def unheld(d: Diagnosis, outcome: Outcome) -> list[str]:
-    """Return what of the answer the augmented model's rig file does not hold."""
+    """Return what the rig file of the augmented model cannot represent."""
     if d.verdict not in ("explained", "ambiguous"):
         return []
     lost = [*rig_toml(outcome.model)[1], *(n for n in d.effects if n == QUANTISATION.name)]
@@ -202,7 +202,7 @@ def unheld(d: Diagnosis, outcome: Outcome) -> list[str]:
 
 
 def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
-    """Return what is to be known of the loop simulated again; why it was not, where it was not."""
+    """Return notes on the repeated simulation of the loop, or the reason why there is none."""
     loop = answer.get("closed_loop")
     if not loop:
         return []
@@ -222,7 +222,7 @@ def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
 
 
 def next_text(d: Diagnosis) -> str:
-    """Return the next experiment in words; empty where there is none."""
+    """Return the next experiment in words; empty if there is none."""
     if not d.next_experiment:
         return ""
     kind, why = d.next_experiment["kind"], d.next_experiment["why"]
@@ -232,7 +232,7 @@ def next_text(d: Diagnosis) -> str:
 
 
 def check_rows(checks: list[dict[str, Any]] | None) -> list[tuple[str, str]]:
-    """Return what the self-check came to, as rows of effect and result."""
+    """Return the results of the self-check as rows of effect and result."""
     rows = []
     for row in checks or ():
         name = called(row["effect"])
@@ -272,13 +272,13 @@ def _when(d: Diagnosis) -> str:
 
 
 def _span(from_s: float, to_s: float) -> str:
-    """Return a window of time in words: one shorter than the figures shown is a moment."""
+    """Return a time window in words; if shorter than the figures shown, as a moment."""
     first, last = f"{from_s:.1f}", f"{to_s:.1f}"
     return f"at {first} s" if first == last else f"between {first} and {last} s"
 
 
 def _where(d: Diagnosis, signal: Floats) -> str:
-    """Return where on the stroke a force acts, if that is at one part of it only."""
+    """Return where on the stroke a force acts, if it is local."""
     motion = d.estimate.motion if d.estimate is not None else None
     if motion is None or d.channel != "force":
         return ""
@@ -298,7 +298,7 @@ def _where(d: Diagnosis, signal: Floats) -> str:
 
 
 def _difference(d: Diagnosis, signal: Floats | None) -> str:
-    """Return what differs, and to which side where that is plain."""
+    """Return what differs, and in which direction if that is clear."""
     channels = {c.channel for c in d.candidates if c.name in d.effects}
     if len(channels) == 2:
         return "actuator and specimen both differ from the model"
@@ -321,14 +321,14 @@ def _difference(d: Diagnosis, signal: Floats | None) -> str:
 
 
 def _judged(d: Diagnosis) -> str:
-    """Return what a verdict of nothing missing is silent of."""
+    """Return the limits of a verdict that nothing is missing."""
     if d.force is None and d.disp is not None:
         return "There is no force to analyse, so this says nothing about the specimen."
     return ""
 
 
 def _rest(d: Diagnosis) -> str:
-    """Return what is left beside what was found."""
+    """Return what remains after the effects found."""
     before, after = d.fit.get("nrmse_before", 0.0), d.fit.get("nrmse_after", 0.0)
     error = f"NRMSE {100 * before:.3g} % before, {100 * after:.3g} % after"
     only_disp = d.channel == "disp" and (d.force is None or not d.force.best.members)
@@ -343,7 +343,7 @@ def _rest(d: Diagnosis) -> str:
 
 
 def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
-    """Return the verdict in one sentence, with one more where it is silent of something."""
+    """Return the verdict in one sentence, with a second one on its limits."""
     if d.verdict == "none":
         what = " in the actuator" if d.force is None else ""
         text = (
@@ -382,6 +382,6 @@ def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
     verb = "explain" if len(named) > 1 else "explains"
     part = f"{share:.3g} %" if share < 99.9 else "more than 99.9 %"
     if share <= 0.0:
-        # A coarse load cell adds nothing to the model: it is what the rest is.
+        # A coarse load cell adds nothing to the model: it is the remainder itself.
         return f"{lead[:1].upper()}{lead[1:]}: {parts} ({_rest(d)})."
     return f"{lead[:1].upper()}{lead[1:]}: {parts} {verb} {part} of it ({_rest(d)})."
