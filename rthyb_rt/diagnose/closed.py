@@ -1,8 +1,8 @@
-"""The whole hybrid test once more: same test, controller and ground motion on two virtual rigs.
+"""Repeated simulation of a hybrid test: same test, controller and ground motion, two models.
 
-The diagnosis splits the loop at the recorded signals. Its result is judged here with the loop
-closed: the model as given and the model with the effects found each stand in for the rig, in
-virtual time, and the simulated test is compared with the recording.
+The diagnosis splits the loop at the recorded signals. Here its result is evaluated with the loop
+closed: the model as given and the model with the effects found each replace the rig in virtual
+time, and the simulated test is compared with the recording.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SIGNALS: dict[str, str] = {
     "f_meas": "f_meas_n",
     "alpha": "alpha",
 }
-"""What is compared, and the record's field of it."""
+"""The compared signals, and their fields in the record."""
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,10 @@ class ClosedLoop:
     Attributes:
         t: time of the rows of the test proper, (n,), s.
         recorded, before, after: by name of `SIGNALS`, each (n,), m, N or samples; NaN where a
-            measurement was made up during the test, and where a simulated test had ended.
+            reading was predicted during the test, and after the end of a simulated test.
         nrmse_before, nrmse_after: by the same names, fractions: rms of the difference over the
-            standard deviation of what was recorded; for alpha, which may be constant, over its rms.
-        notes: what the comparison cannot hold.
+            standard deviation of the recording; for alpha, which may be constant, over its rms.
+        notes: limits of the comparison.
     """
 
     t: Floats
@@ -70,13 +70,13 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
     """Simulate a recorded test with the model as given and with the effects found in it.
 
     Args:
-        rec: recording of this program; its test, rig and ground motion set the controller.
-        given, augmented: the two models as rig files' text; only their actuator, specimen and
+        rec: recording of this program; its test, rig and ground motion determine the controller.
+        given, augmented: the two models as text of rig files; only their actuator, specimen and
             sensors are used.
-        law: force beside the augmented specimen, N, from displacement (m) and velocity (m/s).
+        law: force in addition to the augmented specimen, N, of displacement (m) and velocity (m/s).
 
     Raises:
-        InputError: the recording cannot be repeated, or a rig file is not in order.
+        InputError: the recording cannot be repeated, or a rig file is invalid.
     """
     if rec.meta.get("interrupted"):
         raise InputError("the test was held and resumed, so its ground motion is interrupted")
@@ -110,7 +110,7 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
 
 
 def _as_recorded(rec: Recording, count: int) -> tuple[Setup, core.StationConfig | None]:
-    """Return the recorded test, so long, and its station's settings where they were recorded."""
+    """Return the recorded test with this duration, and its station settings if recorded."""
     test = config.parse_test(rec.test_toml, "recording: test")
     rig = config.parse_rig(rec.rig_toml, "recording: rig")
     derived = config.derive(test, rig)
@@ -134,7 +134,7 @@ def _as_recorded(rec: Recording, count: int) -> tuple[Setup, core.StationConfig 
 
 
 class _Beside(Bench):
-    """The same with a force of Python's beside the specimen's, sample by sample."""
+    """The same with a force computed in Python in addition to the specimen's, sample by sample."""
 
     def __init__(
         self, setup: Setup, rig: core.RigConfig, settings: core.StationConfig | None, law: Law
@@ -158,7 +158,7 @@ class _Beside(Bench):
             command = "none"
             if tick.state != state or self.zeroing_failed:
                 if (state, tick.state) == ("RAMP_IN", "RUNNING"):
-                    self._rig.reseed()  # as the core does it
+                    self._rig.reseed()  # as the core does
                 return n + 1
         return int(rows.size)
 
@@ -182,10 +182,10 @@ def _errors(made: dict[str, Floats], recorded: dict[str, Floats]) -> dict[str, f
 
 
 def same_actuator(model: Model, rec: Recording) -> Model:
-    """Return the model with the recording's own rig around it where it says nothing of one.
+    """Return the model with the recording's own rig where it does not describe one.
 
-    A baseline file knows a second-order actuator at most; without one, the rig that recorded lends
-    its own, whose load cell then sees the specimen alone.
+    A baseline file has at most a second-order actuator; without one, the rig of the recording is
+    used, with a load cell that measures the specimen only.
     """
     if model.rig is not None or model.actuator is not None:
         return model

@@ -1,8 +1,8 @@
-"""Free decays of a naive model: what is left of the energy shows the damping, and nothing else.
+"""Free decays of a naive model: the remaining energy shows the damping, and nothing else.
 
-Nothing pushes, so that nearly all of the force is the spring's. The laws of damping are a part in a
-thousand of it and yet all that ends the motion: they are measured against one another, and not
-against what the spring lacks.
+No force acts, so nearly all of the force is the spring's. The laws of damping are a thousandth of
+it and yet determine how the motion decays: they are compared with one another, not with the misfit
+of the spring.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from rthyb_rt.diagnose.predict import Augmented
 from rthyb_rt.diagnose.select import Dictionary, Fit, Member, Problem, compatible, solve
 
 MOST = 6
-"""Pairs of damping laws that are refined beside the spring, and sets that are simulated first."""
+"""Number of pairs of damping laws refined with the spring, and of sets simulated first."""
 HARDLY = 1e-3
-"""Part of the model's dashpot that is as good as none; a parameter has to be something."""
+"""Relative size of a negligible dashpot in the model; a parameter must not be zero."""
 
 
 def judged(case: Case) -> bool:
-    """Return whether a recording is a free decay beside a naive model: its motion tells all."""
+    """Return whether a recording is a free decay of a naive model: its motion is conclusive."""
     model, push = case.model, case.channels.get("f_in")
     free = model.family == "forced" and model.k_tol is None and model.k != 0.0
     return free and push is not None and not np.nan_to_num(push).any()
 
 
 class Swing(Body):
-    """A body that is let go: its start is fitted, and so is the reading at which it would rest.
+    """A freely decaying body: its initial state is fitted, and so is the reading at rest.
 
-    A sensor's zero and a constant force are one thing there, and no finding.
+    The zero of a sensor and a constant force are equivalent there, and are no finding.
     """
 
     linear = False
@@ -44,19 +44,19 @@ class Swing(Body):
         return (("x", 0.4, np.inf), ("v", 0.4, np.inf), ("zero", 0.4, np.inf))
 
     def first(self, ranked: Sequence[Fit]) -> list[Fit]:
-        """Return the sets of springs and damping alone: what ends most swings."""
+        """Return the sets of springs and damping only, which explain most decays."""
         plain = [f for f in ranked if len(f.names) <= self.largest and self.plain(f.members)]
         return plain[:MOST]
 
     def plain(self, members: Sequence[Member]) -> bool:
-        """Return whether a set has elastic springs and damping alone."""
+        """Return whether a set has elastic springs and damping only."""
         return all(m.effect.elastic or m.effect.dissipates for m in members)
 
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:
-        """Fit a set to the motion as `Body` does, from a dashpot that does not push.
+        """Fit a set to the motion as `Body` does, starting with a dashpot that does not push.
 
-        Laws of damping make up for one another in the balance, down to a dashpot below zero. What
-        is begun there is a motion that grows: the others are solved for anew without it.
+        In the balance, laws of damping compensate for one another, even with a negative dashpot. A
+        motion started there would grow: the other laws are solved again without it.
         """
         numbers = [n.number for n in problem.nuisances]
         c = self.case.model.c
@@ -82,7 +82,7 @@ class Swing(Body):
 
 
 def conservative(fit: Fit) -> tuple[Member, ...]:
-    """Return the members of a set that take no energy out of the motion."""
+    """Return the members of a set that do not dissipate energy."""
     return tuple(m for m in fit.members if not m.effect.dissipates)
 
 
@@ -90,18 +90,18 @@ def explained(
     problem: Problem, known: Callable[[Sequence[Member]], Fit | None], fit: Fit,
     member: Member, null: Fit,
 ) -> float:  # fmt: skip
-    """Return the misfit that a set has explained of the kind that one of its effects is to explain.
+    """Return the misfit explained by a set, of the kind that one of its effects can explain.
 
     Args:
         problem: the recording.
-        known: refines a set, or returns None where that makes no physical law.
+        known: refines a set, or returns None if it is not a physical law.
         fit: the set.
         member: the effect of it.
-        null: nothing but nuisance.
+        null: nuisance parameters only.
 
     Returns:
-        A fall of chi-squared: for a law of damping in a free decay, of all such laws of the set;
-        else of the whole set.
+        Reduction of chi-squared; for damping in a free decay, that of all damping laws in the set,
+        else that of the whole set.
     """
     whole = null.chi2 - fit.chi2
     if not (problem.decays and problem.case.model.k_tol is None and member.effect.dissipates):
@@ -112,10 +112,10 @@ def explained(
 
 
 def damped_twice(dictionary: Dictionary, begun: Fit) -> list[tuple[Member, ...]]:
-    """Return a set's spring with each pair of damping laws that promises most beside it.
+    """Return a set's spring with each of the most promising pairs of damping laws.
 
-    Friction that does not change and drag that dies out with the motion look, over one range of
-    amplitudes, like one dashpot: neither is worth much beside it without the other.
+    Over one range of amplitudes, constant friction together with drag that vanishes with the motion
+    looks like a single dashpot: neither is worth much without the other.
     """
     spring = conservative(begun)
     groups = dictionary.groups

@@ -57,11 +57,11 @@ from rthyb_rt.errors import InputError
 Progress = Callable[[str], None]
 
 PAST = 400
-"""Steps in which a yielding spring is led to its start."""
+"""Number of rows over which a yielding spring is led to its initial state."""
 FEWER = 2
-"""Sets of fewer laws whose motion is looked at."""
+"""Number of sets with fewer laws whose motion is examined."""
 PASSES = 2
-"""Times that such a motion is simulated, the second time with the effects found along it."""
+"""Number of simulations of such a motion, the second one with the effects found along it."""
 
 
 @dataclass
@@ -71,12 +71,12 @@ class Found:
     Attributes:
         score: weight of evidence against the other sets, 0 to 1.
         params, ci95: by name with units.
-        evidence: fall of the information criterion when it is added, negative is better.
-        signal: what it adds along the recording, N or m, (n,).
+        evidence: change of the information criterion when it is added; negative is better.
+        signal: its contribution along the recording, N or m, (n,).
         shape: variant of its law and shape parameters, for the report.
-        form: the law itself in a few words, of those that share the name.
-        from_s: when it begins, where that is in mid-record, s.
-        modulated_by: the channel that changes it, and by how much; see `Modulated.slope`.
+        form: the form of the law in a few words, among those that share the name.
+        from_s: its onset, if in mid-recording, s.
+        modulated_by: the channel that modulates it, and by how much; see `Modulated.slope`.
     """
 
     name: str
@@ -94,11 +94,11 @@ class Found:
 
 @dataclass
 class Displacement:
-    """Outcome on the displacement channel.
+    """Result for the displacement channel.
 
     Attributes:
-        left: part of the misfit beyond noise that the best fit leaves.
-        known: whether that is no more than noise, or the form of a law.
+        left: fraction of the misfit beyond noise that the best fit leaves.
+        known: whether that may be noise, or due to the form of a law.
         quiet: whether it is within the sensor's data sheet.
     """
 
@@ -120,7 +120,7 @@ class Displacement:
 
 @dataclass
 class Diagnosis:
-    """All that was found out about a recording."""
+    """The complete result for a recording."""
 
     case: Case
     verdict: Said
@@ -144,11 +144,11 @@ class Diagnosis:
 
 @dataclass(frozen=True)
 class _Weighed:
-    """Sets of the actuator's effects against one another.
+    """Comparison of sets of actuator effects.
 
     Attributes:
-        size: of the displacement, in units of its noise.
-        plain: as the model given simulates it.
+        size: size of the displacement, in units of its noise.
+        plain: simulation of the model as given.
     """
 
     task: Actuation
@@ -159,20 +159,20 @@ class _Weighed:
     plain: Motion
 
     def gain(self, fit: ActuatorFit, less: ActuatorFit) -> float:
-        """Return how far chi-squared falls from one set to another."""
+        """Return the reduction of chi-squared from one set to another."""
         return less.misfit(self.scale) - fit.misfit(self.scale)
 
     def worth(self, fit: ActuatorFit) -> bool:
-        """Return whether a set earns its price, and moves something."""
-        # Against the model as given: a time offset may have taken part of it over already.
+        """Return whether a set earns its price, and has a noticeable effect."""
+        # Relative to the model as given: a time offset may already have absorbed part of it.
         moved = float(np.std((fit.motion.x - self.plain.x)[self.task.rows])) / self.task.sigma
         earned = self.gain(fit, self.null) > self.task.price(fit)
         return earned and moved > POLICY.least_force * self.size
 
     def completes(self, fit: ActuatorFit, effect: ActuatorEffect, own: float) -> bool:
-        """Return whether an effect ends at the noise where the model is known well.
+        """Return whether an effect reduces the misfit to noise if the model is known well.
 
-        It is no matter of form then.
+        It is then not a matter of form.
         """
         n = self.task.rows.size
         stated = self.task.case.model.k_tol is not None
@@ -180,7 +180,7 @@ class _Weighed:
         return at_noise and own > POLICY.actuator_at_noise_price * self.task.price_of(effect)
 
     def needed(self, fit: ActuatorFit) -> bool:
-        """Return whether no effect of a set can be left out."""
+        """Return whether no effect of a set can be omitted."""
         least = POLICY.needed_share_actuator * self.gain(fit, self.null)
         for effect in fit.effects:
             rest = tuple(sorted(e.name for e in fit.effects if e is not effect))
@@ -195,7 +195,7 @@ class _Weighed:
         return True
 
     def alike(self, fit: ActuatorFit, best: ActuatorFit) -> bool:
-        """Return whether a set cannot be told apart from the best one."""
+        """Return whether a set cannot be distinguished from the best one."""
         more = max(0, fit.count - best.count)
         dearer = POLICY.dearer_rival_actuator * POLICY.same_evidence * more
         apart = fit.misfit(self.scale) - best.misfit(self.scale)
@@ -203,7 +203,7 @@ class _Weighed:
 
 
 def displacement(case: Case) -> Displacement | None:
-    """Diagnose x_cmd -> x_meas; None where one of the three is missing."""
+    """Diagnose x_cmd -> x_meas; None if one of the three is missing."""
     base = case.model.actuator
     if base is None or "x_cmd" not in case.channels or "x_meas" not in case.channels:
         return None
@@ -222,10 +222,10 @@ def displacement(case: Case) -> Displacement | None:
     left = after / before if before > 0 else 0.0
     nothing = POLICY.excess_as_noise + POLICY.excess_of_nothing_actuator
     known = after < POLICY.excess_as_noise or (not best.effects and before < nothing)
-    # Noise that takes any colour to fit is to be as large as the sheet says, and no event.
+    # If noise may be given any colour, it must be within the data sheet, and without bursts.
     known = known and task.own is None
     known = known or left < of_form(case.model.k_tol is None, len(best.effects) or 1, POLICY)
-    # As of the force: noise has any colour, and only its white part is measured.
+    # As for the force: noise has any colour, and only its white part is measured.
     quiet = bool(case.model.x_std) and noise.mere(
         task.left(best)[task.rows],
         best.residual,
@@ -238,10 +238,10 @@ def displacement(case: Case) -> Displacement | None:
 
 
 def _as_stated(task: Actuation, null: ActuatorFit) -> ActuatorFit:
-    """Return nothing but nuisance without its time offset, where that brings nothing.
+    """Return nuisance parameters only, without a time offset if that brings nothing.
 
-    A lag that follows a held command has a velocity that steps with it: an offset of a nanosecond
-    the wrong way, which noise decides, would take each row's step before the row.
+    A lag behind a held command has a velocity that changes in steps: an offset of a nanosecond in
+    the wrong direction, determined by noise, would move each row's step to before the row.
     """
     residual, motion, zero = task.residual(task.base)
     if float(residual @ residual) - null.chi2 > POLICY.same_evidence:
@@ -250,7 +250,7 @@ def _as_stated(task: Actuation, null: ActuatorFit) -> ActuatorFit:
 
 
 def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
-    """Return the motion and the force, simulated where the actuator is understood."""
+    """Return the motion and the force, simulated if the actuator is understood."""
     found = _motion(case, disp)
     if found is None or case.model.bouc_wen is None:
         return found
@@ -259,10 +259,11 @@ def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
 
 
 def _forgotten(case: Case, found: Estimate) -> int:
-    """Return the first row at which a yielding model has forgotten how the recording began.
+    """Return the first row at which a yielding model no longer depends on its initial state.
 
-    One that begins in motion has a past that nobody recorded. The spring is led to the first row
-    from the largest displacement to either side; from where both agree, the past is forgotten.
+    A recording that begins in motion has an unknown history. The spring is led to the first row
+    from the largest displacement in either direction; from the row at which both agree, the history
+    is irrelevant.
     """
     x = found.motion.x
     head = max(int(0.1 * case.fs_hz), 2)
@@ -278,7 +279,7 @@ def _forgotten(case: Case, found: Estimate) -> int:
         forces.append(case.model.spring(np.concatenate((past, x)))[past.size :])
     apart = np.flatnonzero(np.abs(forces[1] - forces[0]) > POLICY.forgotten_force * found.sigma_n)
     first = int(apart[-1]) + 1 if apart.size else 0
-    # A motion that never yields again forgets nothing: all of it is looked at then.
+    # A motion that never yields again keeps its history: all of it is then evaluated.
     return first if first < POLICY.forgotten_by * x.size else 0
 
 
@@ -303,7 +304,7 @@ def _motion(case: Case, disp: Displacement | None) -> Estimate | None:
 
 
 def simulated(case: Case) -> Motion:
-    """Return the motion that the model's actuator makes of the command."""
+    """Return the motion of the model's actuator along the command."""
     from rthyb_rt.core.diagnosis_models import actuator
 
     assert case.model.actuator is not None
@@ -313,7 +314,7 @@ def simulated(case: Case) -> Motion:
 def context_of(
     case: Case, found: Estimate, ranges: tuple[float, float, float] | None = None
 ) -> Context:
-    """Return what force laws see of a recording."""
+    """Return the quantities of a recording on which force laws depend."""
     other = {
         name: estimate.filled(values)
         for name, values in case.recorded.items()
@@ -323,11 +324,11 @@ def context_of(
 
 
 def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
-    """Say what physics the model leaves out.
+    """Find the physics that the model lacks.
 
     Args:
         case: recording and model.
-        progress: told the name of each stage.
+        progress: receives the name of each stage.
     """
     progress("actuator")
     disp = displacement(case)
@@ -347,7 +348,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
             body = decay.Swing(case, ctx)
 
         def doubtful(done: force.Search) -> bool:
-            # Several laws fit almost any estimate of a motion, but they have to simulate it.
+            # Several laws can fit almost any estimated motion, but they must also simulate it.
             assert body is not None
             if not held and (len(done.best.names) > 1 or _doubtful(case, done)):
                 return True
@@ -361,7 +362,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
         def anew(judged: Problem, known: list[tuple[Member, ...]]) -> force.Search:
             return force.search(judged, progress, body, doubtful, known)
 
-        # What the displacement and the load cell show alike is not judged by the balance's noise.
+        # What the displacement and the load cell both show is not limited by the balance's noise.
         settled = search.moved and (not held or _felt(case, search, ctx))
         if not settled:
             found, search = _in_its_noise(case, found, search, anew, progress)
@@ -391,14 +392,14 @@ def _in_its_noise(
     anew: Callable[[Problem, list[tuple[Member, ...]]], force.Search],
     progress: Progress,
 ) -> tuple[Estimate, force.Search]:
-    """Search again in noise of its own colour, where a set beside such noise is likelier.
+    """Search again with coloured noise, if a set together with such noise is likelier.
 
-    What is left by a set that fits white noise lacks what the set took up of slow noise: each of
-    the sets is tried with the colour of what it leaves itself, nothing at all among them.
+    The residual of a set fitted with white noise lacks the slow noise that the set has absorbed:
+    each set is tried with the colour of its own residual, including the empty set.
     """
     blur = found.blur
-    # Along a motion that is estimated a naive model leaves form, and no noise that could be read;
-    # nor has a push that there is not any noise.
+    # Along an estimated motion, the residual of a naive model is due to form, not readable noise;
+    # nor does an absent force have noise.
     told = blur is not None and case.model.k_tol is not None and not search.problem.decays
     if not found.exact and not told:
         return found, search
@@ -420,7 +421,7 @@ def _in_its_noise(
 
 
 def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context, force.Search]:
-    """Search by the balance of forces, and judge what it proposes by the rig that it simulates."""
+    """Search by the force balance, and evaluate its candidates by simulating the rig."""
     case, ctx, found = problem.case, problem.ctx, problem.estimate
     body = rigged.RigBody(case, ctx)
 
@@ -440,11 +441,11 @@ def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context
 def _along_its_motion(
     case: Case, search: force.Search, ctx: Context, progress: Progress
 ) -> tuple[Estimate, Context, force.Search] | None:
-    """Search again along the motion that the best set simulates, where the estimated one blurs it.
+    """Search again along the best set's simulated motion, if the estimated one is too inaccurate.
 
-    A body that sticks and slips moves in a way that no estimate follows. Where what was found
-    simulates the measured displacement to its noise, the load cell is judged along that motion; the
-    answer counts where the search comes to the same laws and they leave nothing.
+    No estimate follows the motion of a body that sticks and slips. If what was found reproduces the
+    measured displacement to its noise, the load cell is evaluated along that motion; the answer
+    counts if the search finds the same laws and they leave nothing.
     """
     if not search.best.members or (not search.moved and remainder.understood(search)):
         return None
@@ -453,7 +454,7 @@ def _along_its_motion(
     def laws(fit: Fit) -> set[str]:
         return {m.name for m in fit.members if not m.effect.sensor}
 
-    # What the blur looks like may have been named as one law more; not in the motion itself.
+    # The error of the estimate may have been named as one more law; not along the motion itself.
     fewer = (
         []
         if search.moved
@@ -482,9 +483,10 @@ def _along_its_motion(
 
 
 def _felt(case: Case, search: force.Search, ctx: Context) -> bool:
-    """Return whether the motion that a set simulates has the force that the load cell saw.
+    """Return whether the motion simulated with a set has the force that the load cell measured.
 
-    In most rows, that is: where friction takes hold a row too early or late, all of it is missing.
+    In most rows, that is: if friction engages one row too early or late, all of it is missing
+    there.
     """
     motion = freebody.Body(case, ctx).motion(search.problem, search.best)
     if motion is None:
@@ -504,11 +506,11 @@ def _felt(case: Case, search: force.Search, ctx: Context) -> bool:
 
 
 def _doubtful(case: Case, search: force.Search) -> bool:
-    """Return whether the balance of forces on a free body leaves the answer open.
+    """Return whether the force balance of a free body leaves the answer open.
 
-    It does where nothing explains it, where what it names is no more than the blur of the estimated
-    motion, where a linear effect is named, since the noise of a displacement leans to a softer
-    specimen, and where a friction is that has more to it than a level.
+    It does if nothing explains it, if the effect named is within the error of the estimated motion,
+    if a linear effect is named, because displacement noise biases towards a softer specimen, or if
+    a friction law more complex than dry friction is named.
     """
     if not search.best.members:
         return not remainder.understood(search)
@@ -516,13 +518,13 @@ def _doubtful(case: Case, search: force.Search) -> bool:
         return True
     names = set(search.best.names)
     blurred = remainder.blurred(search)
-    # The estimate rounds off where the body sticks: as a law, that is a friction with more to it.
+    # The estimate is smooth where the body sticks, which looks like a more complex friction.
     leans = names & effects.having(lambda e: e.number or (e.dry and e.plainer))
     return bool(leans) or blurred or simulates(remainder.simulated(search), POLICY)
 
 
 def _coarse(case: Case, search: force.Search | None) -> tuple[Found | None, force.Search | None]:
-    """Return the steps of a coarse load cell and the search with what stays within them."""
+    """Return the step of a coarse load cell and the search with the set within its rounding."""
     steps = quantisation(case)
     if steps is None or search is None:
         return steps, search
@@ -561,7 +563,7 @@ def _judged(
     search: force.Search | None,
     steps: Found | None,
 ) -> Verdict:
-    """Return what is said, gathering what the rules ask for."""
+    """Return the verdict, gathering what the rules ask for."""
     moved = None
     if disp is not None:
         moved = Moved(disp.best.names, tuple(f.names for f in disp.equal), disp.known)
@@ -630,7 +632,7 @@ def _located(
             if c.name in names and c.signal is not None:
                 parts.append(c.signal)
                 acts = localise.active(c.signal, case.fs_hz)
-                # Its running rms looks ahead by half a window.
+                # The running rms extends half a window ahead.
                 mask |= acts & (case.t >= (case.t[0] if c.from_s is None else c.from_s))
         if candidates and candidates[0].channel == "disp":
             channel = "disp"
@@ -655,7 +657,7 @@ def _located(
 
 
 def _begun(candidates: list[Found], names: list[str]) -> list[str]:
-    """Return a note for each effect named that begins in mid-record."""
+    """Return a note for each named effect with an onset."""
     return [
         f"{c.name} begins at {c.from_s:.4g} s, but in the augmented model, and in a prediction "
         "of another recording, it acts throughout"
@@ -667,7 +669,7 @@ def _begun(candidates: list[Found], names: list[str]) -> list[str]:
 def _errors(
     disp: Displacement | None, found: Estimate | None, search: force.Search | None, verdict: str
 ) -> dict[str, float]:
-    """Return NRMSE before and after: of the force where it was judged, else of the displacement."""
+    """Return NRMSE before and after: of the force if it was evaluated, else of the displacement."""
     out: dict[str, float] = {}
     if disp is not None:
         rows = disp.task.rows
@@ -680,9 +682,9 @@ def _errors(
         out["nrmse_after_disp"] = float(np.std((disp.task.x - best.motion.x)[rows])) / spread
     if search is not None and found is not None:
         problem = search.problem
-        # All of the recording, however little of it the search looked at.
+        # The entire recording, however little of it the search used.
         rows = np.flatnonzero(found.rows)
-        # Where nothing pushes, what the spring holds is the measure.
+        # If no force acts, the force of the spring is the reference.
         spread = float(np.std(found.force[rows])) or float(np.std(problem.ctx.spring[rows])) or 1.0
         before = (found.force - problem.ctx.total)[rows]
         fit = search.best if search.best.members and verdict != "unknown" else search.null
@@ -708,8 +710,8 @@ def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) 
     """Return the effects of the best set, then rivals, with intervals and evidence.
 
     Args:
-        search: what was found.
-        ctx: what the laws see.
+        search: the search.
+        ctx: the quantities on which the laws depend.
         motions: one standard deviation away from that motion each.
     """
     problem, sure = search.problem, Sure(search, ctx, motions)
@@ -749,7 +751,7 @@ def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) 
 
 
 def _around(disp: Displacement | None, found: Estimate | None) -> list[Motion]:
-    """Return motions one standard deviation away from one that a fitted actuator simulates."""
+    """Return motions one standard deviation away from that of a fitted actuator."""
     if disp is None or found is None or not found.exact:
         return []
     return disp.task.around(disp.best, disp.scale, found.motion)
@@ -776,7 +778,7 @@ def _disp_found(disp: Displacement) -> list[Found]:
             for i, (k, v) in enumerate(params.items()):
                 half = 1.96 * float(np.sqrt(max(known[j + i, j + i], 0.0)))
                 half = max(half, POLICY.interval_simulated * abs(v))
-                # As of the force: another form of the effect that does nearly as well.
+                # As for the force: another form of the effect that is nearly as good.
                 half = max([half, *(abs(o[k] - v) for o in forms if number == 0)])
                 ci[k] = [v - half, v + half]
             j += len(values)
@@ -804,9 +806,9 @@ def _disp_found(disp: Displacement) -> list[Found]:
 
 
 def _work(d: Diagnosis, c: Found) -> dict[str, float]:
-    """Return the work that a force of the answer took out of the motion, J.
+    """Return the work that a force of the answer removed from the motion, J.
 
-    A loop's parameters are not unique, its energy is.
+    The parameters of a loop are not unique, but its energy is.
     """
     if c.signal is None or c.channel != "force" or d.estimate is None:
         return {}
@@ -841,7 +843,7 @@ def to_json(d: Diagnosis) -> dict[str, Any]:
 
 
 def augmented(d: Diagnosis) -> Augmented:
-    """Return the model with the effects found; for an unknown verdict, with refitted numbers."""
+    """Return the model with the effects found; for an unknown verdict, with refitted values."""
     model = d.case.model
     search = d.force
     members: tuple[Any, ...] = ()
@@ -851,7 +853,8 @@ def augmented(d: Diagnosis) -> Augmented:
     if search is not None:
         fit = search.best if d.verdict in ("explained", "ambiguous") else search.null
         if d.verdict == "ambiguous" and d.case.own is not None:
-            # Of sets that fit alike, one that a rig can be made of, so that the loop can be closed.
+            # Of sets that fit equally well, one that a rig can represent, so that the loop can be
+            # closed.
             fits = [search.best, *search.equal]
             fit = next((f for f in fits if not any(m.effect.sensor for m in f.members)), fit)
         free = model.k_tol is None
@@ -869,10 +872,10 @@ def augmented(d: Diagnosis) -> Augmented:
 
 
 def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Augmented:
-    """Return the model fitted again with every newton of misfit counting alike.
+    """Return the model fitted again with the same weight for every newton of misfit.
 
-    A naive model leaves misfit far above the noise: what predicts best then is plain least squares,
-    not the weights of noise, along the kind of motion that ``wanted`` will be predicted along.
+    A naive model leaves a misfit far above the noise: plain least squares, not the weights of the
+    noise, then predicts best, along the kind of motion along which ``wanted`` will be predicted.
     """
     search = d.force
     if search is None or d.case.model.k_tol is not None or search.problem.estimate.exact:
@@ -893,7 +896,7 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
         return model
     fitted = remainder.with_nuisance(d.case.model, problem, fit)
     if any(m.effect.complete for m in fit.members) and min(fitted.k, fitted.c) < 0.0:
-        # Nothing of the specimen stands beside a joint law, and least of all what drives it.
+        # A joint law excludes all others of the specimen, above all what drives it.
         below = {"k": fitted.k < 0.0, "c": fitted.c < 0.0}
         gone = [below.get(n.number, False) for n in problem.nuisances]
         for j in np.flatnonzero(gone):
@@ -914,6 +917,6 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
 
 
 def baseline(d: Diagnosis) -> Augmented:
-    """Return the model as it was given."""
+    """Return the model as given."""
     m = d.case.model
     return Augmented(m, m, (), (), m.actuator, None)

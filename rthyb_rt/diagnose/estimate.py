@@ -1,9 +1,9 @@
-"""The motion behind a recording, and how sure it is.
+"""The motion behind a recording, and its accuracy.
 
-Where a command and an actuator model reproduce the measured displacement, the simulated motion is
-free of noise and is taken. Else displacement, accelerometer and load cell are joined in the
-frequency domain, each weighed by its noise (a Wiener smoother); its remaining error, carried
-through the specimen's impedance, gives the noise of the force residual, which need not be white.
+If a command and an actuator model reproduce the measured displacement, the simulated motion, which
+is free of noise, is used. Otherwise displacement, accelerometer and load cell are combined in the
+frequency domain, each weighted by its noise (a Wiener smoother); the remaining error, multiplied by
+the specimen's impedance, gives the noise of the force residual, which need not be white.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ Complex = NDArray[np.complex128]
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 Denoiser = Callable[[Floats], Floats]
-"""Takes white noise off a signal of shape (n,), outside the signal's band; `Whitener` makes noise
-that has a colour white."""
+"""Removes white noise from a signal of shape (n,) outside the signal's band; `Whitener` whitens
+coloured noise."""
 SHIFT_S = 0.025
 GAP_S = 0.4
-"""A simulated motion has forgotten a gap of its command after so long."""
+"""Time after which a gap in the command no longer affects a simulated motion."""
 EDGE_S = 0.5
-"""At either end of a recording the smoother has half its data; such rows are not judged."""
+"""Time at either end that is not evaluated, because the smoother has only half its data there."""
 MOVING_EDGE_S = 1.5
-"""The same where a recording begins or ends in full motion."""
+"""The same if a recording begins or ends in full motion."""
 TURN_ROWS = 20
-"""Rows at either end of a quasi-static recording in which a turn would not be seen."""
+"""Rows at either end of a quasi-static recording in which a reversal would not be detected."""
 
 
 def white_noise(signal: Floats) -> float:
@@ -42,7 +42,7 @@ def white_noise(signal: Floats) -> float:
     fourth = np.diff(signal, 4)
     fourth = fourth[np.isfinite(fourth)]
     if fourth.size < 16:
-        # Of a channel that is read less often than the others, those of its own rows.
+        # If a channel is sampled less often than the others, its own rows are used.
         good = signal[np.isfinite(signal)]
         if good.size < 16:
             return float("nan")
@@ -51,7 +51,7 @@ def white_noise(signal: Floats) -> float:
 
 
 def noise_of(signal: Floats | None, sheet: float | None) -> float:
-    """Return the noise of a channel: as measured, held within the data sheet's belief."""
+    """Return the noise of a channel: as measured, limited by the data sheet."""
     found = white_noise(signal) if signal is not None else float("nan")
     if sheet is None or not sheet > 0.0:
         scale = float(np.nanstd(signal)) if signal is not None else 1.0
@@ -80,7 +80,7 @@ def step_of(f_meas: Floats | None, f_std: float | None) -> float:
 
 
 def force_noise(f_meas: Floats | None, f_std: float | None) -> float:
-    """Return the standard deviation of a load cell's noise, with that of its steps, N."""
+    """Return the standard deviation of a load cell's noise including its quantisation, N."""
     step = step_of(f_meas, f_std)
     if step > 0.0 and f_std is not None:
         return float(np.hypot(f_std, step / np.sqrt(12.0)))
@@ -88,14 +88,14 @@ def force_noise(f_meas: Floats | None, f_std: float | None) -> float:
 
 
 def force_sheet(f_meas: Floats | None, f_std: float | None) -> float | None:
-    """Return the noise that a data sheet states, with that of the load cell's steps, N."""
+    """Return the noise in a data sheet including the load cell's quantisation, N."""
     if not f_std:
         return None
     return float(np.hypot(f_std, step_of(f_meas, f_std) / np.sqrt(12.0)))
 
 
 def filled(signal: Floats) -> Floats:
-    """Return a signal with a straight line over its gaps, and a cubic over those of few rows."""
+    """Return a signal with its gaps filled by a straight line, or by a cubic if short."""
     good = np.isfinite(signal)
     if good.all():
         return signal
@@ -108,12 +108,12 @@ def filled(signal: Floats) -> Floats:
 
 
 def filled_if_short(signal: Floats) -> Floats:
-    """Return a signal with a cubic over its gaps of few rows, and the others as they are."""
+    """Return a signal with its short gaps filled by a cubic, and the others unchanged."""
     return np.where(_within_short_gaps(signal), filled(signal), signal)
 
 
 def _gaps(signal: Floats) -> Iterable[tuple[int, int]]:
-    """Give the first row of each gap and the first one behind it."""
+    """Yield the first row of each gap and the first row after it."""
     lost = ~np.isfinite(signal)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], lost.astype(np.int8), [0]))))
     return zip(map(int, edges[::2]), map(int, edges[1::2]), strict=True)
@@ -128,7 +128,7 @@ def _within_short_gaps(signal: Floats) -> Mask:
 
 
 def _cubic(at: Rows, y: Floats, wanted: Rows) -> Floats:
-    """Return values between rows by the cubic through the two neighbours to either side."""
+    """Return values between rows by the cubic through the two neighbours on either side."""
     right = np.clip(np.searchsorted(at, wanted), 2, at.size - 2)
     index = right[:, None] + np.array([-2, -1, 0, 1])
     x, f = at[index].astype(np.float64), y[index]
@@ -144,11 +144,11 @@ def _cubic(at: Rows, y: Floats, wanted: Rows) -> Floats:
 
 @dataclass(frozen=True)
 class Blur:
-    """What the estimate of a motion adds to the noise of a force.
+    """The contribution of the estimated motion to the noise of a force.
 
     Attributes:
-        power: of that at each frequency of the transform, N^2 a row, (m,).
-        band: how much of each frequency is judged, 0 to 1, (m,).
+        power: its power at each frequency of the transform, N^2 per row, (m,).
+        band: weight of each frequency in the evaluation, 0 to 1, (m,).
         sigma_n: standard deviation of the force channel's own noise where it is white, N.
     """
 
@@ -159,21 +159,21 @@ class Blur:
 
 @dataclass(frozen=True)
 class Estimate:
-    """A motion and the force that the specimen showed along it.
+    """A motion and the specimen's force along it.
 
     Attributes:
         motion: x, v, a, each (n,).
-        force: the force that a specimen model has to give, (n,), N.
-        rows: rows to be judged, (n,).
-        whiten: makes the noise of a force residual white with unit variance; linear.
+        force: the force that a specimen model must reproduce, (n,), N.
+        rows: rows to evaluate, (n,).
+        whiten: whitens the noise of a force residual to unit variance; linear.
         sigma_n: standard deviation of the force residual's noise where it is white, N.
-        share: part of the band that is judged: what a row of whitened noise has for variance.
-        exact: whether the motion is simulated, so that it has no noise.
-        pieces: whitens pieces of a long residual alone, from their first rows (m,) and their
-            length, to (m, length); None where whitening looks at no row but its own.
-        scatter: relative standard deviation of the noise's rms over such a recording, where it has
-            a colour of its own, fitted to what a set leaves; 0: the noise is white.
-        blur: what the estimate of the motion adds to it; None where nobody knows, or it is exact.
+        share: fraction of the band that is evaluated: the variance of a row of whitened noise.
+        exact: whether the motion is simulated and therefore free of noise.
+        pieces: whitens pieces of a long residual only, from their first rows (m,) and their
+            length, to (m, length); None if whitening uses no other rows.
+        scatter: relative standard deviation of the noise's rms over such a recording, if its
+            colour was fitted to the residual of a set; 0: the noise is white.
+        blur: contribution of the estimated motion; None if unknown, or the motion is exact.
     """
 
     motion: Motion
@@ -189,7 +189,7 @@ class Estimate:
 
     @property
     def coloured(self) -> bool:
-        """Whether the noise has a colour of its own."""
+        """Whether the noise has a fitted colour."""
         return self.scatter > 0.0
 
 
@@ -198,7 +198,7 @@ def _extended(signal: Floats, pad: int, odd: bool) -> Floats:
     if odd:
         head, tail = 2.0 * signal[0] - head, 2.0 * signal[-1] - tail
     out = np.concatenate((head, signal, tail))
-    # The ends of the extension meet in the transform: both are led to zero without a corner.
+    # The extension is periodic in the transform: both ends approach zero smoothly.
     ramp = np.clip(np.arange(pad) / max(0.75 * pad, 1.0), 0.0, 1.0)
     smooth = ramp**4 * (35.0 - 84.0 * ramp + 70.0 * ramp**2 - 20.0 * ramp**3)
     out[:pad] *= smooth
@@ -213,15 +213,15 @@ def _smooth_spectrum(power: Floats, width: int) -> Floats:
 
 
 def _above_noise(spectrum: Complex, rows: int, noise_power: Floats | float) -> Floats:
-    """Return the power of a signal where it stands out of its noise, else 0."""
+    """Return the power of a signal above its noise, else 0."""
     power = _smooth_spectrum(np.abs(spectrum) ** 2 / rows, 12)
     return np.where(power > POLICY.motion_clear * noise_power, power - noise_power, 0.0)
 
 
 def _envelope(power: Floats, omega: Floats) -> Floats:
-    """Return the least power above the given one that never rises and falls no faster than w^-6.
+    """Return the smallest power above a given one that never rises and falls at most like w^-6.
 
-    A filter that is cut off more sharply rings: an end of the record would be felt seconds away.
+    A sharper cut-off would ring: an end of the recording would have effects seconds away.
     """
     w6 = omega**6
     falling = np.maximum.accumulate(power * w6) / np.maximum(w6, w6[1] if w6.size > 1 else 1.0)
@@ -237,7 +237,7 @@ def _smooth_number(value: int) -> bool:
 
 
 def fast_length(least: int) -> int:
-    """Return the next length whose transform is fast: one of small factors only."""
+    """Return the next length with small prime factors, whose transform is fast."""
     while not _smooth_number(least):
         least += 1
     return least
@@ -252,7 +252,7 @@ class _Spectral:
     @classmethod
     def of(cls, n: int, fs_hz: float) -> _Spectral:
         pad = int(min(n - 2, max(4.0 * fs_hz, 64)))
-        # A length of small factors only: the transform of another takes ten times as long.
+        # A length with small prime factors: other transforms take ten times as long.
         while pad > 64 and not _smooth_number(n + 2 * pad):
             pad -= 1
         f_hz = np.asarray(np.fft.rfftfreq(n + 2 * pad, 1.0 / fs_hz), dtype=np.float64)
@@ -267,8 +267,8 @@ class _Spectral:
 
 @dataclass(frozen=True)
 class _Knowledge:
-    """Of a displacement at each frequency: variance as estimated and as measured (m^2 a row), and
-    how much of a signal stood out of the noise there, 0 to 1."""
+    """Accuracy of a displacement at each frequency: variance as estimated and as measured, m^2 per
+    row, and the fraction of the signal above the noise, 0 to 1."""
 
     variance: Floats
     measured: Floats
@@ -277,14 +277,14 @@ class _Knowledge:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A channel of a motion, (n,); its noise: standard deviation, were it white, and colour."""
+    """A channel of a motion, (n,); its noise: standard deviation if white, and colour."""
 
     signal: Floats
     sigma: float
     colour: noise.Colour | None = None
 
     def power(self, omega: Floats) -> Floats:
-        """Return the power of its noise at frequencies in rad/s, in its unit squared a row."""
+        """Return the power of its noise at frequencies in rad/s, in its unit squared per row."""
         level = np.ones(omega.size) if self.colour is None else self.colour.at(omega / (2 * np.pi))
         return self.sigma**2 * level
 
@@ -292,20 +292,20 @@ class Sensor:
 def smoothed(
     case: Case, accelerations: list[Sensor], colour: noise.Colour | None = None
 ) -> tuple[Motion, _Knowledge, _Spectral]:
-    """Join displacement and accelerations, each with its noise, into one motion.
+    """Combine displacement and accelerations, each with its noise, into one motion.
 
     Args:
         case: the recording.
         accelerations: of the specimen.
         colour: of the displacement's noise.
 
-    Returns the motion, how well it is known at each frequency, and the frequencies.
+    Returns the motion, its accuracy at each frequency, and the frequencies.
     """
     x_meas = case.channels["x_meas"]
     place = Sensor(filled(x_meas), noise_of(x_meas, case.model.x_std), colour)
     s = _Spectral.of(place.signal.size, case.fs_hz)
     rows = place.signal.size + 2 * s.pad
-    # A straight line between the ends carries no frequency: it goes round the transform.
+    # A straight line between the ends has no frequency content in the transform.
     spectrum = s.forward(place.signal, odd=True)
     w2 = s.omega**2
     own = place.power(s.omega)
@@ -319,7 +319,7 @@ def smoothed(
         prior = np.maximum(prior, np.where(band, _above_noise(other, rows, level) / safe**2, 0.0))
         joined = joined + np.where(band, -w2 * other / level, 0.0)
         information = information + np.where(band, w2**2 / level, 0.0)
-    # Where anything at all was seen to move, for those who weigh residuals by it.
+    # Where any motion was detected at all, for weighting residuals.
     seen = np.maximum.accumulate(prior[::-1])[::-1]
     seen = seen / (seen + 4.0 / information)
     prior = _envelope(prior, s.omega)
@@ -332,10 +332,10 @@ def smoothed(
 
 
 def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
-    """Return the sum of signals that make up the acceleration, each moved onto the time of x_meas.
+    """Return the sum of signals that form the acceleration, each aligned with the time of x_meas.
 
-    Channels may be a fraction of a row apart; the offset of each is what best turns their sum into
-    the second derivative of the displacement.
+    Channels may be a fraction of a row apart; the offset of each is the one for which their sum
+    best equals the second derivative of the displacement.
     """
     x = filled(case.channels["x_meas"])
     s = _Spectral.of(x.size, case.fs_hz)
@@ -364,7 +364,7 @@ def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
 
 
 def band_of(signal: Floats, fs_hz: float, sigma: float) -> Denoiser:
-    """Return the filter (Wiener's) that takes white noise off a signal of shape (n,)."""
+    """Return the (Wiener) filter that removes white noise from a signal of shape (n,)."""
     s = _Spectral.of(signal.size, fs_hz)
     spectrum = s.forward(signal, odd=True)
     power = _envelope(_above_noise(spectrum, signal.size + 2 * s.pad, sigma**2), s.omega)
@@ -378,7 +378,7 @@ def quiet(signal: Floats, fs_hz: float, sigma: float) -> Floats:
 
 
 def low_passed(signal: Floats, fs_hz: float, cut_hz: float) -> Floats:
-    """Return a signal up to a frequency, (n,); an eighth-order roll-off, which delays nothing."""
+    """Return a signal below a frequency, (n,); an eighth-order roll-off without delay."""
     s = _Spectral.of(signal.size, fs_hz)
     gain = 1.0 / (1.0 + (s.omega / (2.0 * np.pi * cut_hz)) ** 8)
     return s.back(gain * s.forward(signal, odd=True))
@@ -411,7 +411,7 @@ def _coloured(s: _Spectral, power: Floats, band: Floats) -> Callable[[Floats], F
 
 
 MARGIN = 512
-"""Rows to either side of a piece that are whitened with it: a filter's memory."""
+"""Number of rows on either side of a piece that are whitened with it: the filter's memory."""
 
 
 def _in_pieces(
@@ -436,11 +436,11 @@ def _in_pieces(
 
 @dataclass(frozen=True)
 class Whitener:
-    """What makes the noise of a channel white with unit variance.
+    """Whitens the noise of a channel to unit variance.
 
     Attributes:
-        whiten: all of a signal, (n,) to (n,); linear.
-        pieces: stretches of it, see `Estimate`.
+        whiten: an entire signal, (n,) to (n,); linear.
+        pieces: parts of it, see `Estimate`.
         scatter: relative standard deviation of the noise's rms over such a recording.
     """
 
@@ -459,20 +459,20 @@ def likelihood(
     blur: Blur | None = None,
     lines: noise.Lines | None = None,
 ) -> tuple[float, Whitener | None]:
-    """Return -2 ln of the likelihood of what a set of effects leaves, in noise of its colour.
+    """Return -2 ln of the likelihood of a set's residual, for noise with its colour.
 
-    Up to a constant, with the price of the colour's numbers. The noise is as large as fits best
-    within the data sheet. None instead of a filter where the noise is white.
+    Up to a constant, including the price of the colour's parameters. The noise level is the best
+    fit within the data sheet. The filter is None if the noise is white.
 
     Args:
-        residual: what is left of a channel, (n,), in its unit.
+        residual: residual of a channel, (n,), in its unit.
         rows: which of them count, (n,).
         velocity: of the motion, (n,), m/s.
         fs_hz: rows per second.
-        sigma: standard deviation of the noise were it white, in the channel's unit.
-        sheet: the same as the data sheet states it.
-        blur: what the estimate of the motion adds to that noise, whatever its colour.
-        lines: of these rows, where they are known.
+        sigma: standard deviation of the noise if white, in the channel's unit.
+        sheet: the same according to the data sheet.
+        blur: contribution of the estimated motion to that noise, whatever its colour.
+        lines: of these rows, if already known.
     """
     stated = sheet / sigma if sheet else 1.0
     lines = lines or noise.Lines(rows, fs_hz)
@@ -482,7 +482,7 @@ def likelihood(
         noise.red_of(lines, power, sheet and stated),
     )
     found = [_in_colour(c, residual, rows, fs_hz, sigma, blur) for c in colours if c is not None]
-    # Where its colour is seen beside the motion, white it is not.
+    # If its colour can be seen beside the motion, it is not white.
     if colours[0] is None:
         found.append(
             _in_white(residual[rows] / sigma, stated)
@@ -493,7 +493,7 @@ def likelihood(
 
 
 def _in_white(white: Floats, stated: float) -> tuple[float, None]:
-    """Return -2 ln of the likelihood in white noise as large as fits best within the sheet."""
+    """Return -2 ln of the likelihood for white noise with the best level within the sheet."""
     size = float(np.sqrt(np.mean(white**2)))
     level = float(np.clip(size, stated / POLICY.sheet_factor, stated * POLICY.sheet_factor))
     return float(white @ white) / level**2 + 2.0 * white.size * float(np.log(level)), None
@@ -507,7 +507,7 @@ def _in_colour(
     sigma: float,
     blur: Blur | None,
 ) -> tuple[float, Whitener | None]:
-    """Return the same in noise of one colour and the blur, with what makes that white."""
+    """Return the same for noise of one colour and the blur, with its whitening filter."""
     count = int(rows.sum())
     s = _Spectral.of(residual.size, fs_hz)
     power = np.ones(s.omega.size) if colour is None else colour.at(s.omega / (2.0 * np.pi))
@@ -536,13 +536,13 @@ def likeliest(
     sheet: float | None,
     blur: Blur | None = None,
 ) -> Whitener | None:
-    """Return the filter for the noise that the likeliest of some sets leaves; None: it is white.
+    """Return the filter for the noise of the likeliest of some sets; None: it is white.
 
-    Of those sets that leave no more than the data sheet allows, if any does: slow noise of any size
-    would explain what a drift leaves out, at frequencies where no line of a spectrum shows it.
+    Of those sets whose residual is within the data sheet, if any: slow noise of arbitrary size
+    would explain what a drift leaves, at frequencies where no spectral line shows it.
 
     Args:
-        tried: of each set what it leaves of a channel, (n,), in its unit; the velocity of its
+        tried: for each set, its residual in a channel, (n,), in its unit; the velocity of its
             motion, (n,), m/s; and its price.
         rows, fs_hz, sigma, sheet, blur: see `likelihood`.
     """
@@ -550,7 +550,7 @@ def likeliest(
     told: list[tuple[bool, float, Whitener | None]] = []
     for left, velocity, price in tried:
         cost, own = likelihood(left, rows, velocity, fs_hz, sigma, sheet, blur, lines)
-        # What the estimate of the motion adds has no sheet.
+        # No data sheet covers the contribution of the estimated motion.
         bounded = bool(sheet) and blur is None
         scatter = own.scatter if own is not None else 0.0
         beyond = bounded and not within_sheet(left[rows], sheet or 0.0, scatter)
@@ -559,9 +559,9 @@ def likeliest(
 
 
 def within_sheet(rest: Floats, sheet: float, scatter: float) -> bool:
-    """Return whether what is left of a channel, (n,), is as small as its data sheet allows.
+    """Return whether a channel's residual, (n,), is as small as its data sheet permits.
 
-    The rms of one recording of slow noise has a relative ``scatter`` about what the sheet states.
+    The rms of one recording of slow noise has a relative ``scatter`` about the data sheet value.
     """
     return float(np.sqrt(np.mean(rest**2))) < POLICY.sheet_factor * sheet * (1.0 + scatter)
 
@@ -569,10 +569,10 @@ def within_sheet(rest: Floats, sheet: float, scatter: float) -> bool:
 def away_from_gaps(
     signal: Floats, fs_hz: float, before_s: float, after_s: float, bridged: bool = False
 ) -> NDArray[np.bool_]:
-    """Return the rows that a missing stretch of a signal does not reach, (n,).
+    """Return the rows that are not affected by gaps in a signal, (n,).
 
-    Of one that is ``bridged`` a gap of few rows, over which `filled` is as good as its neighbours,
-    reaches only as far as it is long.
+    If ``bridged``, a short gap, which `filled` interpolates as accurately as its neighbours,
+    affects only its own rows.
     """
     out = np.ones(signal.size, dtype=np.bool_)
     for a, b in _gaps(signal):
@@ -584,21 +584,21 @@ def away_from_gaps(
 
 
 def at_its_time(force: Floats, sigma: float, fs_hz: float) -> Mask:
-    """Return the rows in which a force is known though its channel is a little early or late, (n,).
+    """Return the rows in which a force is known despite a small time offset, (n,).
 
-    A normal offset in time stands in the problem as a straight line over the force's rate, and that
-    rate is a difference of rows. At the corner of a stiff drive's command a mass makes a peak two
-    or three rows wide: there neither holds, by many times the noise.
+    A normal time offset is represented as a straight line over the force's rate, which is a
+    difference of rows. At a corner of a stiff drive's command, a mass causes a peak two or three
+    rows wide, for which neither is accurate, by many times the noise.
 
     Args:
-        force: as the model has it along a motion without noise, (n,), N.
+        force: the model's force along a motion without noise, (n,), N.
         sigma: standard deviation of the noise of a row, N.
         fs_hz: rows per second.
     """
     late = 2.0 * POLICY.offset_prior_s * fs_hz
     bent = np.zeros(force.size)
     bent[1:-1] = 0.5 * late**2 * np.abs(np.diff(force, 2))
-    # Of the central difference the first term that is left out.
+    # The first neglected term of the central difference.
     third = late / 6.0 * np.abs(np.diff(force, 3))
     bent[1:-2] = np.maximum(bent[1:-2], third)
     bent[2:-1] = np.maximum(bent[2:-1], third)
@@ -606,7 +606,7 @@ def at_its_time(force: Floats, sigma: float, fs_hz: float) -> Mask:
 
 
 def along(case: Case, motion: Motion, exact_from: int) -> Estimate | None:
-    """Return the estimate for a simulated motion, judged from row ``exact_from`` on."""
+    """Return the estimate for a simulated motion, evaluated from row ``exact_from`` on."""
     f_meas = case.get("f_meas")
     if f_meas is None:
         return None
@@ -616,7 +616,7 @@ def along(case: Case, motion: Motion, exact_from: int) -> Estimate | None:
     rows[:exact_from] = False
     if "x_cmd" in case.channels:
         rows &= away_from_gaps(case.channels["x_cmd"], case.fs_hz, 0.01, GAP_S)
-    # A force moved in time has no rows beyond the ends.
+    # A force shifted in time has no rows beyond the ends.
     ends = int(min(SHIFT_S * case.fs_hz, rows.size / 50))
     if ends:
         rows[:ends] = rows[-ends:] = False
@@ -656,7 +656,7 @@ def from_sensors(case: Case) -> Estimate | None:
     accelerations: list[Sensor] = []
     ground = model.family == "ground"
     if a_meas is not None:
-        # On moving ground an accelerometer feels the ground as well.
+        # On moving ground an accelerometer also measures the ground.
         parts = [filled(a_meas), -filled(ag)] if ground and ag is not None else [filled(a_meas)]
         sigma = noise_of(a_meas, model.a_std)
         accelerations.append(Sensor(aligned(case, parts, sigma), sigma))
@@ -683,11 +683,12 @@ def from_sensors(case: Case) -> Estimate | None:
         return None
     channel = sigma
     if model.family in ("forced", "ground"):
-        # Near resonance a small force moves much: nothing is known better than a few parts in 1000.
+        # Near resonance a small force causes a large motion: accuracy is limited to some per
+        # thousand.
         sigma = max(sigma, POLICY.force_accuracy * float(np.sqrt(np.mean(force[rows] ** 2))))
     z2 = _impedance(case, s.omega, mass) ** 2
     power = sigma**2 + z2 * known.variance
-    # Where displacement is nothing but noise, force laws evaluated on it are: no band to judge in.
+    # If displacement is only noise, so are force laws evaluated on it: no band to evaluate.
     band = np.maximum(sigma**2 / (sigma**2 + z2 * known.measured), known.seen)
     rows = _edges(rows, case.fs_hz, filled(channels["x_meas"]))
     share = float(np.mean(band**2))
@@ -700,7 +701,7 @@ def from_sensors(case: Case) -> Estimate | None:
 
 
 def quasi_static(case: Case) -> bool:
-    """Return whether time is nominal: no rate in the model and rows too far apart to have one."""
+    """Return whether time is nominal: the model has no rate, and rows are too far apart for one."""
     m = case.model
     rateless = m.family == "drive" and m.c == 0 and m.moving_mass == 0
     return rateless and m.fs_hz <= POLICY.static_hz
@@ -721,22 +722,22 @@ def _rate(x: Floats, fs_hz: float, span: int = 34) -> Floats:
 
 
 def _legs(x: Floats, v: Floats, fs_hz: float) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return a rate with one value for each stroke that is straight within its noise, and where.
+    """Return a rate that is constant along each straight stroke, and where that holds.
 
-    A rate with noise would favour laws that bend least over it.
+    A noisy rate would favour the laws that are least sensitive to it.
     """
     sigma = white_noise(x)
     out, straight = v.copy(), np.zeros(x.size, dtype=np.bool_)
     turns = np.flatnonzero(np.diff(np.sign(v)) != 0)
     for first, last in pairwise([0, *(turns + 1), x.size]):
-        # The turn itself lies somewhere about the change of sign; one near an end is not seen.
+        # The reversal is somewhere near the change of sign; near an end it is not detected.
         part = x[first + (5 if first else TURN_ROWS) : last - (5 if last < x.size else TURN_ROWS)]
         if part.size < 24:
             continue
         at = np.arange(part.size) - 0.5 * (part.size - 1)
         slope = float(part @ at / (at @ at))
         rest = part - part.mean() - slope * at
-        # Straight: no more than its noise, neither on the whole nor bent over a third of it.
+        # Straight: deviations no larger than noise, neither overall nor over a third of it.
         thirds = [float(np.mean(p)) for p in np.array_split(rest, 3)]
         bent = POLICY.stroke_bent * sigma * np.sqrt(3.0 / part.size)
         if np.std(rest) < POLICY.stroke_straight * sigma and max(map(abs, thirds)) < bent:
@@ -747,10 +748,10 @@ def _legs(x: Floats, v: Floats, fs_hz: float) -> tuple[Floats, NDArray[np.bool_]
 
 
 def _plainly_moving(x: Floats, v: Floats, sigma: float) -> NDArray[np.bool_]:
-    """Return the rows whose neighbours are farther apart than noise makes them, the way of v.
+    """Return the rows whose neighbours differ by more than noise, in the direction of v.
 
-    There the direction is not in doubt, however near a turn is: of a coarse recording of cycles the
-    rows around the turns are those that show what the specimen bears.
+    There the direction is certain, however near a reversal: in a coarse recording of cycles, the
+    rows around reversals show the capacity of the specimen.
     """
     across = np.zeros(x.size)
     across[1:-1] = x[2:] - x[:-2]
@@ -770,9 +771,9 @@ def _static(case: Case) -> Estimate | None:
         v, straight = _legs(x, _rate(x, case.fs_hz), case.fs_hz)
         bent = bool(np.mean(straight) < POLICY.static_straight)
         if bent:
-            # A slow sweep or random motion bends within any span that averages its noise.
+            # A slow sweep or random motion is curved within any span that averages its noise.
             v = smoothed(case, [])[0].v
-        # In which row exactly it turns is not known: those are not judged.
+        # The exact row of the reversal is unknown: such rows are not evaluated.
         turns = np.flatnonzero(np.diff(np.sign(v)) != 0)
         for reach in range(-5, 7):
             sure[np.clip(turns + reach, 0, x.size - 1)] = False

@@ -1,4 +1,4 @@
-"""What the model leaves over what moves it, with the law that was found and its 95 % band."""
+"""The model's residual over its arguments, with the law that was found and its 95 % band."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
     from rthyb_rt.report.drawing import Plate
 
 STEP = 1e-4
-"""Relative step by which a parameter is moved to see what the law does."""
+"""Relative step of a parameter for the numerical derivative of a law."""
 BINS, ROWS = 200, 40
-"""Most parts of the abscissa in which a law is one value, and rows that each should have."""
+"""Largest number of bins of the abscissa in which a law is one value, and rows per bin."""
 LINE = 0.97
-"""Part of a law's variance between such parts from which it is drawn as a line."""
+"""Fraction of a law's variance between such bins above which it is drawn as a line."""
 FLAT = 1e-9
-"""Part of its size by which a constant varies."""
+"""Relative variation up to which a signal is constant."""
 BELONGS = 0.8
-"""The same from which a law is said to belong to what it is drawn over."""
+"""The same fraction above which a law is a function of the abscissa."""
 THIN = 0.006
-"""Part of a picture's height below which half a band is hidden by its line."""
+"""Half-width of a band, relative to the picture's height, below which its line hides it."""
 JAGGED = 10.0
-"""Way of the abscissa along a cycle, in widths of the picture, from which it is noisy."""
+"""Path of the abscissa along a cycle, in picture widths, above which it is noisy."""
 PARTS, POINTS = 60, 600
-"""Parts of such a cycle of which the mean is drawn, and points that a cycle has at most."""
+"""Number of averaged parts of such a cycle, and largest number of points of a cycle."""
 SIDE = 0.2
-"""Part of the largest displacement beyond which it is to one side."""
+"""Fraction of the largest displacement beyond which it is on one side."""
 GRID = (88, 52)
-"""Cells in which rows are counted."""
+"""Number of cells in which rows are counted."""
 GREYS = ["#e2e2dd", "#c4c4be", "#9d9d97", "#6f6f6a"]
-"""Few rows in a cell to many."""
+"""Colours from few rows in a cell to many."""
 RIVALS = 2
-"""Laws drawn beside the one that is named."""
+"""Number of laws drawn beside the one that is named."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +56,9 @@ class Part:
     """One effect of a set along the recording.
 
     Attributes:
-        names: as in the answer.
-        signal: what it adds, (n,).
-        slopes: the same for a unit of each parameter of the whole set, (n, parameters).
+        names: names in the answer.
+        signal: its contribution, (n,).
+        slopes: derivatives with respect to each parameter of the whole set, (n, parameters).
     """
 
     names: tuple[str, ...]
@@ -68,11 +68,11 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """A set of effects that was fitted.
+    """A fitted set of effects.
 
     Attributes:
         parts: its effects.
-        covariance: of the parameters that the parts' slopes are for; None where it is not known.
+        covariance: of the parameters to which the slopes refer; None if unknown.
     """
 
     parts: tuple[Part, ...]
@@ -80,11 +80,11 @@ class Law:
 
     @property
     def label(self) -> str:
-        """What it is made of, in words."""
+        """Its effects in words."""
         return " with ".join(called(n) for p in self.parts for n in p.names)
 
     def of(self, kept: Sequence[Part]) -> tuple[Floats, Floats | None]:
-        """Return what some of its parts add, and half the width of their 95 % band."""
+        """Return the contribution of some of its parts, and half the width of their 95 % band."""
         signal = np.asarray(np.sum([p.signal for p in kept], axis=0))
         if self.covariance is None:
             return signal, None
@@ -95,14 +95,14 @@ class Law:
 
 @dataclass(frozen=True, eq=False)
 class Rest:
-    """What a model leaves on one channel, and the laws that were found for it.
+    """The residual of a model in one channel, and the laws found for it.
 
     Attributes:
-        left: what the model leaves with its parameters adjusted within tolerance, (n,).
-        rows: those that were judged, (n,).
+        left: residual of the model with parameters adjusted within tolerance, (n,).
+        rows: rows that were evaluated, (n,).
         laws: the one that is named, then its equals.
-        over: by key, what it may depend on and how that is called, (n,).
-        unit: of ``left``.
+        over: by key, a possible argument and its label, (n,).
+        unit: unit of ``left``.
         channel: "force" or "disp".
     """
 
@@ -121,9 +121,9 @@ def law_of(search: forces.Search, fit: Fit, wider: Sequence[float]) -> Law:
     """Return a set of effects on the force along the recording, with its covariance.
 
     Args:
-        search: what it was found in.
+        search: the search that found it.
         fit: the set.
-        wider: of each effect, how many times as wide its intervals are as noise alone makes them.
+        wider: for each effect, the ratio of its intervals to those from noise alone.
     """
     ctx, members = search.problem.ctx, list(fit.members)
     columns = columns_of(ctx, members)
@@ -134,7 +134,7 @@ def law_of(search: forces.Search, fit: Fit, wider: Sequence[float]) -> Law:
     if covariance is not None and covariance.shape[0] < len(shapes) + len(betas) + len(
         fit.nuisance
     ):
-        shapes = []  # fitted without: a set whose shapes are at an end of their range
+        shapes = []  # fitted without: for a set whose shapes are at a bound
     places = [*shapes, *betas]
     slopes = np.zeros((len(members), ctx.t.size, len(places)))
     for k, (i, j) in enumerate(shapes):
@@ -142,7 +142,7 @@ def law_of(search: forces.Search, fit: Fit, wider: Sequence[float]) -> Law:
         theta[j] *= np.exp(STEP)
         moved = [*members]
         moved[i] = replace(members[i], trial=Trial(tuple(theta), members[i].trial.variant))
-        # All of them: what a late load cell shows of the others moves with its own shape.
+        # All of them: a delayed load cell shows all others, so they depend on its own shape.
         for m, (b, c) in enumerate(zip(fit.betas, columns_of(ctx, moved), strict=True)):
             slopes[m, :, k] = (_sum(b, c) - signals[m]) / STEP
     for k, (i, j) in enumerate(betas, start=len(shapes)):
@@ -163,7 +163,7 @@ def _sum(beta: Floats, columns: Sequence[Floats]) -> Floats:
 
 
 def _wider(d: Diagnosis, search: forces.Search) -> list[float]:
-    """Return by how much the answer's intervals of each effect exceed those of noise alone."""
+    """Return the ratio of the answer's intervals to those from noise alone, for each effect."""
     assert d.context is not None
     by_name = {c.name: c for c in d.candidates if c.channel == "force"}
     out = []
@@ -175,13 +175,14 @@ def _wider(d: Diagnosis, search: forces.Search) -> list[float]:
             for k, (low, high) in plain.items()
             if k in answer and high > low
         ]
-        # The middle one: a floor that holds for the surest of them says nothing of the others.
+        # The median: a lower limit that applies to the most certain ones says nothing about the
+        # others.
         out.append(max(1.0, float(np.median(ratios))) if ratios else 1.0)
     return out
 
 
 def actuator_law(disp: Displacement) -> Law:
-    """Return what was found in the actuator along the recording: one law, its lags do not add."""
+    """Return the effects of the actuator along the recording: one law, as lags are not additive."""
     task, fit = disp.task, disp.best
     plain = task.simulate(task.base).x
     fields = [(f, v) for e, values in zip(fit.effects, fit.values, strict=True)
@@ -197,11 +198,11 @@ def actuator_law(disp: Displacement) -> Law:
     return Law((part,), known)
 
 
-# ---- what is left -------------------------------------------------------------------------------
+# ---- residuals ----------------------------------------------------------------------------------
 
 
 def rests(d: Diagnosis) -> list[Rest]:
-    """Return what the model leaves on the channels that were judged, the one that differs first."""
+    """Return the model's residuals in the evaluated channels, the one that differs first."""
     out = []
     if d.disp is not None and (d.channel == "disp" or d.force is None or _named_disp(d)):
         out.append(_of_displacement(d, d.disp))
@@ -254,8 +255,8 @@ def _of_displacement(d: Diagnosis, disp: Displacement) -> Rest:
     rows = np.zeros(task.x.size, dtype=np.bool_)
     rows[task.rows] = True
     left = (task.x - plain.x - fit.zero_m) * 1e3
-    # Along the model's own motion a delay is a straight line, and so is a gain; along the command
-    # either is a loop, as the lag that the model knows of turns it.
+    # Along the model's own motion, a delay and a gain are straight lines; along the command both
+    # are loops, because of the lag in the model.
     over = {
         "v": (plain.v * 1e3, "velocity of the model, mm/s"),
         "x": (plain.x * 1e3, "displacement of the model, mm"),
@@ -268,7 +269,7 @@ def _of_displacement(d: Diagnosis, disp: Displacement) -> Rest:
 
 
 def draw_laws(d: Diagnosis) -> list[Plate]:
-    """Return what is left over velocity and over displacement, and over what else a law follows."""
+    """Return the residual over velocity, displacement, and any other argument of a law."""
     plates = []
     for rest in rests(d):
         parts = rest.laws[0].parts if rest.laws else ()
@@ -278,16 +279,16 @@ def draw_laws(d: Diagnosis) -> list[Plate]:
 
 
 def _own(part: Part) -> str:
-    """Return what an effect follows where that is neither displacement nor velocity."""
+    """Return an effect's argument if it is neither displacement nor velocity."""
     law = effects.catalogue().get(part.names[0]) if len(part.names) == 1 else None
     return law.over if law is not None else ""
 
 
 def line_share(signal: Floats, x: Floats) -> float:
-    """Return what part of a signal's variance is there between narrow parts of the abscissa."""
+    """Return the fraction of a signal's variance that lies between narrow bins of the abscissa."""
     total = float(np.var(signal))
     if total <= FLAT**2 * float(np.mean(signal**2)):
-        return 1.0  # a constant is a line over anything
+        return 1.0  # a constant is a line over any abscissa
     if float(np.ptp(x)) == 0.0:
         return 0.0
     at, count = _bins(x)
@@ -296,10 +297,10 @@ def line_share(signal: Floats, x: Floats) -> float:
 
 
 def _bins(x: Floats) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Return to which of some narrow parts of its range each value belongs, and how many do so.
+    """Return the bin of each value, and the number of values in each bin.
 
-    No part is wide, for laws that are steep at the ends, and none has many rows, for those that
-    jump at rest, where most rows are.
+    No bin is wide, for laws that are steep at the ends, and none has many rows, for laws that jump
+    at rest, where most rows are.
     """
     share = np.linspace(0.0, 1.0, int(np.clip(x.size // ROWS, 24, BINS)) // 2 + 1)[1:-1]
     even = float(x.min()) + share * float(np.ptp(x))
@@ -310,10 +311,10 @@ def _bins(x: Floats) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
 
 
 def _elsewhere(rest: Rest, key: str) -> list[Part]:
-    """Return the effects of the named set that belong over something else, and not over this.
+    """Return the effects of the named set that depend on something else than this abscissa.
 
-    They are taken off where that shows another one as what it is. Of laws that fit alike none is:
-    what they share and what they do not would have to be told apart.
+    They are subtracted if this makes another effect visible. They are not subtracted if several
+    sets fit equally well, because their common part is not known.
     """
     parts = rest.laws[0].parts if len(rest.laws) == 1 else ()
     if key not in ("v", "x"):
@@ -394,7 +395,7 @@ def _note(rest: Rest, quantity: str, off: Sequence[Part], cycle: bool, thin: boo
 
 
 def _limits(signals: Sequence[Floats], share: float = 2e-3) -> tuple[float, float]:
-    """Return the range of some signals but for a few rows, with a margin."""
+    """Return the range of some signals without a few outlying rows, with a margin."""
     low = min(float(np.quantile(s, share)) for s in signals)
     high = max(float(np.quantile(s, 1.0 - share)) for s in signals)
     margin = 0.08 * (high - low) or 1.0
@@ -402,12 +403,12 @@ def _limits(signals: Sequence[Floats], share: float = 2e-3) -> tuple[float, floa
 
 
 def _density(axes: Axes, x: Floats, y: Floats) -> None:
-    """Draw where the rows are: the more of them in a cell, the darker."""
+    """Draw the density of rows: the more rows in a cell, the darker."""
     from rthyb_rt.report import drawing as draw
 
     limits = (_limits([x], 1e-3), _limits([y]))
     count, xs, ys = np.histogram2d(x, y, bins=GRID, range=limits)
-    # Even a single row shows; from there by how rare a cell as full is.
+    # A single row is visible; beyond that, by quantiles of the counts.
     levels = np.quantile(count[count > 0], [0.5, 0.8, 0.95]) if count.any() else [1.0]
     kind = np.where(count > 0, np.digitize(count, levels), -1)
     draw.tiles(axes, xs, ys, kind, GREYS)
@@ -416,7 +417,7 @@ def _density(axes: Axes, x: Floats, y: Floats) -> None:
 
 @dataclass(frozen=True)
 class _Drawn:
-    """A law as it is drawn: a line where it is one, else along a cycle."""
+    """A law for drawing: as a line if it is one, else along a cycle."""
 
     x: Floats
     f: Floats
@@ -430,7 +431,7 @@ def _drawn(rest: Rest, over: Floats, signal: Floats, half: Floats | None) -> _Dr
         part = _cycle(rest)
         found = [over[part], signal[part]] + ([half[part]] if half is not None else [])
         if float(np.sum(np.abs(np.diff(found[0])))) > JAGGED * float(np.ptp(found[0])):
-            # A velocity that is estimated has the noise of its sensors, and would fill the picture.
+            # An estimated velocity has the noise of its sensors, and would fill the picture.
             found = [_smooth(y, max(part.size // PARTS, 1)) for y in found]
         x, f, *width = (y[:: max(1, part.size // POINTS)] for y in found)
         return _Drawn(x, f, width[0] if width else None, True)
@@ -441,7 +442,7 @@ def _drawn(rest: Rest, over: Floats, signal: Floats, half: Floats | None) -> _Dr
 
 
 def _smooth(y: Floats, rows: int) -> Floats:
-    """Return a moving mean of so many rows."""
+    """Return a moving mean over this many rows."""
     padded = np.pad(y, (rows // 2, rows - 1 - rows // 2), mode="edge")
     return np.convolve(padded, np.full(rows, 1.0 / rows), mode="valid")
 
@@ -456,10 +457,10 @@ def _band(axes: Axes, drawn: _Drawn, colour: str) -> None:
 
 
 def _cycle(rest: Rest) -> NDArray[np.int_]:
-    """Return the rows of the cycle in which the displacement is largest."""
+    """Return the rows of the cycle with the largest displacement."""
     x = np.where(rest.rows, rest.over["x"][0], 0.0)
     top = int(np.argmax(np.abs(x)))
-    # On which side of rest it was last, so that noise around rest is no reversal.
+    # The last side of rest with a clear displacement, so that noise around rest is no reversal.
     known = np.abs(x) > SIDE * abs(x[top])
     last = np.maximum.accumulate(np.where(known, np.arange(x.size), 0))
     turns = np.flatnonzero(np.diff(np.sign(x[last]) > 0))

@@ -1,4 +1,4 @@
-"""Where in a recording a mismatch sits: windows of time, displacement and velocity."""
+"""Location of a mismatch in a recording: windows of time, displacement and velocity."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def running_rms(signal: Floats, fs_hz: float, noise: float = 0.0) -> Floats:
 def active(signal: Floats, fs_hz: float, noise: float = 0.0) -> Mask:
     """Return the rows at which a force or displacement acts, (n,).
 
-    Its running rms exceeds a quarter of the largest one; breaks of up to 0.3 s are taken along.
+    Its running rms exceeds a quarter of the largest one; gaps of up to 0.3 s are included.
     """
     level = running_rms(signal, fs_hz, noise)
     if not level.max() > 0.0:

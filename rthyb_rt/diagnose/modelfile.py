@@ -1,4 +1,4 @@
-"""The lab's model from a file: ``rthyb-baseline/1``, a rig file, or a test file with its rig."""
+"""The laboratory's model from a file: ``rthyb-baseline/1``, a rig file, or a test with its rig."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def find_model(name_or_path: str) -> Path:
     """Return the file of a model, given by its path or by the name of a shipped rig.
 
     Raises:
-        InputError: there is neither; with the names that there are.
+        InputError: neither exists; the message lists the names.
     """
     from rthyb_rt import config
 
@@ -46,7 +46,7 @@ def read_model(path: Path) -> Model:
     """Read ``rthyb-baseline/1``, a rig file, or a test file with the rig that it names.
 
     Raises:
-        InputError: with every fault found, its line and what is allowed there.
+        InputError: with all errors, each with its line and what is allowed there.
     """
     from rthyb_rt import config
 
@@ -110,12 +110,12 @@ def _from_rig(path: Path, schema: str) -> Model:
 
 @dataclass(frozen=True)
 class _Plain:
-    """A rig's specimen and table as the plain numbers of a model, see `Model`.
+    """A rig's specimen and table as the numbers of a model, see `Model`.
 
     Attributes:
         k, c, moving_mass: N/m, N s/m, kg.
-        bouc_wen: the yielding spring whose elastic stiffness ``k`` is; None: there is none.
-        extra: elements that none of these numbers stands for.
+        bouc_wen: the yielding spring with elastic stiffness ``k``; None: there is none.
+        extra: elements that these numbers cannot represent.
     """
 
     k: float
@@ -126,10 +126,10 @@ class _Plain:
 
 
 def _plain_of(rig: Any) -> _Plain:
-    """Return what the elements of a rig's specimen and table come to.
+    """Return the numbers that represent the elements of a rig's specimen and table.
 
     Raises:
-        InputError: one of them is a class of the user's own.
+        InputError: one of them is a user-defined class.
     """
     from rthyb_rt.lab.experiment import specimen_elements, table_elements
 
@@ -170,16 +170,16 @@ def _yielding(p: dict[str, float]) -> BoucWen:
 
 
 def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model:
-    """Return the model that a rig file (and, for the numerical part, a test file) stands for.
+    """Return the model of a rig file and, for the numerical part, of a test file.
 
     Args:
         rig, test: the files.
-        fs_hz: rows a second of what is simulated with it.
+        fs_hz: rows per second of simulations with it.
     """
     plain = _plain_of(rig)
     numerical_m = numerical_c = 0.0
     if test is not None:
-        # In the laboratory's time, as all that was recorded.
+        # In laboratory time, like everything recorded.
         slow = test.test.time_scale
         numerical_m = slow**2 * float(test.numerical.mass_kg or 0.0)
         numerical_c = slow * float(test.numerical.damping_n_s_per_m or 0.0)
@@ -206,22 +206,22 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
 
 
 def at_rate(model: Model, fs_hz: float) -> Model:
-    """Return a rig file's model for rows at a rate: the file says nothing of one."""
+    """Return a rig file's model for rows at a given rate, which the file does not state."""
     if model.rig is None or model.fs_hz == fs_hz:
         return model
     return replace(model, fs_hz=fs_hz, actuator=_rig_actuator(model.rig, fs_hz))
 
 
 def _weights(test: Any) -> tuple[float, float] | None:
-    """Return W1 and W2 of a test's control law; None for one that has no such weights."""
+    """Return W1 and W2 of a test's control law; None if it has no such weights."""
     w1, w2 = test.controller.setting("w1"), test.controller.setting("w2")
     leads = test.controller.law.parameter("w1") is not None or test.controller.type == "none"
     return (w1, w2) if leads and w1 is not None and w2 is not None else None
 
 
 def _rig_actuator(rig: Any, fs_hz: float) -> ActuatorModel | None:
-    """Return a rig's actuator as a second-order lag; None for one that is no such thing."""
-    # The file's samples are of 1/1024 s, whatever the rows are.
+    """Return a rig's actuator as a second-order lag; None if it is not of that kind."""
+    # Samples in the file are of 1/1024 s, whatever the rate of the rows.
     a, h = rig.actuator, core.PERIOD_S
     hold, shift = rig.rig.command_hold, rig.rig.command_shift_s
     if a.kind == "second-order":
@@ -230,11 +230,11 @@ def _rig_actuator(rig: Any, fs_hz: float) -> ActuatorModel | None:
             delay_tol_s=a.delay_tol_s, f_tol=a.natural_frequency_tol,
             zeta_tol=a.damping_ratio_tol, gain_tol=a.gain_tol,
         )  # fmt: skip
-    # Poles so fast that they lag by nothing: a time offset that made up for a lag of theirs would
-    # meet the steps of a held command between the rows, and velocity with them.
+    # Poles so fast that their lag is negligible: a time offset that compensated for it would shift
+    # the steps of a held command, and its velocity, between the rows.
     fast = 4e6
     if a.kind == "pure-delay":
-        # Half a row earlier, so that the held command of that row is met in its middle.
+        # Half a row earlier, because a held command represents the middle of its row.
         late = a.delay_samples * h - (0.5 / fs_hz if hold == "zoh" else 0.0)
         return ActuatorModel(late + shift, 1e5, 1.0, 1.0, hold=hold, jumps=True)
     if a.kind == "first-order":

@@ -1,8 +1,9 @@
-"""The power of an answer on this very recording: would a known effect be found in it?
+"""The power of an answer on this recording: would a known effect be found in it?
 
-What was found is taken out of the recording, and what the model then leaves is moved along it by a
-third of its length: the same kind of noise in another place. In this recording an effect of the
-size found, smaller ones of its kind, and a few standard effects are hidden and diagnosed again.
+What was found is removed from the recording, and the remaining residual of the model is shifted
+along it by a third of its length: the same kind of noise in another place. In this recording an
+effect of the size found, smaller ones of its kind, and a few standard effects are hidden and
+diagnosed again.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from rthyb_rt.diagnose.select import leaning
 
 PROBES = ("coulomb", "viscous", "inertia", "cubic")
 SIZES = (0.16, 0.08, 0.04, 0.02, 0.01, 0.005)
-"""Standard deviations of a hidden force, as parts of that of the recorded one."""
+"""Standard deviations of a hidden force, relative to that of the recorded one."""
 PARTS = (0.5, 0.25, 0.12, 0.06, 0.03)
-"""The same of an effect that was found, as parts of its own."""
+"""The same for an effect that was found, relative to its own size."""
 
 
 def self_check(
     d: Diagnosis, progress: Callable[[str], None] = lambda _: None
 ) -> list[dict[str, Any]]:
-    """Return, for each effect found and each probe, whether it is found, and how small it may be.
+    """Return, for each effect found and each probe, whether it is found, and its smallest size.
 
-    Needs a measured force, or an effect of the actuator; without them the list is empty.
+    Requires a measured force, or an effect of the actuator; otherwise the list is empty.
     """
     out: list[dict[str, Any]] = []
     named = d.verdict in ("explained", "ambiguous")
@@ -62,7 +63,7 @@ def self_check(
 
 
 class _Hidden:
-    """A signal that can be hidden in a clean recording, and looked for."""
+    """A signal that can be hidden in a clean recording and searched for."""
 
     def __init__(
         self, clean: Case, names: tuple[str, ...], signal: Floats, size: float, channel: str
@@ -71,17 +72,17 @@ class _Hidden:
         self.size, self.channel = size, channel
 
     def share(self, factor: float = 1.0) -> float:
-        """Return the hidden signal's standard deviation as a part of the recorded channel's."""
+        """Return the hidden signal's standard deviation relative to the recorded channel's."""
         return factor * float(np.std(self.signal)) / self.size
 
     def diagnosed(self, factor: float) -> Diagnosis:
-        """Return what is said of the recording with ``factor`` times the signal in it."""
+        """Return the diagnosis of the recording with ``factor`` times the signal in it."""
         channels = dict(self.clean.channels)
         channels[self.channel] = channels[self.channel] + factor * self.signal
         return engine.diagnose(replace(self.clean, channels=channels))
 
     def names_it(self, d: Diagnosis) -> bool:
-        """Return whether it was named, alone or among sets that fit alike."""
+        """Return whether it was named, alone or among sets that fit equally well."""
         named = {n for group in (d.effects, *d.ambiguous_with) for n in group}
         return bool(named & set(self.names))
 
@@ -89,9 +90,9 @@ class _Hidden:
 def _smallest(
     hidden: _Hidden, factors: tuple[float, ...], progress: Callable[[str], None], word: str
 ) -> float | None:
-    """Return the share of the least of falling factors that is found; None where none is.
+    """Return the smallest of decreasing factors that is found; None if none is.
 
-    What is found at one size is taken to be found at all larger ones: half of the sizes are tried.
+    An effect found at one size is assumed to be found at all larger sizes: half of them are tried.
     """
     low, high = -1, len(factors)
     while high - low > 1:
@@ -105,7 +106,7 @@ def _smallest(
 
 
 def _found(hidden: _Hidden, name: str, progress: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Return whether an effect is found again at its size, and the least part of it that is."""
+    """Return whether an effect is found again at its size, and at which smallest fraction of it."""
     progress(f"hiding {name}")
     again = hidden.diagnosed(1.0)
     found = hidden.names_it(again)
@@ -133,7 +134,7 @@ def _found(hidden: _Hidden, name: str, progress: Callable[[str], None]) -> list[
 
 
 def _moved_on(rest: Floats, judged: NDArray[np.bool_]) -> Floats:
-    """Return what a model leaves, moved on by a third of the judged rows; as it is elsewhere."""
+    """Return a model's residual shifted by a third of the evaluated rows; others unchanged."""
     out = rest.copy()
     rows = np.flatnonzero(judged)
     out[rows] = np.roll(rest[rows], rows.size // 3)
@@ -141,7 +142,7 @@ def _moved_on(rest: Floats, judged: NDArray[np.bool_]) -> Floats:
 
 
 def _without_findings(d: Diagnosis) -> Case:
-    """Return the recording less what was found in its force, with its noise in another place."""
+    """Return the recording without what was found in its force, and with its noise shifted."""
     search, ctx = d.force, d.context
     assert search is not None
     assert ctx is not None

@@ -1,9 +1,9 @@
-"""How large a channel is beside what the others and the model make of it: units, and slips in them.
+"""Sizes of channels compared with the others and the model, to find units and unit errors.
 
-A wrong unit leaves the shape of a signal and changes its size, by 1000, 9.81 or their like. What a
-model leaves out changes both, and seldom the size by much: a specimen may be 30 times softer than
-its model (it yielded, or a play is never taken up), and is then diagnosed. `Policy.wrong_unit` lies
-past that by as much again as a factor of 1000 beside a model that is wrong by ten lies past it.
+A wrong unit preserves the shape of a signal and changes its size, by 1000, 9.81 or similar. Missing
+physics changes both, and seldom the size by much: a specimen may be 30 times softer than its model
+(because it yielded, or a play never closes), and is then diagnosed. `Policy.wrong_unit` is as far
+above this factor as it is below a factor of 1000 with a model that is wrong by ten.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from rthyb_rt.errors import InputError
 Channels = dict[str, Floats]
 
 LEAST = 64
-"""Rows that a size is taken from; of more than twice as many, half must be there."""
+"""Number of rows for determining a size; of more than twice as many, half must be present."""
 
 _FACTORS: tuple[tuple[float, str], ...] = (
     (1000.0, "1000 (milli or kilo)"),
@@ -44,16 +44,16 @@ _GAINED = "the energy that the body gains"
 
 @dataclass(frozen=True)
 class Relation:
-    """A channel's size as a multiple of what is expected of it.
+    """A channel's size relative to its expected size.
 
     Attributes:
         channel: its name.
-        ratio: found over expected; negative where it has the opposite sign to it.
+        ratio: found over expected; negative if the sign is opposite.
         alike: correlation of the two, 0 to 1.
-        of: the channels that the expectation comes from.
-        bound: the expectation is the most that can be: a ratio below one says nothing.
-        exact: the sizes alone decide, within `unit_near`, for factors that units are made of.
-        than: what it is held against, in words, where that is not what it always is.
+        of: the channels from which the expectation is computed.
+        bound: the expectation is an upper bound: a ratio below one is no evidence.
+        exact: the size alone decides, within `unit_near`, for conversion factors between units.
+        than: description of the reference, if it is not the usual one.
     """
 
     channel: str
@@ -69,18 +69,18 @@ def check(
     channels: Channels, model: Model, where: str, labels: dict[str, str] | None,
     stated: dict[str, str] | None = None,
 ) -> None:  # fmt: skip
-    """Refuse channels whose size is off by a factor that units are made of, or by the sign.
+    """Reject channels whose size is wrong by a conversion factor, or whose sign is wrong.
 
     Args:
         channels: each (n,), SI as far as is known.
-        model: what they are held against.
+        model: model with which they are compared.
         where: the file, for the message.
-        labels: column of each channel in a lab's table; None for a recording of this program.
+        labels: column of each channel in an external table; None for a recording of this program.
         stated: unit of each channel whose unit the file or the user states: a factor of 9.81 is
-            believed there.
+            then accepted.
 
     Raises:
-        InputError: with the ratio found, the likely unit and the option that mends it.
+        InputError: with the ratio found, the likely unit and the option that corrects it.
     """
     for r in relations(channels, model):
         size = abs(r.ratio)
@@ -103,10 +103,10 @@ def check(
 
 
 def _far(r: Relation) -> bool:
-    """Return whether a channel's size is beyond what a model may be wrong by.
+    """Return whether a channel's size is too far off for a model error.
 
-    A shape that is not quite the model's (a play that is hardly taken up) has a wrong unit only
-    where the ratio is near a power of 1000.
+    If its shape only resembles the model's (a play that is hardly closed), its unit is wrong only
+    if the ratio is near a power of 1000.
     """
     size = abs(r.ratio)
     if r.bound:
@@ -122,7 +122,7 @@ def _clear(r: Relation) -> bool:
 
 
 def likely(channel: str, ratio: float) -> str:
-    """Return the unit in which a column is that many times too large as SI."""
+    """Return the unit of a column whose values are too large by this factor in SI."""
     units = USUAL[CHANNELS[channel]]
     off = [abs(math.log(ratio * _factor(unit))) for unit in units]
     best = units[int(np.argmin(off))]
@@ -152,12 +152,12 @@ def _message(r: Relation, said: str, model: Model, labels: dict[str, str] | None
     ways = []
     unit = likely(r.channel, abs(r.ratio))
     if r.channel == "fy_meas" or r.than == _GAINED:
-        # No law gives the size any nearer.
+        # No law gives the size more accurately.
         unit = "kN" if abs(r.ratio) < 1.0 and CHANNELS[r.channel] == "N" else ""
     if unit and unit != CHANNELS[r.channel]:
         ways.append(f"if the column is in {unit}, give {_mend(r.channel, unit, labels)}")
     for other in r.of:
-        # Twice the fault in one channel is the inverse in what it is held against.
+        # An error in one channel also appears as its inverse in the reference.
         unit = likely(other, 1.0 / abs(r.ratio))
         same = CHANNELS[other] == CHANNELS[r.channel] or other.startswith("x_")
         if unit and same and unit != CHANNELS[other]:
@@ -176,9 +176,9 @@ def _sign(r: Relation, labels: dict[str, str] | None, unit: str | None) -> str:
 
 
 def _opposed(r: Relation, channels: Channels, model: Model) -> bool:
-    """Return whether a channel is nothing but the other with its sign turned.
+    """Return whether a channel equals the other with opposite sign.
 
-    A force alone may be against the displacement above resonance, where mass outweighs the spring.
+    A force may oppose the displacement above resonance, where mass dominates over the spring.
     """
     if r.channel == "x_meas":
         return True
@@ -193,13 +193,13 @@ def _opposed(r: Relation, channels: Channels, model: Model) -> bool:
 
 
 def check_against(first: Channels, second: Channels, where: str, labels: dict[str, str]) -> None:
-    """Refuse an input of a second recording whose size has nothing to do with that of the first.
+    """Reject an input of a second recording whose size is unrelated to that of the first.
 
-    What was found in one test says nothing of another that is `other_test` times smaller, below
-    the noise of the first, or as many times larger.
+    The result of one test does not apply to a test that is `other_test` times smaller, below the
+    noise of the first, or as many times larger.
 
     Raises:
-        InputError: with the likely unit and the option that mends it.
+        InputError: with the likely unit and the option that corrects it.
     """
     for name in set(first) & set(second):
         a, b = (float(np.nanstd(_finite(channels[name]))) for channels in (first, second))
@@ -220,18 +220,18 @@ def _finite(values: Floats) -> Floats:
     return good if good.size else np.zeros(1)
 
 
-# ---- a unit that nobody states ------------------------------------------------------------------
+# ---- unstated units -----------------------------------------------------------------------------
 
 
 def guess(
     channel: str, values: Floats, known: Channels, model: Model
 ) -> tuple[str, Relation] | None:
-    """Return the one usual unit in which a column fits the channels whose unit is known.
+    """Return the one usual unit in which a column is consistent with the known channels.
 
-    None where nothing speaks for any, or not for one alone.
+    None if no unit, or more than one, is consistent.
     """
     found = []
-    # Held against what is known; what is known is not to be judged by it.
+    # Compared with the known channels, which must not be judged by it.
     for r in relations({**known, channel: values}, model):
         if r.channel != channel and channel in r.of and len(r.of) == 1 and not r.bound:
             r = Relation(channel, 1.0 / r.ratio if r.ratio else 0.0, r.alike, (r.channel,))
@@ -248,11 +248,11 @@ def guess(
     return (units.pop(), found[0][1]) if len(units) == 1 else None
 
 
-# ---- what is expected of each channel -----------------------------------------------------------
+# ---- expected size of each channel --------------------------------------------------------------
 
 
 def relations(channels: Channels, model: Model) -> Iterator[Relation]:
-    """Give channels with their size as a multiple of what the others and the model make of them."""
+    """Yield channels with their size relative to that expected from the others and the model."""
     c = {k: v for k, v in channels.items() if np.isfinite(v).sum() >= max(LEAST, v.size / 2)}
     found = [
         *_displacements(c, model),
@@ -275,7 +275,7 @@ def _displacements(c: Channels, model: Model) -> Iterator[Relation]:
 
 
 def _moved(command: Floats, model: Model) -> Floats:
-    """Return what the model's actuator makes of a command."""
+    """Return the motion of the model's actuator along a command."""
     if model.actuator is None:
         return command
     try:
@@ -296,7 +296,8 @@ def _force(c: Channels, model: Model) -> Iterator[Relation]:
         band = _Band(x, model.fs_hz)
         if band.whole:
             omega = 1j * band.omega
-            # Beyond the linear part a yielding spring has no transfer function: its own force.
+            # Beyond its linear range a yielding spring has no transfer function: its own force is
+            # used.
             spring = _spectrum(model.spring(x)) if model.k else np.zeros_like(band.x)
             rest = (model.c * omega + model.moving_mass * omega**2) * band.x
             yield band.held("f_meas", f, spring + rest, (name,), whole=True)
@@ -323,13 +324,13 @@ def _accelerations(c: Channels, model: Model) -> Iterator[Relation]:
             inner = (model.mass * omega**2 + model.c_num * omega) * band.x
             needed = -(inner + _spectrum(filled(c["f_meas"]))) / model.mass
             r = band.held("ag", filled(c["ag"]), needed, ("x_num", "f_meas"), exact=True)
-            # Forces that a compensator has changed balance less well: the shape must agree.
+            # Compensated forces satisfy the balance less well: the shape must agree.
             if r.alike > POLICY.shape_balanced:
                 yield r
 
 
 def _inputs(c: Channels, model: Model) -> Iterator[Relation]:
-    """Give the known push of a free body: simulated, from the balance, and the most it can be."""
+    """Yield the force on a free body: simulated, from the balance, and its upper bound."""
     name, mass = ("f_in", 0.0) if model.family == "forced" else ("ag", model.mass)
     if model.family not in ("forced", "ground") or not {name, "x_meas"} <= set(c):
         return
@@ -346,12 +347,12 @@ def _inputs(c: Channels, model: Model) -> Iterator[Relation]:
     inertia = -(mass + model.moving_mass) * omega**2 * band.x
     parts = [model.k * band.x, 1j * model.c * omega * band.x, inertia]
     if "f_meas" in c and mass:
-        # A load cell knows better than the model what the specimen does.
+        # A load cell measures the specimen's force better than the model predicts it.
         parts = [_spectrum(filled(c["f_meas"])), inertia]
     sizes = [float(np.linalg.norm(part[band.rows])) for part in parts]
     most = sum(sizes)
     balance = np.sum(parts, axis=0)
-    # At resonance the parts cancel, and what is left is the model's error, or the sensors'.
+    # At resonance the terms cancel, and the remainder is the error of the model or the sensors.
     least = POLICY.balance_cell if "f_meas" in c and mass else POLICY.balance_model
     if np.linalg.norm(balance[band.rows]) > least * most > 0.0:
         r = band.held(name, push, balance, ("x_meas",), exact=True)
@@ -362,10 +363,10 @@ def _inputs(c: Channels, model: Model) -> Iterator[Relation]:
 
 
 def _energy(name: str, push: Floats, x: Floats, model: Model, mass: float) -> Iterator[Relation]:
-    """Give the work of a push over the energy that a body has gained by it, one where it is more.
+    """Yield the work of a force over the energy that a body gained, if above one.
 
-    A specimen may take energy and has none to give; at resonance, where forces say little, this
-    holds as well.
+    A specimen may absorb energy but cannot supply any; this also holds at resonance, where forces
+    are inconclusive.
     """
     h = min(max(1, round(model.fs_hz / 200.0)), (x.size - 1) // 4)
     v = (x[2 * h :] - x[: -2 * h]) * (model.fs_hz / (2 * h))
@@ -373,16 +374,16 @@ def _energy(name: str, push: Floats, x: Floats, model: Model, mass: float) -> It
     energy = 0.5 * model.k * x[inner] ** 2 + 0.5 * mass * v**2
     last = int(np.argmax(energy))
     gain = float(energy[last] - np.max(energy[: max(2, energy.size // 50)]))
-    # Of a body that was let go, or is held in a steady state, nothing is gained.
+    # A freely decaying body, or one in a steady state, gains no energy.
     if gain > POLICY.energy_gained * float(energy[last]) > 0.0:
         work = float(np.sum(np.abs(push[inner][:last] * v[:last]))) / model.fs_hz
         yield Relation(name, min(work / gain, 1.0), 1.0, ("x_meas",), than=_GAINED)
 
 
 def _simulated(name: str, push: Floats, mass: float, x_meas: Floats, model: Model) -> Relation:
-    """Return the inverse of measured over simulated displacement; 1 where they differ in shape.
+    """Return the inverse of measured over simulated displacement; 1 if they differ in shape.
 
-    Near resonance size alone says nothing of units: damping decides it.
+    Near resonance, size alone is no evidence of units: it depends on damping.
     """
     from rthyb_rt.diagnose.predict import Augmented
 
@@ -402,10 +403,10 @@ def _simulated(name: str, push: Floats, mass: float, x_meas: Floats, model: Mode
 
 
 def _orthogonal(c: Channels, model: Model) -> Iterator[Relation]:
-    """Give the force of the other direction: no law binds it, but what a load cell sees of it.
+    """Yield the orthogonal force: no law determines it, except by crosstalk of the load cell.
 
-    At `wrong_unit` times the force measured along it, the crosstalk of a good load cell (one per
-    cent) would be as large as that force itself. A crosstalk of more than `wrong_unit` is none.
+    At `wrong_unit` times the measured force, the crosstalk of a good load cell (one per cent) would
+    equal that force. A crosstalk above `wrong_unit` is implausible.
     """
     if "fy_meas" not in c or "f_meas" not in c:
         return
@@ -430,18 +431,18 @@ def _orthogonal(c: Channels, model: Model) -> Iterator[Relation]:
 
 
 def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
-    """Give the noise of channels that nothing else tells the size of, over the data sheet's.
+    """Yield the noise of channels without any other reference, relative to the data sheet.
 
-    Of those that something tells it is given where all have a hundred times theirs.
+    For channels with a reference, only if all have a hundred times their stated noise.
 
-    Filtered readings have less noise than the sheet says, and none has a hundred times more. A
-    force of the other direction that is `wrong_unit` times smaller than the one measured, and by as
-    much less noisy than a load cell, is one in other units.
+    Filtered readings have less noise than the data sheet states, and none has a hundred times more.
+    An orthogonal force that is `wrong_unit` times smaller than the measured one, with noise smaller
+    than a load cell's by the same factor, is in other units.
     """
     sheet = {"x_meas": model.x_std, "f_meas": model.f_std, "f_in": model.f_std,
              "a_meas": model.a_std}  # fmt: skip
     noises = {k: white_noise(c[k]) / std for k, std in sheet.items() if std and k in c}
-    # Channels that agree with one another may be wrong all together: metres and meganewtons.
+    # Channels that agree with one another may all be wrong: metres and meganewtons.
     together = len(noises) > 1 and min(noises.values()) > POLICY.wrong_unit
     for name, noise in noises.items():
         if together or name not in told:
@@ -464,12 +465,12 @@ def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
 
 
 class _Band:
-    """A displacement at the frequencies at which it stands out of its noise.
+    """A displacement at the frequencies at which it is above its noise.
 
     Attributes:
         x, omega: spectrum and angular frequency, (n // 2 + 1,).
-        rows: where it stands out, (n // 2 + 1,).
-        whole: whether that is anywhere.
+        rows: where it is above the noise, (n // 2 + 1,).
+        whole: whether there are such frequencies.
     """
 
     def __init__(self, x: Floats, fs_hz: float) -> None:
@@ -478,7 +479,7 @@ class _Band:
         size = np.abs(self.x)
         self.rows: NDArray[np.bool_] = size > POLICY.motion_lines * np.median(size)
         self.rows &= self.omega > 0.0
-        # Derivatives lift what is left of the noise: frequencies of the motion alone count.
+        # Derivatives amplify the remaining noise: only frequencies of the motion count.
         self.rows &= size > POLICY.motion_lines_least * np.max(size, initial=0.0)
         self.whole = bool(self.rows.sum() >= 2)
 
@@ -486,9 +487,9 @@ class _Band:
         self, name: str, values: Floats, expected: NDArray[np.complex128], of: tuple[str, ...],
         exact: bool = False, whole: bool = False,
     ) -> Relation:  # fmt: skip
-        """Return a channel over what is expected, at these frequencies.
+        """Return the size of a channel relative to its expectation, at these frequencies.
 
-        ``whole``: what the channel has at others counts as of another shape.
+        ``whole``: content at other frequencies counts as a difference in shape.
         """
         spectrum = _spectrum(values)
         found, wanted = spectrum[self.rows], expected[self.rows]
