@@ -1,8 +1,9 @@
-"""Effects of the actuator that begin in mid-record.
+"""Effects of the actuator that begin in mid-recording.
 
-What a small change of each parameter does to the displacement is a column; cut off before a
-moment, it says at once from when on the change would explain most (the same idea as in `onset`).
-What promises is simulated: the actuator's numbers change at a row, its place and velocity go on.
+The effect of a small change of each parameter on the displacement is a column; truncated before an
+onset, it shows from when on the change would explain most (the same idea as in `onset`). Promising
+candidates are simulated: the actuator's parameters change at a row; its position and velocity
+continue.
 """
 
 from __future__ import annotations
@@ -21,15 +22,15 @@ from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import inflation
 
 BLOCKS = 48
-"""Moments that are looked at: a quarter of a second of a recording of twelve."""
+"""Number of intervals between trial onsets: a quarter of a second each in twelve seconds."""
 MOST = 3
-"""Effects that are simulated beside one set."""
+"""Number of effects that are simulated beside one set."""
 STEP = 1e-3
-"""Relative step of a parameter whose slope is taken."""
+"""Relative step of a parameter for the numerical slope."""
 NEAR = 25
-"""Moments that are looked at between two of those beside the best one."""
+"""Number of trial onsets between the neighbours of the best one."""
 STEPS = (0.0, 25.0, 5.0)
-"""Rows in steps of which the beginning is looked for before each fit; 0: not at all."""
+"""Step, in rows, of the search for the onset before each fit; 0: no search."""
 
 
 @dataclass(frozen=True)
@@ -42,19 +43,19 @@ class _Promise:
 
 
 def propose(task: Actuation, null: ActuatorFit, fits: Sequence[ActuatorFit]) -> list[ActuatorFit]:
-    """Fit effects that begin in mid-record, one alone.
+    """Fit effects with an onset, one alone.
 
     Returns:
-        The fits; none where what the best set leaves is white.
+        The fits; none if the residual of the best set is white.
     """
     return _beside(task, null) if _missing(fits) else []
 
 
 def propose_beside(task: Actuation, fits: Sequence[ActuatorFit]) -> list[ActuatorFit]:
-    """Fit effects that begin in mid-record beside the best sets, or at once with one that does.
+    """Fit effects with an onset beside the best sets, or with the same onset in a set that has one.
 
     Returns:
-        The fits; none where what the best set leaves is white.
+        The fits; none if the residual of the best set is white.
     """
     if not _missing(fits):
         return []
@@ -69,7 +70,7 @@ def _missing(fits: Sequence[ActuatorFit]) -> bool:
 
 
 def _beside(task: Actuation, base: ActuatorFit) -> list[ActuatorFit]:
-    """Fit what promises most from a moment on beside a set; with one that is late, from then on."""
+    """Fit the most promising onset beside a set; if the set has one, with the same onset."""
     promises: dict[str, _Promise] = {}
     for effect in CATALOGUE:
         for promise in _promising(task, base, effect) if effect.name not in base.names else ():
@@ -87,7 +88,7 @@ def _beside(task: Actuation, base: ActuatorFit) -> list[ActuatorFit]:
 
 
 def _promising(task: Actuation, base: ActuatorFit, effect: ActuatorEffect) -> list[_Promise]:
-    """Return of each variant of an effect the moment from which it would explain most."""
+    """Return for each variant of an effect the onset at which it would explain most."""
     late = replace(effect, late=True)
     out = []
     for settings, values in effect.starts(task.base, task.v_max):
@@ -113,9 +114,9 @@ def _columns(
     settings: dict[str, Any],
     values: Floats,
 ) -> Floats:
-    """Return what a step of each parameter does to the displacement, (rows, parameters).
+    """Return the effect of a step of each parameter on the displacement, (rows, parameters).
 
-    Of a limit, which has no slope where it is not met, what itself does.
+    For a limit, which has no slope until it is reached, that of the limit itself.
     """
     changed = []
     model = replace(base.model, **settings)
@@ -128,14 +129,14 @@ def _columns(
 
 
 def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> tuple[float, float, Floats]:
-    """Return (chi-squared, row, coefficients) of the moment from which columns explain most.
+    """Return (chi-squared, row, coefficients) of the onset at which columns explain most.
 
-    Zero and time offset are free beside them, and so are the numbers of the set that there is.
+    Zero and time offset are free, and so are the parameters of the given set.
     """
     nuisance = np.column_stack([np.ones(task.rows.size), *_moved_by(task, base)])
     held = nuisance.T @ nuisance
     held[1, 1] += POLICY.offset_prior_s**-2
-    # A number that moves nothing here has no column: its own may be all nothing.
+    # A parameter without any effect here has a zero column.
     held += np.diag(1e-9 * held.diagonal() + np.where(held.diagonal() > 0.0, 0.0, 1.0))
     y = base.residual
     from_nuisance = np.linalg.solve(held, nuisance.T @ y)
@@ -164,7 +165,7 @@ def _cut(task: Actuation, base: ActuatorFit, columns: Floats) -> tuple[float, fl
 
 
 def _moved_by(task: Actuation, base: ActuatorFit) -> list[Floats]:
-    """Return slopes of the displacement to time offset and to the set's own numbers."""
+    """Return slopes of the displacement to time offset and to the set's own parameters."""
     plain = task.simulate(base.model, base.before).x
 
     def slope(later: ActuatorModel, first: ActuatorModel, step: float) -> Floats:
@@ -185,7 +186,7 @@ def _moved_by(task: Actuation, base: ActuatorFit) -> list[Floats]:
 
 
 def _fitted(task: Actuation, base: ActuatorFit, promise: _Promise) -> ActuatorFit | None:
-    """Fit a set with one effect more, and look for its beginning in ever smaller steps."""
+    """Fit a set with one more effect, searching for its onset in decreasing steps."""
     effects = (*base.effects, promise.effect)
     settings = {"kappa_of": base.model.kappa_of, "vmax_of": base.model.vmax_of} | promise.settings
     values = np.array([*(v for own in base.values for v in own), *promise.values])
@@ -208,11 +209,11 @@ def _row(
     row: float,
     step: float,
 ) -> float:
-    """Return the row near one from which on the late effects meet the displacement best."""
+    """Return the row near a given one from which on the late effects fit the displacement best."""
     while step >= 1.0:
         found = []
         for at in row + step * np.arange(-5, 6):
-            # Beyond the last row that is judged nothing could begin.
+            # Nothing could begin after the last evaluated row.
             if 0 < at < task.rows[-1]:
                 try:
                     r = task.residual(*task.models(effects, settings, values, 0.0, float(at)))[0]
@@ -226,10 +227,10 @@ def _row(
 
 
 def _absent_before(task: Actuation, fit: ActuatorFit) -> bool:
-    """Return whether the last effect of a set, which begins in mid-record, is not there before.
+    """Return whether the last effect of a set, which has an onset, is absent before it.
 
-    As `onset.absent_before`: what a step of its numbers, as large as they change, would do before
-    is left free in size beside the set.
+    As in `onset.absent_before`: the effect of a step of its parameters, as large as their change,
+    is fitted before the onset with free size.
     """
     assert fit.before is not None
     row, first = fit.before
@@ -239,7 +240,7 @@ def _absent_before(task: Actuation, fit: ActuatorFit) -> bool:
         there = task.simulate(fit.model, (row, replace(first, **changes))).x
     except SimulationError:
         return False
-    # There before alone: what it does from then on is in the set.
+    # Before the onset only: its effect afterwards is part of the set.
     column = ((there - fit.motion.x + fit.zero_m)[task.rows] / task.sigma)[:, None]
     if not np.any(column):
         return False

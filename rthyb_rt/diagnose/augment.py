@@ -1,4 +1,4 @@
-"""The model with the effects found in it, as a rig file that ``rthyb run --rig`` loads."""
+"""The augmented model as a rig file for ``rthyb run --rig``."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ DESCRIPTION = "model with what the diagnosis found in it"
 
 @dataclass(frozen=True)
 class Specimen:
-    """What a rig's specimen and load cell are made of.
+    """Specimen and load cell of a rig.
 
     Attributes:
-        elements: of the core, the whole specimen.
+        elements: elements of the core, the whole specimen.
         bias_n: zero of the load cell.
-        lost: effects that a rig cannot hold, by name.
+        lost: names of effects that a rig cannot represent.
     """
 
     elements: list[core.ElementConfig]
@@ -59,10 +59,10 @@ def specimen(model: Augmented) -> Specimen:
         own = None if member.effect.sensor else member.effect.elements(ctx, member.trial, beta)
         added = member.effect.mass_kg(beta)
         if own is None and added is not None:
-            # Less mass: no element, but it comes off what there is.
+            # Negative mass is no element, but is subtracted from the mass present.
             own = [core.element("inertia", m_kg=added)]
         if isinstance(member.effect, Modulated):
-            # A rig's laws know no channel beside the motion: the law as it is at the mean.
+            # A rig's laws depend on the motion only: the law is used at the channel's mean.
             own = member.effect.at_mean(ctx, member.trial, beta)
             lost.append(member.effect.in_words())
             elements += own or []
@@ -78,11 +78,10 @@ def specimen(model: Augmented) -> Specimen:
 
 
 def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]:
-    """Return a rig file's text, and what it cannot hold.
+    """Return a rig file's text, and what it cannot represent.
 
-    What began in mid-record is there throughout. The specimen's effects become elements; those of
-    sensors become sensor settings where there are
-    such; the rest is named.
+    Effects with an onset are present throughout. The specimen's effects become elements; those of
+    sensors become sensor settings if there are any; all others are listed.
     """
     model = model.lasting()
     made, base = specimen(model), model.model
@@ -141,9 +140,9 @@ def _on_its_own(
 def _within(
     rig: RigFile, model: Augmented, elements: list[core.ElementConfig], bias: float, name: str
 ) -> str:
-    """Return the rig file that the model came from with its numbers, and without a specimen.
+    """Return the rig file from which the model was made, with its parameters, without specimen.
 
-    Its actuator stays unless something was found in it.
+    Its actuator is unchanged unless something was found in it.
     """
     from rthyb_rt import config
 
@@ -177,12 +176,12 @@ def _within(
 def beside_table(
     elements: list[core.ElementConfig], rig: RigFile | None
 ) -> list[core.ElementConfig]:
-    """Return the elements that stand in a rig file beside what its table has of itself."""
+    """Return the elements in a rig file, in addition to those of its table."""
     return _merged([*elements, *(_opposite(rig) if rig is not None else ())])
 
 
 def _opposite(rig: RigFile) -> list[core.ElementConfig]:
-    """Return what takes off again the table's forces that a rig's own actuator has already."""
+    """Return elements that cancel the forces of the table in a rig's own actuator."""
     from rthyb_rt.lab.experiment import table_elements
 
     return [
@@ -193,7 +192,7 @@ def _opposite(rig: RigFile) -> list[core.ElementConfig]:
 def mass_off_table(
     elements: list[core.ElementConfig], rig: RigFile
 ) -> tuple[list[core.ElementConfig], float]:
-    """Return the elements without mass to be taken off, and the table's mass less that, kg."""
+    """Return the elements without negative mass, and the table's mass reduced by it, kg."""
     table = rig.actuator
     own = table.moving_mass_kg if table.kind == "servo-hydraulic" else 0.0
     less = sum(e.params[0] for e in elements if e.kind == "inertia" and e.params[0] < 0.0)
@@ -206,7 +205,7 @@ SPRINGS = (
     "stiffness", "hysteresis", "pinching", "degradation", "gap", "gap_friction", "iwan",
     "menegotto_pinto", "chaboche", "rc_column",
 )  # fmt: skip
-"""Elements whose first parameter is a stiffness that acts from the start."""
+"""Elements whose first parameter is an initial stiffness."""
 
 
 def _stiffness(elements: list[core.ElementConfig]) -> float:
@@ -220,7 +219,7 @@ def _stiffness(elements: list[core.ElementConfig]) -> float:
 
 
 def _merged(elements: list[core.ElementConfig]) -> list[core.ElementConfig]:
-    """Join springs, dashpots, masses and like friction into one each; what is nothing goes."""
+    """Merge springs, dashpots, masses and friction of the same form; remove zero elements."""
     sums: dict[tuple[str, tuple[float, ...]], float] = {}
     rest = []
     for item in elements:

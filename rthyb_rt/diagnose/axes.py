@@ -1,4 +1,4 @@
-"""A recording of several axes, judged axis by axis: the measured motion of the others is known."""
+"""A recording of several axes, diagnosed axis by axis, with the measured motion of the others."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OfAxis:
-    """One axis of a rig of several, and what the lab believes of all of them.
+    """One axis of a rig with several, and the laboratory's model of all of them.
 
     Attributes:
-        name: of the axis.
-        rig: the lab's rig file.
+        name: name of the axis.
+        rig: the laboratory's rig file.
     """
 
     name: str
@@ -34,10 +34,10 @@ class OfAxis:
 
     @property
     def model(self) -> Model:
-        """The axis by itself: its actuator, and the specimen as it feels it, the others at rest.
+        """The axis alone: its actuator, and the specimen as seen by it, with the others at rest.
 
-        The noise of its force is that of the load cell and, by the stiffness, that of the
-        displacement sensors of the others, by which their part is known.
+        The noise of its force includes that of the load cell and, through the stiffness, that of
+        the displacement sensors of the other axes.
         """
         from rthyb_rt.record.axis_export import alone, stiffness_of
 
@@ -49,7 +49,7 @@ class OfAxis:
         return replace(own, f_std=f_std or None)
 
     def fits(self, names: tuple[str, ...], where: str) -> None:
-        """Refuse a recording of other axes than those of the rig.
+        """Reject a recording whose axes are not those of the rig.
 
         Raises:
             InputError: with the names of both.
@@ -65,7 +65,7 @@ class OfAxis:
     def signals(self, rec: Recording) -> dict[str, Floats]:
         """Return the channels of the axis in the rows of the test, (n,) each.
 
-        ``f_meas`` is its load cell less what the motion of the others brings by this rig.
+        ``f_meas`` is its load cell less the force due to the motion of the others, by this rig.
         """
         from rthyb_rt.record.axis_export import axis_signals
 
@@ -76,8 +76,8 @@ class OfAxis:
     def zero_error_n(self, rec: Recording) -> float:
         """Return the standard error of the zero of ``f_meas``, N; 0: not known.
 
-        The displacements of the other axes were zeroed over the same rows, and their error comes in
-        by the stiffness.
+        The displacements of the other axes were zeroed over the same rows, and their errors
+        contribute through the stiffness.
         """
         from rthyb_rt.record.axis_export import from_others
 
@@ -95,13 +95,13 @@ class OfAxis:
 def chosen(
     recording: Path, names: tuple[str, ...], model: Path, axis: str | None, asked: str
 ) -> list[OfAxis]:
-    """Return the axes of a recording that are to be judged; none of a recording of one.
+    """Return the axes of a recording to diagnose; none for a recording of one axis.
 
     Args:
         recording: its path, for messages.
-        names: of its axes.
-        model: the file of the lab's model.
-        axis: the one that is asked for; None: all.
+        names: names of its axes.
+        model: file of the laboratory's model.
+        axis: the requested axis; None: all.
         asked: the option or argument that names it, for messages.
 
     Raises:
@@ -126,7 +126,7 @@ def read_axes_rig(path: Path) -> AxesRig:
     """Read the model of a recording of several axes: a rig file, or a test file that names one.
 
     Raises:
-        InputError: with every fault of the file, or it is of one axis.
+        InputError: with all errors in the file, or it has one axis only.
     """
     from rthyb_rt import config
 

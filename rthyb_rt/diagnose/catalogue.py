@@ -1,4 +1,4 @@
-"""The catalogue of effects for a reader: each effect, its fingerprint, what separates them."""
+"""The catalogue of effects for display: each effect, its fingerprint, and what separates them."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ class Entry:
     """One effect.
 
     Attributes:
-        name: as in the answer.
-        plain: as a laboratory calls it.
-        place: where it sits.
+        name: name in the answer.
+        plain: common name.
+        place: where it acts.
         params: names with units, as in the answer.
-        equation: its law in a line.
-        fingerprint: what it looks like in what the model leaves.
+        equation: its law in one line.
+        fingerprint: its appearance in the model's residual.
         shown_by: kind of experiment that shows it, and why.
-        alike: effects that it is confused with, each with what separates the two.
+        alike: effects with which it can be confused, each with what separates the two.
     """
 
     name: str
@@ -174,7 +174,7 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("act_gain", "rate_limit",
      "both shorten the stroke; a limit does so only where the motion is fast"),
 )  # fmt: skip
-"""Effects that are confused, and what separates them."""
+"""Effects that can be confused, and what separates them."""
 
 
 def entries() -> dict[str, Entry]:
@@ -193,7 +193,7 @@ def _entry(e: Effect | ActuatorEffect, place: Place) -> Entry:
 
 
 def alike(name: str) -> tuple[tuple[str, str], ...]:
-    """Return the effects that one is confused with, each with what separates the two."""
+    """Return the effects with which one can be confused, each with what separates the two."""
     return tuple(
         (second if first == name else first, parts)
         for first, second, parts in PAIRS

@@ -1,4 +1,4 @@
-"""Which experiment to do next: candidates are simulated, the best separating one proposed."""
+"""The next experiment: candidates are simulated, and the one that separates best is proposed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KINDS = ("sweep", "random", "multi_frequency", "multi_amplitude")
 
 
 def excitations(case: Case, amplitude: float, f0_hz: float) -> dict[str, Motion]:
-    """Return displacement histories of one minute's worth of rows for each kind of experiment."""
+    """Return displacement histories of one minute for each kind of experiment."""
     fs = case.fs_hz
     t = np.arange(int(min(16.0, 16384 / fs) * fs)) / fs
     top = min(4.0 * f0_hz, 0.1 * fs)
@@ -40,7 +40,7 @@ def excitations(case: Case, amplitude: float, f0_hz: float) -> dict[str, Motion]
         axis=0,
     )
     several = np.sum([np.sin(2 * np.pi * f * t) for f in (low, f0_hz, 0.5 * top, top)], axis=0)
-    # Four amplitudes, each reached smoothly over a cycle: a jump would hold every frequency.
+    # Four amplitudes, each reached smoothly over a cycle: a jump would contain every frequency.
     steps = 0.25 + 0.125 * sum(1.0 + np.tanh((t - span * q / 4) * 2.0 * f0_hz) for q in (1, 2, 3))
     shapes = {
         "sweep": np.sin(phase),
@@ -57,7 +57,7 @@ def excitations(case: Case, amplitude: float, f0_hz: float) -> dict[str, Motion]
 
 
 def main_frequency(x: Floats, fs_hz: float) -> float:
-    """Return the frequency about which a motion has its power, Hz."""
+    """Return the central frequency of a motion's power, Hz."""
     power = np.abs(np.fft.rfft((x - x.mean()) * np.hanning(x.size))) ** 2
     f = np.fft.rfftfreq(x.size, 1.0 / fs_hz)
     return float(np.clip(np.sum(f * power) / max(np.sum(power), 1e-300), 0.05, 0.1 * fs_hz))
@@ -71,7 +71,7 @@ def propose(
     verdict: str,
     sets: list[list[str]],
 ) -> dict[str, str] | None:
-    """Return the kind of experiment that separates the rival explanations best, and why."""
+    """Return the kind of experiment that best separates the rival explanations, and why."""
     if verdict == "none":
         return None
     if ctx is None or search is None or not (search.equal and verdict == "ambiguous"):
@@ -101,14 +101,14 @@ def propose(
 
 
 def _for_actuator(case: Case, disp: Displacement) -> dict[str, str]:
-    """Return the kind of experiment in which rival actuators move most differently."""
+    """Return the kind of experiment in which the motions of rival actuators differ most."""
     u = filled(case.channels["x_cmd"])
     commands = excitations(case, float(np.max(np.abs(u))) or 1e-6, main_frequency(u, case.fs_hz))
     fits = [disp.best, *disp.equal]
     separation = {}
     for kind, command in commands.items():
         moved = [actuator(f.model, command.x, case.fs_hz).x for f in fits]
-        # Behind the start: a command that begins with a step shows what no test has.
+        # After the start: a command that begins with a step contains what no test does.
         rest = slice(int(MASK_S * case.fs_hz), None)
         gaps = [float(np.std((a - b)[rest])) for a, b in combinations(moved, 2)]
         separation[kind] = min(gaps) / disp.task.sigma
@@ -128,9 +128,9 @@ def _best(separation: dict[str, float], sets: list[list[str]]) -> dict[str, str]
 
 
 def _separation(case: Case, ctx: Context, search: force.Search, motion: Motion) -> float:
-    """Return the least misfit that one set leaves of another's force, in units of the noise.
+    """Return the least misfit of one set to the force of another, in units of the noise.
 
-    A set may take new coefficients, and stiffness and damping may move, as in a new diagnosis.
+    The coefficients of the set, stiffness and damping are fitted, as in a new diagnosis.
     """
     n = motion.x.size
     rng = np.random.default_rng(2)

@@ -1,12 +1,13 @@
-"""Evidence in a closed loop: by the motion that the test makes, and not its load cell's noise.
+"""Evidence in a closed loop: from the motion that the test imposes, not from load cell noise.
 
-What the load cell of a hybrid test reads, noise and all, moves the specimen a delay later. Above
-the band of the ground motion that noise is all that moves it, so force and motion agree there
-whatever the specimen is: a law can have the noise back out of the motion that it made, by an
-inverse of the loop. Regressors must not know the noise (Söderström and Stoica, Instrumental
-Variable Methods for System Identification, 1983). Two are without it: the force of a law along the
-motion within its band, harmonics and all, and its force along the whole motion, judged in that
-band alone. The first lacks the top of a wide band, the second a single sine's harmonics.
+In a hybrid test, the reading of the load cell, including noise, moves the specimen a delay later.
+Above the band of the ground motion only this noise moves the specimen, so force and motion are
+consistent there whatever the specimen is: by inverting the loop, a law can recover the noise from
+the resulting motion. Regressors must not be correlated with the noise (Söderström and Stoica,
+Instrumental Variable Methods for System Identification, 1983). Two satisfy this: the force of a law
+along the motion within its band, including harmonics, and its force along the whole motion,
+evaluated in that band only. The first lacks the top of a wide band, the second the harmonics of a
+single sine.
 """
 
 from __future__ import annotations
@@ -24,15 +25,15 @@ from rthyb_rt.diagnose.select import Fit, Member, Problem, columns_of, solve
 
 
 def returns(case: Case) -> bool:
-    """Return whether what the load cell reads moves the specimen."""
+    """Return whether the load cell's reading moves the specimen."""
     return case.model.family == "loop" and "f_meas" in case.channels
 
 
 class Driven:
-    """What laws earn by the motion that a test makes."""
+    """What laws earn by the motion that a test imposes."""
 
     def __init__(self, problem: Problem, cut_hz: float) -> None:
-        """Take in a problem and where the band of its motion ends."""
+        """Store a problem and the upper end of its motion's band."""
         ctx, fs_hz = problem.ctx, problem.case.fs_hz
         x, v, a = (low_passed(signal, fs_hz, cut_hz) for signal in (ctx.x, ctx.v, ctx.a))
         self.problem, self.below = problem, problem.below(cut_hz)
@@ -40,14 +41,14 @@ class Driven:
 
     @classmethod
     def of(cls, problem: Problem) -> Driven | None:
-        """Return that of a problem; None where the specimen stands still."""
+        """Return the instance for a problem; None if the specimen does not move."""
         ends = noise.Lines(problem.estimate.rows, problem.case.fs_hz).band(problem.ctx.v)
         return None if ends is None or ends[1] <= 0.0 else cls(problem, ends[1])
 
     def gains(self, fit: Fit) -> tuple[float, ...]:
         """Return what each effect of a set earns beside the others, the better of both ways.
 
-        As a fall of chi-squared; less than nothing where the set makes no physical law there.
+        As a reduction of chi-squared; negative if the set is not a physical law there.
         """
         whole, members = self.problem, fit.members
         along = [

@@ -1,8 +1,8 @@
-"""Sets of effects judged by the motion that they simulate: bodies that move freely.
+"""Sets of effects evaluated by simulated motion, for freely moving bodies.
 
-Without a load cell the balance of forces is known no better than the estimate of the motion, and
-near resonance that is badly. The displacement that a set simulates from the recorded input has no
-such error: it meets the measured one to the sensor's noise, or the set is wrong.
+Without a load cell the accuracy of the force balance is that of the estimated motion, which is poor
+near resonance. The displacement simulated with a set from the recorded input has no such error: it
+equals the measured one to within the sensor's noise, or the set is wrong.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from rthyb_rt.diagnose.select import (
 )
 
 RUNS = 4000
-"""Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
+"""Largest number of simulations in a diagnosis, plus a few to complete a fit."""
 SLOW = 4
-"""Simulations that one takes the time of where a law is no single element of the core."""
+"""Equivalent number of simulations if a law is not a single element of the core."""
 KEPT = 32
-"""Motions that are kept for what is only read otherwise."""
+"""Number of cached motions, for effects that only change how a motion is measured."""
 STEPS = 6
 STEP = 1e-4
 LITTLE = 0.03
-"""Part of a rough fit's chi-squared by which a step has to better it."""
+"""Fraction of a rough fit's chi-squared by which a step must improve it."""
 
 Loose = tuple[tuple[str, float, float], ...]
-"""What moves in a simulation beside the parameters: see `Body`."""
+"""Quantities fitted in a simulation in addition to the parameters: see `Body`."""
 
 
 def judged(case: Case) -> bool:
-    """Return whether a recording is one of a body that moves freely, without a load cell."""
+    """Return whether a recording is of a freely moving body without a load cell."""
     model = case.model
     if model.k_tol is None or model.k == 0.0 or "x_meas" not in case.channels:
         return False
@@ -56,7 +56,7 @@ def judged(case: Case) -> bool:
 
 
 def shown(case: Case) -> bool:
-    """Return whether a recording is one of a body on moving ground that a load cell holds."""
+    """Return whether a recording is of a body on moving ground with a load cell."""
     model = case.model
     if model.family != "ground" or model.k_tol is None or model.k == 0.0:
         return False
@@ -64,19 +64,20 @@ def shown(case: Case) -> bool:
 
 
 class Body:
-    """A recording's input and the displacement that answers it.
+    """A recording's input and the resulting displacement.
 
     Attributes:
-        held: whether a load cell holds the body, which has effects of its own.
-        largest: effects of the largest set that is looked for.
-        whole_rig: whether actuator, specimen and load cell are simulated, and nothing else is left.
-        linear: whether each linear effect is judged before all others.
-        threads: simulations at a time.
-        met: chi-squared a row from which on no further effect is looked for.
-        rough: chi-squared a row from which a fit need not be a good one of its kind.
+        held: whether the body is attached to a load cell, which has effects of its own.
+        largest: number of effects of the largest set that is searched for.
+        whole_rig: whether actuator, specimen and load cell are simulated, and nothing else remains.
+        linear: whether each linear effect is evaluated before all others.
+        threads: number of parallel simulations.
+        met: chi-squared per row below which no further effect is searched for.
+        rough: chi-squared per row above which a fit need not be the optimum of its kind.
         rows: one for each difference between simulation and recording.
-        loose: what moves beside the parameters within what is known of it: names of nuisances, or
-            the start, and how far one step and the fit may take each in its unit.
+        loose: quantities fitted in addition to the parameters, within what is known of them: names
+            of nuisances, or the initial state, and the largest change in one step and in the fit,
+            each in its unit.
         units: standard deviation of each of them that has a prior.
     """
 
@@ -112,22 +113,22 @@ class Body:
         return (("blur", 2.0, reach), ("skew", 2.0, reach), ("x", 0.4, np.inf), ("v", 0.4, np.inf))
 
     def _push(self, factor: float) -> tuple[Floats, float]:
-        """Return the force on the body, and the mass that no element has."""
+        """Return the force on the body, and the mass that is not an element."""
         model = self.case.model
         if model.family == "ground":
             return -model.mass * factor * self.other["ag"], model.mass * factor
         return self.other["f_in"], model.moving_mass * (factor - 1.0)
 
     def first(self, ranked: Sequence[Fit]) -> list[Fit]:
-        """Return the sets whose motion is looked at before all others, of those by their balance.
+        """Return the sets whose motion is examined before all others, from those of the balance.
 
         Args:
-            ranked: what the balance of forces found, best first.
+            ranked: result of the force balance, best first.
         """
         return []
 
     def plain(self, members: Sequence[Member]) -> bool:
-        """Return whether a set may stand beside those where they explain the motion."""
+        """Return whether a set may be examined together with those if they explain the motion."""
         return True
 
     def quick(self, fit: Fit) -> bool:
@@ -141,9 +142,9 @@ class Body:
         )
 
     def quiet(self, fit: Fit) -> bool:
-        """Return whether what a set's motion leaves is within the data sheet, and in no bursts.
+        """Return whether the residual of a set's motion is within the data sheet, without bursts.
 
-        As of the force: noise has any colour, and its measured level is that of its white part.
+        As for the force: noise has any colour, and the measured level is that of its white part.
         """
         sheet, x = self.case.model.x_std, np.zeros(self.x.size)
         if not sheet or self.case.model.k_tol is None or self.whole_rig:
@@ -159,7 +160,7 @@ class Body:
         return noise.mere(x[rows], white, wider, self.case.fs_hz)
 
     def _ends(self, first: Augmented, place: tuple[str, int, int]) -> tuple[float, float]:
-        """Return the range of a parameter: of a shape, that of its effect, as logarithms."""
+        """Return the range of a parameter: for a shape, that of its effect, as logarithms."""
         kind, i, j = place
         if kind != "theta":
             return (-0.98, np.inf)
@@ -169,10 +170,10 @@ class Body:
         return (min(float(np.log(low / at)), 0.0), max(float(np.log(high / at)), 0.0))
 
     def motion(self, problem: Problem, fit: Fit) -> Motion | None:
-        """Return the motion that a set simulates; None unless it meets the measured displacement.
+        """Return the motion that a set simulates; None unless it equals the measured displacement.
 
-        To its noise, or to what laws of friction leave: an estimate is blurred by more.
-        The load cell's own effects do not move the body and are left out.
+        To within noise, or within the accuracy of friction laws: an estimate is less accurate. The
+        load cell's own effects do not move the body and are omitted.
         """
         felt = [i for i, m in enumerate(fit.members) if not m.effect.sensor]
         begun = replace(
@@ -180,7 +181,7 @@ class Body:
             members=tuple(fit.members[i] for i in felt),
             betas=tuple(fit.betas[i] for i in felt),
         )
-        # What has its scatter has been fitted to what it simulates.
+        # A set with a scatter has been fitted to its simulated motion.
         known = fit.scatter is not None and len(felt) == len(fit.members)
         found = fit if known else self.settled(problem, begun)
         if found is None:
@@ -204,14 +205,14 @@ class Body:
         return motion if float(rest @ rest) < allowed else None
 
     def sharp(self, fit: Fit) -> Fit | None:
-        """Return a set with the step of its dry friction sharp; None where it has none."""
+        """Return a set with sharp steps of dry friction; None if it has none."""
         members = tuple(replace(m, trial=m.effect.sharp(m.trial)) for m in fit.members)
         return replace(fit, members=members) if members != fit.members else None
 
     def _known(self, problem: Problem, fit: Fit) -> Floats:
-        """Return what is loose as an earlier fit has left it, in units of its priors.
+        """Return the loose quantities as an earlier fit has left them, in units of their priors.
 
-        What the balance of forces made of mass and offset in time is not theirs.
+        Values of mass and time offset from the force balance are not used.
         """
         known: dict[str, float] = {}
         if fit.scatter is not None:
@@ -226,10 +227,11 @@ class Body:
         )
 
     def settled(self, problem: Problem, fit: Fit) -> Fit | None:
-        """Return a set as `refined`, its dry friction with or without a width to its step.
+        """Return a set as from `refined`, with or without a width of its dry friction.
 
-        An estimated motion rounds the step off, and a simulated body creeps by its width where it
-        sticks: without one it is simulated first, and with one where that does not do.
+        An estimated motion smooths the step, and a simulated body creeps because of its width when
+        it
+        sticks: it is simulated without a width first, and with one if that is not sufficient.
         """
         sharp = self.sharp(fit)
         found = self.refined(problem, sharp) if sharp is not None else None
@@ -240,7 +242,7 @@ class Body:
         return min(fits, key=lambda f: f.chi2, default=None)
 
     def start(self, first: Augmented) -> tuple[float, float] | None:
-        """Return displacement (m) and velocity (m/s) that a set begins with; None: it cannot."""
+        """Return initial displacement (m) and velocity (m/s) for a set; None: not possible."""
         push, mass = self._push(1.0)
         try:
             return start_of(first, push, mass, self.case, self.other, self.x)
@@ -248,7 +250,7 @@ class Body:
             return None
 
     def _begun(self, at: tuple[float, float], loose: Floats) -> tuple[float, float]:
-        """Return the start of a motion: where it was estimated, and what is loose of it."""
+        """Return the initial state of a motion: the estimate, and loose changes of it."""
         moved = {name: float(q) for (name, _, _), q in zip(self.loose, loose, strict=True)}
         rate = 2.0 * np.pi * self.spread
         return (at[0] + moved.get("x", 0.0) * self.spread, at[1] + moved.get("v", 0.0) * rate)
@@ -261,16 +263,16 @@ class Body:
         if motion is None:
             push, mass = self._push(float(np.exp(POLICY.mass_blur * loose[0])))
             motion = now.moved_by(push, mass, self.case.t, self.other, start)
-            # A shift in time moves no body: its slope needs no other motion.
+            # A time shift does not change the motion: its slope needs no further simulation.
             self._moved.append((now, key, motion))
         x = motion.x - loose[1] * POLICY.offset_prior_s * motion.v
         return np.asarray((x - self.x)[self.rows] / self.sigma)
 
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:
-        """Fit a set's parameters to what it simulates; None where it cannot be simulated.
+        """Fit a set's parameters to its simulated motion; None if it cannot be simulated.
 
-        Beside them stiffness, damping and what is loose move within what is known of them.
-        Chi-squared and residual are those of the simulation.
+        Stiffness, damping and the loose quantities are fitted as well, within what is known of
+        them. Chi-squared and residual are those of the simulation.
         """
         base = self.case.model
         fit = _as_effects(problem, fit)
@@ -328,12 +330,12 @@ class Body:
     def _priors(
         self, places: Sequence[tuple[str, int, int]], begun: Model, p: Floats
     ) -> list[float]:
-        """Return how far what is loose, and the stated numbers, are off in units of their priors.
+        """Return the deviation of loose quantities and stated values in units of their priors.
 
         Args:
             places: the parameters of a set.
-            begun: the model as the fit begins with it.
-            p: what the parameters are moved by, then what is loose.
+            begun: the initial model of the fit.
+            p: changes of the parameters, then the loose quantities.
         """
         base = self.case.model
         held = {"k": (base.k, begun.k, base.k_tol), "c": (base.c, begun.c, base.c_tol)}
@@ -347,7 +349,7 @@ class Body:
         return prior
 
     def _nuisance(self, problem: Problem, best: Model, loose: Floats) -> Floats:
-        """Return what a model, and what is loose in units of its priors, come to as nuisance."""
+        """Return the nuisance parameters for a model and loose quantities in prior units."""
         base = self.case.model
         moved = {of_number("k"): best.k / base.k - 1.0, of_number("c"): best.c - base.c}
         for (name, _, _), q in zip(self.loose, loose, strict=True):
@@ -356,9 +358,9 @@ class Body:
 
 
 def _as_effects(problem: Problem, fit: Fit) -> Fit:
-    """Return a set whose linear effects have all that a stated number was moved by beside them.
+    """Return a set whose linear effects include the changes of the corresponding stated values.
 
-    The motion stays the same; to stay where it is stated costs the number nothing.
+    The motion is the same; an unchanged stated value has no cost.
     """
     betas, nuisance, chi2 = list(fit.betas), fit.nuisance.copy(), fit.chi2
     names = [m.name for m in fit.members]
@@ -373,7 +375,7 @@ def _as_effects(problem: Problem, fit: Fit) -> Fit:
 
 def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
-        # A mass is not stated where it is nuisance, and a dashpot that pushes makes motion run off.
+        # A nuisance mass is not a stated value, and a dashpot that pushes makes the motion diverge.
         if nuisance.number == "k" or (nuisance.number == "c" and model.c + float(b) > 0.0):
             model = nuisance.moves(model, float(b))
     return model
@@ -389,20 +391,20 @@ def _least(
     spend: Callable[[int], None],
     threads: int,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return the parameters, residual, normal matrix and slopes of least squares from a point.
+    """Return parameters, residual, normal matrix and slopes of least squares from a start.
 
-    A step goes no farther than ``reach``, (n,), a parameter no farther than its ``ends``, (n, 2).
-    Slopes are ``central`` where priors decide: at resonance a one-sided one is wrong by more, and
-    so it is along the valley of a number and the effect that moves it. Above a chi-squared of
-    ``rough`` nothing of this is asked: such a fit is only to be told from better ones. ``spend`` is
-    told how many residuals it took, in the same order on any number of ``threads``.
+    A step is limited to ``reach``, (n,), a parameter to its ``ends``, (n, 2). Slopes are
+    ``central`` if priors decide: at resonance, and along the valley of a value and the effect that
+    changes it, one-sided slopes are too inaccurate. Above a chi-squared of ``rough`` this is not
+    needed: such a fit need only be distinguished from better ones. ``spend`` receives the number of
+    residuals computed, in the same order for any number of ``threads``.
     """
     size, p = reach.size, begun
 
     spend(1)
     r = residual(p)
     low, high = ends.T
-    # What only its prior holds is weak beside the rest: heavy damping would keep it from moving.
+    # What only its prior determines is weak compared with the rest: heavy damping would freeze it.
     best, damping = float(r @ r), 1e-8
     if not np.isfinite(best):
         raise SimulationError("the motion diverged")
@@ -439,7 +441,7 @@ def _slopes(
     spend: Callable[[int], None],
     threads: int,
 ) -> list[Floats] | None:
-    """Return the slope to each parameter; None where one cannot be simulated. See `_least`."""
+    """Return the slope to each parameter; None if one cannot be simulated. See `_least`."""
 
     def slope(e: Floats) -> tuple[int, Floats | None]:
         ahead = _simulated(residual, p + e)
@@ -468,8 +470,8 @@ def _simulated(residual: Callable[[Floats], Floats], p: Floats) -> Floats | None
 def _logs(places: Sequence[tuple[str, int, int]], p: Floats) -> Floats:
     """Return the logarithms of the factors of each place.
 
-    Coefficients move linearly: where two of them do the same, as stiffness and mass under a sine,
-    the valley between them is then straight.
+    Coefficients change linearly: if two of them are equivalent, like stiffness and mass under a
+    sine, the valley between them is then straight.
     """
     factors = np.log(np.maximum(1.0 + p[: len(places)], 1e-3))
     shapes = np.array([kind == "theta" for kind, _, _ in places], dtype=np.bool_)
@@ -485,7 +487,7 @@ def _inverse(gram: Floats) -> Floats:
 def _covariance(
     first: Augmented, places: Sequence[tuple[str, int, int]], inverse: Floats, nuisances: int
 ) -> Floats:
-    """Return the covariance of (log shapes, coefficients, nuisance) as `select.Fit` has it."""
+    """Return the covariance of (log shapes, coefficients, nuisance) as in `select.Fit`."""
     shapes = [len(m.trial.theta) for m in first.members]
     widths = [len(b) for b in first.betas]
     rows, factors, at = [], [], []

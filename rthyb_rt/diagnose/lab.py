@@ -1,4 +1,4 @@
-"""A lab's table as channels in SI: columns chosen, units converted, time counted in seconds."""
+"""An external table as channels in SI: columns selected, units converted, time in seconds."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from rthyb_rt.errors import InputError
 
 DAY_S = 86400.0
 STAMP_S = 1e8
-"""Seconds from which on a time is one of the calendar: no clock of a lab runs for three years."""
+"""Time from which on it must be a calendar time: no laboratory clock runs for three years."""
 HUGE = 1e30
-"""What no reading of any unit comes near to; squares of larger ones overflow."""
+"""A value beyond any reading in any unit; squares of larger ones overflow."""
 _TIME_UNITS = ("s", "ms", "us", "ns")
 
 
 @dataclass(frozen=True)
 class Lab:
-    """A recording out of a lab's table.
+    """A recording from an external table.
 
     Attributes:
         t: time of each row, (n,), s.
         channels: each (n,), SI.
-        notes: what was made of the file, in words.
+        notes: how the file was interpreted, in words.
         lines: line of each row in the file, (n,).
-        labels: what stands over the column of each channel, without its unit.
+        labels: header of the column of each channel, without its unit.
         stated: unit of each channel whose unit the file or the user states.
         table, sources: the columns, and which of them are channels.
-        further: columns of numbers that are no channel, as written, by what stands over them.
+        further: numeric columns that are not channels, as written, by their header.
     """
 
     t: Floats
@@ -53,13 +53,13 @@ class Lab:
 
 
 def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> Lab:
-    """Read a table as a lab exports it.
+    """Read a table as exported by laboratory software.
 
     Args:
         path: the file.
-        model: gives the sampling rate, and the sizes that an unstated unit is told by.
-        wishes: what the user says of the columns.
-        needed: whether each wished column must be there.
+        model: provides the sampling rate, and the sizes from which an unstated unit is inferred.
+        wishes: the user's assignments of columns.
+        needed: whether each assigned column must exist.
 
     Raises:
         InputError: with line and column, what is allowed there and what to do.
@@ -84,19 +84,20 @@ def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> 
 def stated(
     path: Path, wishes: Sequence[Wish], channels: Sequence[str], needed: Sequence[str]
 ) -> tuple[Floats, dict[str, Floats], list[str]]:
-    """Read a table whose units are all stated: no model is there to tell them by.
+    """Read a table whose units are all stated, as there is no model to infer them from.
 
     Args:
         path: the file.
-        wishes: what the user says of the columns.
-        channels: that are read, ``t`` among them.
-        needed: those of them without which the table is of no use.
+        wishes: the user's assignments of columns.
+        channels: channels to read, including ``t``.
+        needed: those that the table must contain.
 
     Returns:
-        Time of each row, (n,), s; the channels by name, each (n,), SI; what was made of the file.
+        Time of each row, (n,), s; the channels by name, each (n,), SI; notes on how the file was
+        interpreted.
 
     Raises:
-        InputError: with what is missing, and how it is said.
+        InputError: with what is missing, and how to state it.
     """
     where = str(path)
     table = read_table(path)
@@ -127,7 +128,7 @@ def stated(
 
 
 def _further(table: Table, found: dict[str, Source], labels: dict[str, str]) -> dict[str, Floats]:
-    """Return the columns of numbers that are no channel and no time."""
+    """Return the numeric columns that are neither a channel nor time."""
     used = {source.column for source in found.values()}
     out = {}
     for j, column in enumerate(table.columns):
@@ -231,9 +232,9 @@ def _midnight(day: str) -> str:
 def _counting(
     table: Table, labels: dict[str, str], model: Model, notes: list[str]
 ) -> Source | None:
-    """Return a column that counts up with the model's sampling rate, though no name says so.
+    """Return a column that increases at the model's sampling rate, although its name is unknown.
 
-    To leave it out would leave gaps in time unseen.
+    If it were ignored, gaps in time would not be detected.
     """
     known = {*CHANNELS}
     for j, column in enumerate(table.columns):
@@ -265,14 +266,14 @@ def _channels(
     table: Table, found: dict[str, Source], labels: dict[str, str], model: Model, where: str,
     notes: list[str],
 ) -> dict[str, Floats]:  # fmt: skip
-    """Return the channels in SI; what states no unit is judged by those that do."""
+    """Return the channels in SI; a column without a unit is compared with those that have one."""
     known: dict[str, Floats] = {}
     open_: dict[str, Floats] = {}
     for channel, source in found.items():
         if channel == "t":
             continue
         values = table.columns[source.column].values
-        # An infinite reading, or one that no sensor has, is as little a number as none.
+        # An infinite or implausible reading is treated as missing.
         values = np.where(np.abs(values) < HUGE, values, np.nan) * source.sign
         if source.unit is None:
             open_[channel] = values

@@ -1,9 +1,10 @@
-"""What was found, fitted again at the time at which the load cell sees it.
+"""The result fitted again with the exact delay of the load cell.
 
-The search has a normal offset in time as a straight line over the rate of the model's force, and
-that rate as a difference of rows. An effect's force comes as late as the model's; and the force of
-a mass behind an actuator that is fast beside the rows has no rate which rows show: at each of them
-the command turns a corner. Along a motion that an actuator simulates both are known exactly.
+The search represents a normal time offset as a straight line over the rate of the model's force,
+and that rate as a difference of rows. The force of an effect is delayed like the model's; and the
+force of a mass behind an actuator that is fast compared with the rows has a rate that the rows do
+not resolve: the command turns a corner at each of them. Along a simulated motion of an actuator
+both are known exactly.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ from rthyb_rt.diagnose.select import Fit, Problem, refine, solve, whole
 
 PASSES = 3
 STEP_S = 1e-5
-"""A tenth of a normal offset: to either side of it the force is a straight line but at a corner."""
+"""A tenth of a normal offset: within it the force is a straight line except at a corner."""
 Settled = tuple[Estimate, Context, force.Search]
 
 
 def settled(
     task: Actuation, fit: ActuatorFit, found: Estimate, ctx: Context, search: force.Search
 ) -> Settled:
-    """Return motion, what laws see of it, and search, along the motion as late as the force is.
+    """Return motion, context and search along the motion delayed like the force.
 
     Args:
-        task, fit: the actuator whose motion was taken.
-        found, ctx, search: what came of it.
+        task, fit: the actuator whose motion is used.
+        found, ctx, search: the result so far.
     """
 
     def late_by(seconds: float) -> Motion:
@@ -39,7 +40,7 @@ def settled(
 
     done: Settled = (found, ctx, search)
     members = search.best.members
-    # A load cell that is said to be late has a time of its own already.
+    # A load cell that was found to be delayed has its own time already.
     for _ in range(0 if not members or any(m.effect.carries for m in members) else PASSES):
         best, problem = done[2].best, done[2].problem
         place = next((i for i, n in enumerate(problem.nuisances) if n.name == "skew"), None)
@@ -52,7 +53,7 @@ def settled(
         ]
         rate = (sides[1] - sides[0]) / (2.0 * STEP_S)
         along = replace(ctx, motion=late_by(late), ranges=ctx.all_ranges)
-        # All of the offset stays a number of the fit: its prior is one around nothing.
+        # The entire offset remains a parameter of the fit: its prior is centred on zero.
         now = replace(found, motion=along.motion, force=found.force + late * rate)
         anew = Problem(problem.case, along, now, effects.catalogue().values())
         anew.late_as(rate)
@@ -67,16 +68,16 @@ def settled(
 
 
 def _without(fit: Fit, place: int) -> Fit:
-    """Return a fit with one number of its nuisance at nothing."""
+    """Return a fit with one nuisance parameter set to zero."""
     nuisance = fit.nuisance.copy()
     nuisance[place] = 0.0
     return replace(fit, nuisance=nuisance)
 
 
 def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
-    """Return what was found fitted to another problem; None where that fits no better.
+    """Return the result fitted to another problem; None if that is no better.
 
-    What does not earn its price there made up for the time, and is nothing.
+    An effect that no longer earns its price has only compensated for the time offset.
     """
 
     def again(fit: Fit) -> Fit | None:
@@ -102,7 +103,7 @@ def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
         best=best,
         equal=[anew[id(f)] for f in search.equal if id(f) in anew],
         forms=[f for f in map(again, search.forms) if f is not None],
-        # The others were not named: where they are shown, it is as they were.
+        # The others were not named: they are shown as they were.
         fits=[anew.get(id(f), f) for f in search.fits],
         rivals=[anew.get(id(f), f) for f in search.rivals],
     )

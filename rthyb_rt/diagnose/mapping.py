@@ -1,4 +1,4 @@
-"""Which column of a lab's table is which channel, in which unit and with which sign."""
+"""Assignment of a table's columns to channels, with their units and signs."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from rthyb_rt.errors import InputError, Problem
 
 EXAMPLE = '--map x_meas="LVDT 1 [mm]"'
 UNASSIGNED = "columns not assigned to a channel"
-"""Beginning of the note on such columns, which means nothing where there is no diagnosis."""
+"""Beginning of the note on such columns, which is only relevant to a diagnosis."""
 
 
 @dataclass(frozen=True)
 class Wish:
-    """A column as the user names it for a channel.
+    """A column that the user assigned to a channel.
 
     Attributes:
         channel: a channel, or ``t``.
-        text: the column's name, with a sign before it and a unit in brackets behind, if any.
-        unit, sign: where they are given apart; "" and 0 where not.
-        where: the option or the line that says so.
+        text: the column's name, optionally with a leading sign and a unit in brackets.
+        unit, sign: if given separately; otherwise "" and 0.
+        where: the option or line with the assignment.
     """
 
     channel: str
@@ -41,10 +41,10 @@ class Source:
     """A column that is a channel.
 
     Attributes:
-        column: its place in the table, from 0.
-        unit: None where nobody states it.
+        column: its index in the table, from 0.
+        unit: None if not stated anywhere.
         sign: 1 or -1.
-        presumed: the unit is that of the interchange format, by the column's name alone.
+        presumed: the unit is that of the interchange format, because of the column's name alone.
     """
 
     column: int
@@ -53,14 +53,14 @@ class Source:
     presumed: bool = False
 
 
-# ---- what the user asks for ---------------------------------------------------------------------
+# ---- assignments by the user --------------------------------------------------------------------
 
 
 def read_wishes(options: Iterable[str]) -> list[Wish]:
     """Read the values of ``--map``: ``CHANNEL=COLUMN``, or the path of a mapping file.
 
     Raises:
-        InputError: with every fault.
+        InputError: with all errors.
     """
     wishes: dict[str, Wish] = {}
     problems: list[Problem] = []
@@ -116,7 +116,7 @@ def _of_file(name: str) -> list[Wish]:
     ]  # fmt: skip
 
 
-# ---- what the table has -------------------------------------------------------------------------
+# ---- columns of the table -----------------------------------------------------------------------
 
 
 def sources(
@@ -126,13 +126,13 @@ def sources(
 
     Args:
         table: the columns.
-        wishes: what the user says; it goes before what the names say.
+        wishes: the user's assignments, which take precedence over the names.
         where: the file, for messages.
-        needed: whether a wished column must be there; outputs may be left out of a second file.
+        needed: whether an assigned column must exist; a second file may omit outputs.
 
     Raises:
-        InputError: a wished column is not there, two columns are one channel, or a unit is none of
-            the channel's kind.
+        InputError: an assigned column does not exist, two columns are one channel, or a unit is
+            not suitable for its channel.
     """
     found: dict[str, Source] = {}
     notes: list[str] = []
@@ -176,7 +176,7 @@ def _unused(table: Table, found: dict[str, Source]) -> list[str]:
 
 
 def _matches(table: Table, name: str, exactly: bool) -> list[int]:
-    """Return the columns of a name: as it stands there, or else without regard to case and gaps."""
+    """Return the columns with a name: exact, or else ignoring case and spacing."""
     columns = table.columns
     if re.fullmatch(r"#\d{1,4}", name) and 1 <= int(name[1:]) <= len(columns):
         return [int(name[1:]) - 1]
@@ -194,7 +194,7 @@ def _matches(table: Table, name: str, exactly: bool) -> list[int]:
 
 
 def _wished(table: Table, wish: Wish, where: str) -> Source | None:
-    """Return the column that a wish names; None where the table has none of that name."""
+    """Return the column that the user assigned; None if the table does not have it."""
     text = wish.text.strip()
     for sign, rest in ((1, text), (-1 if text[0] == "-" else 1, text[1:].strip())):
         if sign == 1 and rest != text and text[0] != "+":
@@ -203,7 +203,7 @@ def _wished(table: Table, wish: Wish, where: str) -> Source | None:
         for wanted, stated in ((rest, ""), (name, unit)):
             if wanted != rest and not bracketed and wish.unit == "" and read_unit(unit) is None:
                 continue
-            # A name may begin with a minus itself; only as it stands there, it does.
+            # A leading minus may be part of the name, but only for an exact match.
             match = _matches(table, wanted, exactly=rest == text and text[0] in "+-")
             if len(match) > 1:
                 listed = ", ".join(f"#{j + 1}" for j in match)
@@ -219,7 +219,7 @@ def _wished(table: Table, wish: Wish, where: str) -> Source | None:
 
 
 def _stated(column: Column, j: int, wish: Wish, unit: str, sign: int) -> Source:
-    """Return a wished column with the unit that the wish states, or else the file."""
+    """Return an assigned column with the unit of the assignment, or else of the file."""
     unit = wish.unit or unit
     if not unit:
         source = _named(column, j, wish.channel, wish.where)
@@ -228,10 +228,10 @@ def _stated(column: Column, j: int, wish: Wish, unit: str, sign: int) -> Source:
 
 
 def _fitting(text: str, channel: str, column: Column, where: str) -> Stated:
-    """Return a unit that measures what a channel does.
+    """Return a unit that suits a channel.
 
     Raises:
-        InputError: it is not known, or measures something else.
+        InputError: it is unknown, or measures something else.
     """
     unit = read_unit(text)
     if unit is not None and unit.si == SI[channel]:
@@ -256,7 +256,7 @@ def _plainly(column: Column) -> str:
 
 
 def _named(column: Column, j: int, channel: str, where: str) -> Source:
-    """Return a column with the unit that its header states, if it does."""
+    """Return a column with the unit that its header states, if any."""
     own = Stated(SI[channel], read_unit(SI[channel]).factor, SI[channel])  # type: ignore[union-attr]
     if column.header == channel and not column.sure:
         return Source(j, own, presumed=True)
@@ -265,12 +265,12 @@ def _named(column: Column, j: int, channel: str, where: str) -> Source:
     unit = read_unit(column.unit)
     if unit is not None and unit.si == SI[channel]:
         return Source(j, unit)
-    # A word in brackets, or a last word, that is no unit of this kind is a part of the name.
+    # A word in brackets, or a last word, that is not a suitable unit is part of the name.
     return Source(j, None)
 
 
 def _by_name(table: Table, channel: str, taken: set[int], where: str) -> int | None:
-    """Return the column that bears a channel's name; None without one."""
+    """Return the column with a channel's name, or None."""
     free = [(j, c) for j, c in enumerate(table.columns) if j not in taken]
     names = (channel,) if channel != "t" else TIME_NAMES
     found = [j for j, c in free if c.header == channel]
@@ -299,7 +299,7 @@ def _missing(table: Table, wish: Wish, where: str) -> Problem:
 
 
 def proposals(table: Table, found: dict[str, Source], wanted: Iterable[str]) -> list[str]:
-    """Return options that would make channels of columns which nothing names, by their units."""
+    """Return options that would assign unrecognised columns to channels, by their units."""
     used = {source.column for source in found.values()}
     out = []
     for channel in wanted:

@@ -1,16 +1,17 @@
-"""Channels that the model does not know as what changes a law: voltage, current, temperature.
+"""Channels unknown to the model that modulate a law: voltage, current, temperature.
 
-A magneto-rheological damper's friction grows with its current, an oil's drag falls with its
-temperature. A law whose coefficient is linear is tried with a coefficient that runs straight over
+The friction of a magneto-rheological damper increases with its current, the drag of oil decreases
+with its temperature. A law with a linear coefficient is tried with a coefficient that is linear in
 the channel, ``f = (b0 + b1 g) c(t)`` with ``g`` the channel less its mean, in units of its standard
-deviation. Two questions come before its price, both answered by the recording itself:
+deviation. Two questions precede its price, both answered by the recording itself:
 
-* Does the channel do it, or any signal of its kind? The same channel moved along the recording, and
-  run backwards, is as loud, as slow and as unlike a law; none of them may gain as much
+* Is it the channel, or would any signal of its kind do? The same channel shifted along the
+recording,
+  and reversed, has the same size and spectrum; none of them may gain as much
   (a permutation test; Theiler et al., Physica D 58 (1992) 77).
-* Does it tell more than the motion does? What follows of a channel from displacement, velocity and
-  acceleration of the moment stands for a law of those, not for the channel: the rest of it has to
-  earn its price on its own, with at least half of the coefficient.
+* Does it contain more than the motion? The part of a channel that follows from the instantaneous
+  displacement, velocity and acceleration represents a law of those, not the channel: the remainder
+  must earn its price alone, with at least half of the coefficient.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ if TYPE_CHECKING:
     from rthyb_rt.diagnose.select import Fit, Member, Problem
 
 GOLDEN = 0.6180339887498949
-"""Part of the recording between shifts (the golden section): no period is met twice."""
+"""Shift, relative to the recording (the golden section): no period occurs twice."""
 
 
 @dataclass(frozen=True)
 class Channel:
-    """A channel that no model knows.
+    """A channel unknown to the model.
 
     Attributes:
-        name: as it stands over its column.
-        mean, spread: of the recording, in the column's own unit.
+        name: header of its column.
+        mean, spread: over the recording, in the column's own unit.
     """
 
     name: str
@@ -46,7 +47,7 @@ class Channel:
     spread: float
 
     def of(self, ctx: Context) -> Floats:
-        """Return the channel centred and scaled, (n,); nothing where it was not recorded."""
+        """Return the channel centred and scaled, (n,); zero where it was not recorded."""
         values = ctx.other.get(self.name)
         if values is None:
             return np.zeros(ctx.t.size)
@@ -54,12 +55,12 @@ class Channel:
 
 
 class Modulated(Effect):
-    """A law whose coefficient runs straight over a channel."""
+    """A law whose coefficient is linear in a channel."""
 
     begins = False
 
     def __init__(self, effect: Effect, channel: Channel, bare: bool) -> None:
-        """Take the law, the channel, and whether the law's mean is free beside it already."""
+        """Store the law, the channel, and whether the law's mean is already free."""
         self.effect, self.channel, self.bare = effect, channel, bare
         self.name = f"{effect.name}*{channel.name}"
         self.params = effect.params
@@ -74,15 +75,15 @@ class Modulated(Effect):
         return self.effect.names
 
     def in_words(self) -> str:
-        """Return what is more to it than the law."""
+        """Return a description of the addition to the law."""
         return f"how {self.effect.name} changes with {self.channel.name}"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return the law's own that have one free coefficient."""
+        """Return the law's trials that have one free coefficient."""
         return [t for t in self.effect.trials(ctx) if _single(self.effect, ctx, t)]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the law, and the law by the channel."""
+        """Return the law, and the law times the channel."""
         (column,) = self.effect.columns(ctx, trial)
         by = column * self.channel.of(ctx)
         return [by] if self.bare else [column, by]
@@ -90,18 +91,18 @@ class Modulated(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return the law's own, and the channel's coefficient."""
+        """Return the law's settings, and those of the channel's coefficient."""
         (sign, _), count = self.effect.settings(ctx, trial)
         if self.bare:
             return ("*", (None,)), count
         return (f"{sign}*", (None, None)), count + 1
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Return the law's own."""
+        """Return the law's limits."""
         return self.effect.limits(ctx, trial)
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return the law's own judgement of it at both ends of the channel."""
+        """Return the law's verdict at both ends of the channel's range."""
         if self.bare:
             return True
         g = self.channel.of(ctx)
@@ -112,20 +113,21 @@ class Modulated(Effect):
         return self.effect.sensible(ctx, trial, beta[:1])
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the law's parameters at the channel's mean; of a bare one, what a unit brings."""
+        """Return the law's parameters at the channel's mean; if alone, the change per unit."""
         mean = beta[:1] / self.channel.spread if self.bare else beta[:1]
         return self.effect.report(ctx, trial, np.asarray(mean))
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the law's own."""
+        """Return the law's form."""
         return self.effect.form(ctx, trial)
 
     def slope(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, Any]:
         """Return how the channel changes the law, for the answer.
 
-        Keys: ``channel``; ``mean`` at which the law has its parameters; ``param`` and ``per_unit``,
-        the parameter that is proportional to the force and its change for one of the channel's
-        units; ``relative_per_unit``, that change as a part of its value at the mean.
+        Keys: ``channel``; ``mean`` of the channel, at which the law has its parameters; ``param``
+            and
+        ``per_unit``, the parameter proportional to the force and its change per unit of the
+        channel; ``relative_per_unit``, that change relative to its value at the mean.
         """
         per = float(beta[-1]) / self.channel.spread
         unit = self.effect.report(ctx, trial, np.array([1.0]))
@@ -139,7 +141,7 @@ class Modulated(Effect):
         return out
 
     def at_mean(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the elements of the law as it is at the channel's mean."""
+        """Return the elements of the law at the channel's mean."""
         return [] if self.bare else self.effect.elements(ctx, trial, beta[:1])
 
 
@@ -158,7 +160,7 @@ def told(effect: Effect, ctx: Context, trial: Trial, beta: Floats) -> tuple[str,
 
 
 def in_words(names: Iterable[str], slopes: Iterable[dict[str, Any]]) -> list[str]:
-    """Return a note for each law of an answer that a channel changes."""
+    """Return a note for each law of an answer that a channel modulates."""
     out = []
     for name, slope in zip(names, slopes, strict=True):
         if "per_unit" in slope:
@@ -180,7 +182,7 @@ def _single(effect: Effect, ctx: Context, trial: Trial) -> bool:
 
 
 def channels(further: dict[str, Floats]) -> list[Channel]:
-    """Return the further channels that can be tried: the first few that change."""
+    """Return the additional channels that can be tried: the first few that vary."""
     out = []
     for name, values in further.items():
         good = values[np.isfinite(values)]
@@ -190,19 +192,19 @@ def channels(further: dict[str, Floats]) -> list[Channel]:
 
 
 def forms(effects: Iterable[Effect], further: dict[str, Floats], free: set[str]) -> list[Modulated]:
-    """Return the laws of the specimen by each channel that no model knows.
+    """Return the laws of the specimen modulated by each channel unknown to the model.
 
     Args:
         effects: the catalogue.
         further: such channels of the recording, each (n,).
-        free: names of laws that are refitted without a price: only the channel's part is asked.
+        free: names of laws that are refitted without a price: only the channel's part is needed.
     """
     laws = [e for e in effects if not e.sensor and len(e.names) == 1]
     return [Modulated(e, c, e.name in free) for c in channels(further) for e in laws]
 
 
 def modulated(problem: Problem, fit: Fit) -> list[tuple[Member, ...]]:
-    """Return a set with one of its laws, or one that is always there, changed by one channel."""
+    """Return a set with one of its laws, or one that is always present, modulated by a channel."""
     from rthyb_rt.diagnose.select import Member
 
     out: list[tuple[Member, ...]] = []
@@ -228,7 +230,7 @@ def modulated(problem: Problem, fit: Fit) -> list[tuple[Member, ...]]:
 
 
 def holds(problem: Problem, fit: Fit) -> bool:
-    """Return whether each modulation of a set is its channel's doing; see the module."""
+    """Return whether each modulation of a set is due to its channel; see the module."""
     return all(
         _holds(problem, fit, i)
         for i, m in enumerate(fit.members)
@@ -285,7 +287,7 @@ def _holds(problem: Problem, fit: Fit, which: int) -> bool:
 
 
 def _the_channel(g: Floats, own: float, gain: Any, rest: Any) -> bool:
-    """Return whether a channel gains more than itself in other places of the recording."""
+    """Return whether a channel gains more than its shifted copies."""
     for j in range(1, POLICY.modulation_shifts + 1):
         by = round((j * GOLDEN % 1.0) * g.size)
         if any(gain(rest(np.roll(way, by))) >= own for way in (g, g[::-1])):
@@ -294,7 +296,7 @@ def _the_channel(g: Floats, own: float, gain: Any, rest: Any) -> bool:
 
 
 def _by_motion(ctx: Context, g: Floats, rows: Any) -> Floats:
-    """Return the part of a channel that follows from the motion of the moment, (n,)."""
+    """Return the part of a channel that follows from the instantaneous motion, (n,)."""
     x, v = ctx.x / ctx.x_range, ctx.v / ctx.v_range
     a = ctx.a / (float(np.max(np.abs(ctx.a))) or 1.0)
     parts = [np.ones_like(x), x, v, a, np.abs(x), np.abs(v), np.abs(a), x**2, v**2, x * v]

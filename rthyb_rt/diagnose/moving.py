@@ -1,10 +1,10 @@
-"""Of what colour the noise of a motion's sensors is, read where they do not see it move.
+"""The colour of the noise of motion sensors, determined where they do not detect motion.
 
-A data sheet states how large a sensor's noise is, and its white floor shows at the top of the band;
-slow noise may be a hundred times that. A motion, and the force that goes with it, is in all of the
-channels at once, and noise is in one of them: where one is coherent with no other, what it shows is
-its noise (multiple coherence; Bendat and Piersol, Random Data, ch. 7 and 9). Below, where it moves,
-the noise goes on as it came.
+A data sheet states the size of a sensor's noise, and its white floor shows at the top of the band;
+slow noise may be a hundred times that. A motion, and the force that belongs to it, is in all
+channels at once, noise only in one: where a channel is not coherent with any other, its signal is
+noise (multiple coherence; Bendat and Piersol, Random Data, ch. 7 and 9). At lower frequencies,
+where there is motion, the noise is extrapolated.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ Spectra = NDArray[np.complex128]
 def sensor_colour(
     channel: Floats, others: Sequence[Floats], fs_hz: float, sigma: float, sheet: float | None
 ) -> noise.Colour | None:
-    """Return the colour of a channel's noise; None where it is white or cannot be told.
+    """Return the colour of a channel's noise; None if it is white or cannot be determined.
 
     Args:
         channel: without gaps, (n,).
-        others: channels that show the same motion, or its force, of any unit, each (n,).
+        others: channels that show the same motion, or its force, in any unit, each (n,).
         fs_hz: rows per second.
-        sigma: standard deviation of the noise were it white, in the channel's unit.
-        sheet: the same as the data sheet states it; None: nothing bounds the noise.
+        sigma: standard deviation of the noise if white, in the channel's unit.
+        sheet: the same according to the data sheet; None: nothing bounds the noise.
     """
     size = int(min(channel.size / POLICY.noise_spectra, POLICY.noise_part_s * fs_hz))
     if not others or size < 16 * noise.LINES or not sheet:
@@ -39,7 +39,7 @@ def sensor_colour(
     own = _spectra(channel / sigma, size)
     power, shared = _apart(own, np.array([_spectra(other, size) for other in others]))
     f_hz = np.asarray(np.fft.rfftfreq(size, 1.0 / fs_hz), dtype=np.float64)
-    # Beside the last lines that are motion more than noise, from where there is little of it.
+    # Next to the last lines that are motion rather than noise, from where little of it remains.
     reach = POLICY.noise_neighbours
     kernel = np.full(2 * reach + 1, 1.0 / (2 * reach + 1))
     wide = np.convolve(np.pad(shared, reach, mode="edge"), kernel, mode="valid")
@@ -54,22 +54,22 @@ def sensor_colour(
 
 
 def _spectra(signal: Floats, size: int) -> Spectra:
-    """Return the spectra of the parts of a signal, each less its straight line, (parts, lines)."""
+    """Return the spectra of the segments of a signal, each detrended, (parts, lines)."""
     starts = np.arange(0, signal.size - size + 1, size // 2)
     at = np.linspace(-1.0, 1.0, size)
     parts = signal[starts[:, None] + np.arange(size)]
     parts = parts - parts.mean(axis=1)[:, None] - np.outer(parts @ at / float(at @ at), at)
-    # Beside a motion a hundred million times the noise Hann's own window shows what is not there.
+    # For a motion 1e8 times the noise, the leakage of Hann's own window would be visible.
     window = np.hanning(size) ** 2
     return np.asarray(np.fft.rfft(parts * window, axis=1) / np.sqrt(np.sum(window**2)))
 
 
 def _apart(own: Spectra, others: Spectra) -> tuple[Floats, Floats]:
-    """Return what a channel has for itself at each line, and what part it shares, each (lines,).
+    """Return a channel's incoherent power and its coherent fraction, each (lines,).
 
     Args:
-        own: of it, (parts, lines).
-        others: of the others, (channels, parts, lines).
+        own: spectra of the channel, (parts, lines).
+        others: spectra of the others, (channels, parts, lines).
     """
     whole = np.mean(np.abs(own) ** 2, axis=0)
     size = np.sqrt(np.mean(np.abs(others) ** 2, axis=1, keepdims=True))
@@ -79,7 +79,7 @@ def _apart(own: Spectra, others: Spectra) -> tuple[Floats, Floats]:
     along = np.einsum("ipl,pl->li", np.conj(scaled), own) / own.shape[0]
     taken = np.linalg.solve(between, along[:, :, None])[:, :, 0]
     rest = whole - np.real(np.sum(np.conj(along) * taken, axis=1))
-    # Of so few spectra each of the others takes one by chance.
+    # With so few spectra, each of the others explains one by chance.
     free = POLICY.noise_independent * own.shape[0]
     rest = np.maximum(rest, 0.0) * free / max(free - len(others), 1.0)
     return rest, np.maximum(1.0 - rest / np.maximum(whole, 1e-300), 0.0)

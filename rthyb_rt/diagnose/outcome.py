@@ -1,4 +1,4 @@
-"""What follows from a diagnosis: held-out error, prediction, the answer as JSON."""
+"""Results derived from a diagnosis: held-out error, prediction, the answer as JSON."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ class Outcome:
     """Answer and prediction of a diagnosis.
 
     Attributes:
-        closed: the whole test simulated again; None where there is no recording of this program.
-        recovered: delay estimate and tangent stiffness of a closed loop that another program ran.
+        closed: repeated simulation of the whole test; None if it is not a recording of this
+            program.
+        recovered: delay estimate and tangent stiffness of a closed loop run by another program.
     """
 
     answer: dict[str, Any]
@@ -36,7 +37,7 @@ class Outcome:
 
 
 def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
-    """Judge a diagnosis by a second recording, and predict another.
+    """Validate a diagnosis on a second recording, and predict another.
 
     Args:
         d: the diagnosis.
@@ -64,7 +65,7 @@ def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
 
 
 def _close(d: Diagnosis, out: Outcome) -> None:
-    """Simulate the whole loop again, or recover of it what its signals tell."""
+    """Simulate the whole loop again, or recover from its signals what they determine."""
     if d.case.axis:
         why = "one of several axes cannot be simulated without the others"
         out.answer["closed_loop"] = {"possible": False, "why": why}
@@ -85,7 +86,7 @@ def close_loop(d: Diagnosis, model: Augmented) -> ClosedLoop:
     """Simulate a recorded test of this program with the model as given and with another.
 
     Raises:
-        RthybError: the test cannot be repeated, or a model makes no rig.
+        RthybError: the test cannot be repeated, or a model cannot be a rig.
     """
     rec = d.case.own
     if rec is None:
@@ -131,7 +132,7 @@ def _held_out(d: Diagnosis, model: Augmented, heldout: Case) -> dict[str, float]
 
 
 def _law_beside(model: Augmented, lost: list[str]) -> tuple[closed.Law | None, set[str]]:
-    """Return the force of momentary effects that a rig file cannot hold, and their names."""
+    """Return the force of momentary effects that a rig file cannot represent, and their names."""
     found = [
         (member, beta)
         for member, beta in zip(model.members, model.betas, strict=True)

@@ -1,7 +1,7 @@
-"""The model with the effects found in it: simulated along another recording, and refined there.
+"""The augmented model: simulated along another recording, and refined there.
 
-The specimen's part of every effect is simulated as elements of the core where it has such; else its
-force is iterated with the motion until both agree.
+The specimen's part of every effect is simulated as elements of the core if there are any; otherwise
+force and motion are iterated until they agree.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ ROUNDS = 25
 
 @dataclass(frozen=True)
 class Augmented:
-    """The baseline with corrected numbers, and the effects beside it.
+    """The baseline with corrected parameters, together with the effects.
 
     Attributes:
-        model: baseline with stiffness, damping, mass as fitted.
-        base: the baseline as given; effects are defined beside it.
+        model: baseline with fitted stiffness, damping and mass.
+        base: the baseline as given, relative to which effects are defined.
         members, betas: effects of the force with their coefficients.
-        actuator: with the effects found in it; None without one.
-        ranges: those of the recording that it was fitted to.
-        zeros_m: of the displacement sensor against the command, throughout and at the end.
+        actuator: actuator including the effects found in it, or None.
+        ranges: ranges of the recording to which it was fitted.
+        zeros_m: zero of the displacement sensor relative to the command, overall and at the end.
         cell: whether a load cell recorded the force. Effects of the sensor are then its own and
-            move nothing; without one an offset stands for a force on the body.
+            move nothing; without one an offset represents a force on the body.
     """
 
     model: Model
@@ -49,11 +49,11 @@ class Augmented:
     cell: bool = False
 
     def lasting(self) -> Augmented:
-        """Return the model as it is at the end of the recording: what began in it is there."""
+        """Return the model as at the end of the recording, including effects with an onset."""
         return replace(self, members=tuple(lasting(m) for m in self.members))
 
     def context(self, motion: Motion, t: Floats, other: dict[str, Floats]) -> Context:
-        """Return what the laws see along a motion."""
+        """Return the quantities on which laws depend along a motion."""
         return Context(self.base, motion, t, np.zeros(t.size), other, self.ranges)
 
     def effect_force(
@@ -64,7 +64,7 @@ class Augmented:
         total = np.zeros(t.size)
 
         def there(member: Member) -> bool:
-            # The phase of a hum in another recording is not known.
+            # The phase of a hum in another recording is unknown.
             if member.effect.sensor and not (sensor and member.effect.foretold):
                 return False
             return not member.effect.needs or member.effect.needs in other
@@ -84,7 +84,8 @@ class Augmented:
     ) -> tuple[list[core.ElementConfig], float, list[tuple[Member, Floats]]]:
         """Return elements, mass, and the effects that have no element.
 
-        A mass to be taken off is no element, but less mass, where enough stands ``beside`` it, kg.
+        Negative mass is not an element but reduces the mass, if there is enough of it (``beside``,
+        kg).
         """
         ctx = self.context(
             Motion(np.zeros(2), np.zeros(2), np.zeros(2)), np.arange(2.0) / self.model.fs_hz, {}
@@ -92,7 +93,7 @@ class Augmented:
         pairs = list(zip(self.members, self.betas, strict=True))
         loop = self.base.k * sum(m.effect.of_loop(ctx, m.trial, b) for m, b in pairs)
         model = replace(self.model, k=self.model.k + loop)
-        if loop and not model.k > 0.0:  # no loop of the core's
+        if loop and not model.k > 0.0:  # not a loop that the core accepts
             model, loop = self.model, 0.0
         out, mass = model.elements(), model.moving_mass
         rest: list[tuple[Member, Floats]] = []
@@ -149,7 +150,7 @@ class Augmented:
 
 
 def _substeps(model: Model, mass: float) -> int:
-    """Return substeps that resolve the stiffest spring on the mass."""
+    """Return the number of substeps that resolves the stiffest spring on the mass."""
     stiffest = abs(model.k) * 4.0
     step = 1.0 / model.fs_hz
     return int(np.clip(np.ceil(step * np.sqrt(stiffest / max(mass, 1e-12)) / 0.25), 4, 64))
@@ -157,7 +158,7 @@ def _substeps(model: Model, mass: float) -> int:
 
 @dataclass(frozen=True)
 class Prediction:
-    """Force and displacement that a model gives for a recording, each (n,); NaN where it cannot."""
+    """Force and displacement predicted by a model, each (n,); NaN where it cannot."""
 
     t: Floats
     f: Floats
@@ -167,14 +168,14 @@ class Prediction:
 def predict(
     augmented: Augmented, case: Case, before: Case | None = None, begun: bool = True
 ) -> Prediction:
-    """Return what a model makes of a recording's inputs.
+    """Return the prediction of a model for a recording's inputs.
 
     Args:
         augmented: the model.
         case: the recording; outputs may be missing.
-        before: the recording that the model was fitted to. What began in it is there throughout
-            in another one; where this one goes on from it, its history is run through first.
-        begun: whether the first rows of its force tell what the specimen went through before.
+        before: the recording to which the model was fitted. Effects with an onset are present
+            throughout in another one; if this one continues it, its history is simulated first.
+        begun: whether the first rows of its force show the specimen's loading history.
     """
     if before is not None and not continues(before, case):
         augmented = augmented.lasting()
@@ -216,7 +217,7 @@ def predict(
 
 
 def _measured(case: Case) -> bool:
-    """Return whether the displacement is there to the end, and not a start with the rest left out.
+    """Return whether the displacement was measured to the end, not only at the start.
 
     Single rows may be missing, as in a recording that is diagnosed.
     """
@@ -229,17 +230,17 @@ def _measured(case: Case) -> bool:
 
 
 def _commanded(augmented: Augmented, case: Case) -> Motion:
-    """Return the motion that the actuator makes of the command, on the sensor's zero."""
+    """Return the motion of the actuator along the command, relative to the sensor's zero."""
     assert augmented.actuator is not None
     motion = actuator(augmented.actuator, estimate.filled(case.channels["x_cmd"]), case.fs_hz)
     return replace(motion, x=motion.x + augmented.zeros_m[0])
 
 
 def followed(augmented: Augmented, case: Case, wanted: Case) -> Motion | None:
-    """Return the simulated motion of a recording, where a prediction of another takes such a one.
+    """Return the simulated motion of a recording, if the prediction of another uses one.
 
-    A law fitted along a measured motion makes up for its noise; along a simulated one it is wrong
-    by as much. None where the prediction goes along what was measured.
+    A law fitted along a measured motion compensates for its noise, and is wrong by as much along a
+    simulated one. None if the prediction uses the measured motion.
     """
     drive = case.model.family in ("drive", "loop") and augmented.actuator is not None
     if not drive or "x_cmd" not in case.channels or "x_cmd" not in wanted.channels:
@@ -289,7 +290,7 @@ def start_of(
     augmented: Augmented, push: Floats, mass: float, case: Case, other: dict[str, Floats],
     x_meas: Floats,
 ) -> tuple[float, float]:  # fmt: skip
-    """Return displacement and velocity at the first row, from the first rows that were measured."""
+    """Return displacement and velocity at the first row, from the first measured rows."""
     dt = case.dt
     x_meas = estimate.filled_if_short(x_meas)
     good = np.isfinite(x_meas)
@@ -330,7 +331,7 @@ def start_of(
 
 
 def continues(before: Case, case: Case) -> bool:
-    """Return whether a recording goes on where another ended."""
+    """Return whether a recording continues another one."""
     gap = case.t[0] - before.t[-1]
     return bool(0.5 * case.dt < gap < 1.5 * case.dt)
 
@@ -344,7 +345,7 @@ def _joined(before: Case, case: Case) -> Case:
             for k in set(first) | set(then)
         }
 
-    # The displacement must not be known where it is to be predicted.
+    # The displacement must not be used if it is to be predicted.
     return replace(
         case,
         t=np.concatenate((before.t, case.t)),
@@ -369,7 +370,7 @@ def nrmse(predicted: Floats, measured: Floats, first: int = 0) -> float:
 
 
 def parameters(augmented: Augmented) -> list[tuple[str, int, int]]:
-    """Return what may be refined: (kind, member, index)."""
+    """Return the parameters that may be refined: (kind, member, index)."""
     out = []
     model = augmented.model
     if model.k:
@@ -413,10 +414,10 @@ def changed(augmented: Augmented, places: Sequence[tuple[str, int, int]], by: Fl
 def output_error(
     augmented: Augmented, case: Case, steps: int = 6, force: bool = False
 ) -> Augmented:
-    """Refine the model by what it simulates: the displacement under ag or f_in.
+    """Refine the model by its simulated displacement under ag or f_in.
 
     Equation-error estimates carry the smoother's bias into a simulation; this does not. Kept only
-    if it does better (or with ``force``), with the lab's tolerances as priors.
+    if it is better (or with ``force``), with the model's tolerances as priors.
     """
     x_meas = case.channels.get("x_meas")
     if case.model.family not in ("ground", "forced") or x_meas is None:
@@ -454,12 +455,12 @@ def output_error(
 
 
 def _priors(case: Case, places: Sequence[tuple[str, int, int]], noise: float) -> Floats:
-    """Return the weight of what each parameter is moved by, (parameters,): the lab's tolerances.
+    """Return the prior weight of each parameter's change, (parameters,), from the tolerances.
 
     Args:
         case: the recording.
         places: the parameters.
-        noise: of the displacement, in units of what the residual is counted in.
+        noise: noise of the displacement, in units of the residual.
     """
     tolerances = {"k": case.model.k_tol, "c": case.model.c_tol}
     priors = np.zeros(len(places))
@@ -473,7 +474,7 @@ def _priors(case: Case, places: Sequence[tuple[str, int, int]], noise: float) ->
 def _descended(
     residual: Callable[[Floats], Floats], p: Floats, steps: int
 ) -> tuple[Floats, float, float]:
-    """Return parameters of damped least squares, and the squares left with them and at first."""
+    """Return parameters of damped least squares, and the final and initial sums of squares."""
     r = residual(p)
     first = best = float(r @ r)
     damping = 1e-3

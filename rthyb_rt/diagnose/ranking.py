@@ -1,4 +1,4 @@
-"""The sets of effects that were compared, as rows of a table: the one named, its equals, rivals."""
+"""Table of the sets of effects that were compared: the one named, its equals, and rivals."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from rthyb_rt.diagnose.words import called, interval_text, value_text
 _AnyFit = TypeVar("_AnyFit", Fit, ActuatorFit)
 
 MOST = 7
-"""Rows of a table."""
+"""Largest number of rows of a table."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One set of effects beside the others.
+    """One set of effects compared with the others.
 
     Attributes:
         mark: "named", "as good" or "rival".
-        effects: what it is made of, in words.
-        params: of each effect, with 95 % intervals where they are known.
-        weight: of evidence against the other sets of the table, 0 to 1.
-        evidence: change of the information criterion against the model alone; negative is better.
-        held_out: part of the fall of the misfit that is there on quarter seconds that the set was
-            not fitted to; nan where that was not judged.
+        effects: its effects in words.
+        params: parameters of each effect, with 95 % intervals if known.
+        weight: weight of evidence against the other sets of the table, 0 to 1.
+        evidence: change of the information criterion relative to the model alone; negative is
+            better.
+        held_out: fraction of the misfit's reduction that is confirmed on quarter seconds to which
+            the set was not fitted; nan if not evaluated.
     """
 
     mark: str
@@ -47,7 +48,7 @@ class Row:
 def rows_of(d: Diagnosis) -> list[Row]:
     """Return the sets of the actuator, then those of the force, best first.
 
-    None of an unknown answer: no name is invented there, not even as a rival.
+    None for an unknown verdict: no effect is then named, not even as a rival.
     """
     if d.verdict == "unknown":
         return []
@@ -123,7 +124,7 @@ def _force(d: Diagnosis, search: forces.Search) -> list[Row]:
             values, ci = intervals(fit, j, ctx)
             for name in fit.members[j].effect.names:
                 own = by_name.get(name) if i == 0 else None
-                # Of the set that is named as the answer has them: its intervals are wider.
+                # For the named set, the values of the answer, whose intervals are wider.
                 shown = (own.params, own.ci95) if own else (values, ci)
                 params.append(_text(name, *shown, several))
         held = float("nan") if search.moved else evidence.held_out_gain(problem, fit)

@@ -1,7 +1,8 @@
-"""A recording from a file, and everything that makes it unusable.
+"""Reading a recording from a file, and rejecting unusable data.
 
-Two kinds of files: a table that a lab exports, and the tool's own recording. What can be handled is
-handled and said in the case's notes; what would make an answer worthless is an `InputError`.
+Two kinds of files: an external table, and the program's own recording. Irregularities that can be
+handled are handled and listed in the case's notes; anything that would make an answer worthless is
+an `InputError`.
 """
 
 from __future__ import annotations
@@ -42,18 +43,18 @@ def read_case(
     beside: Case | None = None,
     of: OfAxis | None = None,
 ) -> Case:
-    """Read a recording beside its model.
+    """Read a recording together with its model.
 
     Args:
         recording: CSV file, HDF5 file or folder of a run.
         model: from `read_model`.
-        judged: whether it must be fit for a diagnosis; False for a second recording.
+        judged: whether it must be suitable for a diagnosis; False for a second recording.
         wishes: columns of the CSV file for channels, from `mapping.read_wishes`.
-        beside: the recording that is diagnosed, for a second one: their sizes must go together.
-        of: the axis, of a recording of several; its ``model`` is the one to read beside.
+        beside: for a second recording, the one that is diagnosed: their sizes must be consistent.
+        of: the axis, for a recording of several; its ``model`` is then used.
 
     Raises:
-        InputError: the file cannot be read, or no honest answer can come from it.
+        InputError: the file cannot be read, or cannot give a reliable answer.
     """
     where = str(recording)
     own = _run(recording, of)
@@ -94,7 +95,7 @@ def read_case(
 
 
 def _of_a_size(case: Case, where: str, lab: Lab | None, judged: bool, beside: Case | None) -> None:
-    """Refuse channels whose sizes go neither with the model nor with the recording beside it."""
+    """Reject channels whose sizes are inconsistent with the model or the other recording."""
     labels = lab.labels if lab is not None else None
     stated = lab.stated if lab is not None else CHANNELS
     if beside is not None:
@@ -102,12 +103,12 @@ def _of_a_size(case: Case, where: str, lab: Lab | None, judged: bool, beside: Ca
     if case.t.size >= POLICY.least_rows:
         clean = dict(case.channels)
         if not judged:
-            _spikes(clean, [])  # a stray reading has no size that says anything
+            _spikes(clean, [])  # a stray reading must not affect the size
         sizes.check(clean, case.model, where, labels, stated)
 
 
 def axes_of(path: Path) -> tuple[str, ...]:
-    """Return the names of the axes of a recording of several; (): it is of one, or a lab's.
+    """Return the axes' names; (): one axis, or a recording of another program.
 
     Raises:
         InputError: the file cannot be read.
@@ -125,7 +126,7 @@ def _opened(path: Path) -> Recording | None:
 
 
 def _run(path: Path, of: OfAxis | None) -> Recording | None:
-    """Return a recording of this program; None where the file is a lab's."""
+    """Return a recording of this program; None if the file is an external one."""
     rec = _opened(path)
     names = () if rec is None else rec.axis_names
     if of is None and names:
@@ -138,17 +139,17 @@ def _run(path: Path, of: OfAxis | None) -> Recording | None:
 
 
 _EXTRA_OF = {"x_meas": "m", "f_meas": "N", "ag": "m/s^2"}
-"""What an extra channel of a rig may be read as, and the unit that it then needs."""
+"""The channels that an extra channel of a rig can replace, and the kind of unit that it needs."""
 
 
 def _take_extras(
     rec: Recording, wishes: Sequence[Wish], channels: dict[str, Floats], notes: list[str]
 ) -> None:
-    """Read extra channels of the rig in the place of the test's own sensors.
+    """Replace the test's own sensors by extra channels of the rig.
 
     Raises:
-        InputError: there is no such channel, it has another kind of unit, or it is meant for
-            something that the controller has computed.
+        InputError: there is no such channel, its unit is of another kind, or the channel to be
+            replaced was computed by the controller.
     """
     extras = {channel.name: channel for channel in rec.extras()}
     mask = rec.running()
@@ -184,7 +185,7 @@ def _take_extras(
 
 
 def _at_rest(rec: Recording, values: Floats) -> float:
-    """Return what a sensor read before anything moved; 0: not known. The test's own are tared."""
+    """Return what a sensor read at rest; 0: not known. The test's own sensors are tared."""
     from rthyb_rt.core import STATES
 
     before = int(np.argmax(rec.running()))
@@ -243,7 +244,7 @@ def _uniform(
             where,
         )
     notes: list[str] = []
-    # Gaps alone are counted: a printed time is rounded, a clock a little off.
+    # Only gaps are counted: a printed time is rounded, and a clock may be slightly wrong.
     jumps = np.where(steps > POLICY.row_missing * dt, np.round(steps / dt).astype(np.int64), 1)
     index = np.concatenate(([0], np.cumsum(jumps)))
     dt = float(t[-1] - t[0]) / float(index[-1])
@@ -280,12 +281,12 @@ def _uniform(
 
 
 def _line(where: str, row: int, lab: Lab | None) -> str:
-    """Return the place of a row: its line in a lab's file."""
+    """Return the place of a row: its line in an external file."""
     return f"{where}:{lab.lines[row] if lab is not None else row + 1}"
 
 
 def _other_rate(ratio: float, lab: Lab | None) -> str:
-    """Say what to do about rows that are ``ratio`` sampling periods apart."""
+    """Return what to do about rows that are ``ratio`` sampling periods apart."""
     unit = time_unit(ratio)
     if lab is None or "t" not in lab.labels or unit in (None, "s"):
         return "correct the one that is wrong"
@@ -307,7 +308,7 @@ def _usable(
     channels: dict[str, Floats], model: Model, where: str, notes: list[str], judged: bool,
     lab: Lab | None = None,
 ) -> dict[str, Floats]:  # fmt: skip
-    """Drop channels without information; refuse when a needed one has none."""
+    """Remove channels without information; raise an error if one is needed."""
     out = dict(channels)
     reasons: dict[str, str] = {}
     for name, values in channels.items():
@@ -315,7 +316,7 @@ def _usable(
         if good.size == 0:
             reasons[name] = "contains no number"
         elif name == "f_in" and model.family == "forced" and not good.any():
-            pass  # a body that is let go: nothing pushes it, and that is known
+            pass  # a freely decaying body: no force acts, which is valid
         elif good.size > 2 and np.all(good == good[0]):
             reasons[name] = f"is constant ({good[0]:g} {CHANNELS[name]})"
         elif judged and good.size < POLICY.numbers_least * values.size:
@@ -341,7 +342,7 @@ def _usable(
 
 
 def _offers(lab: Lab | None, choices: tuple[tuple[str, ...], ...]) -> str:
-    """Name the columns that nothing was made of, and how they become channels."""
+    """List the unassigned columns, and how to assign them."""
     if lab is None:
         return ""
     found = proposals(lab.table, lab.sources, dict.fromkeys(n for c in choices for n in c))
@@ -353,7 +354,7 @@ def _offers(lab: Lab | None, choices: tuple[tuple[str, ...], ...]) -> str:
 
 
 def _fits_family(channels: dict[str, Floats], model: Model, where: str) -> None:
-    """Refuse a model that cannot be the model of such a recording."""
+    """Reject a model that does not belong to such a recording."""
     family = model.family
     if family in ("ground", "forced") and "x_cmd" in channels and "ag" not in channels:
         raise InputError(
@@ -383,9 +384,9 @@ def _fits_family(channels: dict[str, Floats], model: Model, where: str) -> None:
 
 
 def _spikes(channels: dict[str, Floats], notes: list[str]) -> None:
-    """Leave out single readings that lie many times beyond everything else: a faulty sample.
+    """Exclude single readings far beyond all others: faulty samples.
 
-    No more than a few rows in a thousand are of that kind; more are a signal.
+    At most a few rows in a thousand are of this kind; more are a signal.
     """
     for name, values in channels.items():
         good = np.isfinite(values)
@@ -395,7 +396,7 @@ def _spikes(channels: dict[str, Floats], notes: list[str]) -> None:
             (values < low - POLICY.stray_reading * span)
             | (values > high + POLICY.stray_reading * span)
         )
-        # A real peak has flanks: a faulty sample stands alone.
+        # A real peak has flanks: a faulty sample is isolated.
         alone = off & ~np.r_[False, off[:-1]] & ~np.r_[off[1:], False]
         if span > 0.0 and off.any() and np.array_equal(alone, off):
             clean = values.copy()
@@ -409,7 +410,7 @@ def _spikes(channels: dict[str, Floats], notes: list[str]) -> None:
 
 
 def _clipped(channels: dict[str, Floats], where: str, notes: list[str]) -> None:
-    """Leave out rows at which a sensor stood at the end of its range."""
+    """Exclude rows at which a sensor was at the end of its range."""
     for name in ("x_meas", "f_meas", "a_meas", "ag", "f_in"):
         values = channels.get(name)
         if values is None or not np.nanstd(values) > 0.0:
@@ -438,7 +439,7 @@ def _at_the_stops(values: Floats) -> NDArray[np.bool_]:
     out = np.zeros(values.size, dtype=np.bool_)
     spread = float(np.nanstd(values))
     for end in (np.nanmax(values), np.nanmin(values)):
-        # What is left at rest, or one level of a coarse converter, is no stop.
+        # The residual at rest, or one level of a coarse converter, is not the end of the range.
         if abs(end - np.nanmedian(values)) < POLICY.stop_beyond * spread:
             continue
         at = good & (values == end)
@@ -457,9 +458,9 @@ def _longest_run(mask: NDArray[np.bool_]) -> int:
 
 
 def _means_nothing(case: Case, where: str) -> None:
-    """Refuse a load cell that shows nothing but noise while the specimen moves.
+    """Reject a load cell that shows only noise while the specimen moves.
 
-    Laws enough are fitted to nothing: without a reading there is no answer.
+    Many laws would fit zero force: without a reading there is no answer.
     """
     f, x = case.channels.get("f_meas"), case.channels.get("x_meas")
     if f is None or x is None or not case.model.k:
@@ -481,10 +482,10 @@ def _means_nothing(case: Case, where: str) -> None:
 
 
 def _filled_in(channels: dict[str, Floats], notes: list[str]) -> None:
-    """Put in rows of an input that are missing one to three at a time.
+    """Interpolate one to three consecutive missing rows of an input.
 
-    What was sent or known is smooth over a few milliseconds; a cubic through its neighbours is
-    nearer than what an actuator makes of the difference. Measured channels keep their gaps.
+    A command or a known input is smooth over a few milliseconds; a cubic through its neighbours is
+    more accurate than the resulting motion requires. Measured channels keep their gaps.
     """
     for name in ("x_cmd", "x_num", "ag", "f_in"):
         values = channels.get(name)

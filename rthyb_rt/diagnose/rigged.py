@@ -1,9 +1,9 @@
-"""Sets of effects judged by the whole rig that they simulate: actuators that give way.
+"""Sets of effects evaluated by simulating the whole rig, for compliant actuators.
 
-A servo-hydraulic actuator gives way to its specimen, and a specimen that sticks has no force that
-its motion tells: force along an estimated motion proposes there, and no more. What decides is the
-rig simulated from the recorded command, in the core, with the set in its specimen: displacement and
-load cell have to be those that were recorded, to their noise.
+A servo-hydraulic actuator yields to its specimen, and the motion of a specimen that sticks does not
+determine its force: the force along an estimated motion only provides candidates. The decision is
+made by simulating the rig from the recorded command, in the core, with the set in its specimen:
+displacement and load cell must equal the recorded ones to within noise.
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from rthyb_rt.diagnose.select import Fit, Problem
 from rthyb_rt.lab import experiment
 
 RUNS = 700
-"""Simulations that a diagnosis takes at most, a few more than that to end what is begun."""
+"""Largest number of simulations in a diagnosis, plus a few to complete a fit."""
 KEPT = 64
-"""Simulations that are kept, of a third of a megabyte each."""
+"""Number of cached simulations, a third of a megabyte each."""
 LONGEST_S, BEYOND_S = 20.0, 2.0
-"""What is simulated of a recording: so much, and so much beyond its largest displacement."""
+"""Simulated part of a recording: its duration, and the time after the largest displacement."""
 STEEP = 1.0
-"""Largest part of a velocity that a friction's slope takes off a table in one substep: two is where
-the leapfrog runs off."""
+"""Largest fraction of a velocity that the slope of friction removes from a table in one substep; at
+two, the leapfrog integration becomes unstable."""
 SMOOTH = 5e-3
-"""Least width of a friction's step that is simulated, as part of the largest velocity."""
+"""Least width of a simulated friction step, relative to the largest velocity."""
 FINER = 4
-"""Times as many substeps as the rig's own that a steep friction gets: then its step is widened."""
+"""Largest factor on the rig's own substeps for steep friction, beyond which its step is widened."""
 
 
 def given(case: Case) -> bool:
-    """Return whether a case's motion is that of its model's own rig and of nothing simpler."""
+    """Return whether a case's motion must be simulated with its model's own rig."""
     model = case.model
     if model.rig is None or model.actuator is not None:
         return False
@@ -50,9 +50,9 @@ def given(case: Case) -> bool:
 
 
 def as_given(case: Case) -> Motion | None:
-    """Return the motion that the model's own rig makes of the recorded command, without noise.
+    """Return the motion of the model's own rig along the recorded command, without noise.
 
-    None where the specimen moved otherwise.
+    None if the measured motion differs.
     """
     if not given(case):
         return None
@@ -71,7 +71,7 @@ def as_given(case: Case) -> Motion | None:
 
 
 def config_of(model: Augmented) -> core.RigConfig:
-    """Return the model's rig with its effects in the specimen and sensors without an error."""
+    """Return the model's rig with the effects in its specimen and ideal sensors."""
     rig = model.base.rig
     assert rig is not None
     config = experiment.rig_config(rig, model.base.fs_hz)
@@ -101,7 +101,7 @@ def _steepness(item: core.ElementConfig) -> float:
 
 
 def _no_steeper(item: core.ElementConfig, most: float) -> core.ElementConfig:
-    """Return an element whose step over velocity the substeps can follow."""
+    """Return an element whose step over velocity the substeps can resolve."""
     if item.kind not in ("coulomb", "stribeck") or _steepness(item) <= most:
         return item
     p = dict(zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True))
@@ -110,7 +110,7 @@ def _no_steeper(item: core.ElementConfig, most: float) -> core.ElementConfig:
 
 
 def read(model: Augmented, force: Floats, ctx: Context) -> Floats:
-    """Return what the load cell makes of a force, (n,), with its own effects among the set's."""
+    """Return the load cell's reading of a force, (n,), with its own effects in the set."""
     n = force.size
     for member, beta in zip(model.members, model.betas, strict=True):
         if member.effect.carries:
@@ -123,10 +123,10 @@ def read(model: Augmented, force: Floats, ctx: Context) -> Floats:
 
 
 def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Floats, Floats] | None:
-    """Return displacement and force, each (n,), that the model's rig answers a command with.
+    """Return displacement and force, each (n,), of the model's rig along a command.
 
-    None where the model has no such rig, where an effect is none that a rig can hold or foretell,
-    or where the specimen moved otherwise.
+    None if the model has no such rig, if a rig cannot represent or predict an effect, or if the
+    measured motion differs.
     """
     if model.base.rig is None or model.actuator is not None or "x_cmd" not in other:
         return None
@@ -149,7 +149,7 @@ def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Float
 
 
 class RigBody(Body):
-    """The recorded command, and the displacement and the force that answer it.
+    """The recorded command, and the resulting displacement and force.
 
     Attributes:
         rows: those of the force, then those of the displacement.
@@ -182,7 +182,7 @@ class RigBody(Body):
         return (("bias", 2.0, reach), ("skew", 2.0, reach))
 
     def quick(self, fit: Fit) -> bool:
-        """Return whether a rig can hold every effect on the specimen."""
+        """Return whether a rig can represent every effect on the specimen."""
         model = self.case.model
         made = augment.specimen(
             Augmented(model, model, fit.members, fit.betas, None, self.ctx.all_ranges)
@@ -191,19 +191,19 @@ class RigBody(Body):
         return set(made.lost) <= sensors
 
     def start(self, first: Augmented) -> tuple[float, float] | None:
-        """Return rest: a test of this program begins so."""
+        """Return rest, as every test of this program starts at rest."""
         return 0.0, 0.0
 
     def refined(self, problem: Problem, fit: Fit) -> Fit | None:
-        """Fit a set's parameters to displacement and force; None where it cannot be simulated."""
+        """Fit a set's parameters to displacement and force; None if it cannot be simulated."""
         return super().refined(problem, self._smooth(fit))
 
     def settled(self, problem: Problem, fit: Fit) -> Fit | None:
-        """Return the same: a rig's friction has a width."""
+        """Return the same as `refined`: friction in a rig has a width."""
         return self.refined(problem, fit)
 
     def _smooth(self, fit: Fit) -> Fit:
-        """Return a set whose dry contacts have a step over velocity, as the rig's friction has."""
+        """Return a set whose dry contacts have a step over velocity, like the rig's friction."""
         least = SMOOTH * self.ctx.v_range
         if any(m.effect.complete for m in fit.members):
             return fit
@@ -226,14 +226,14 @@ class RigBody(Body):
         f = f + loose[0] * self.units["bias"] - late_s * np.gradient(f) / self.ctx.dt
         rows = self.judged
         off_f, off_x = f[rows] - self.f[rows], x[rows] - self.x[rows]
-        # The sensor's zero is the tare's, a mean over noise.
+        # The sensor's zero is that of the tare, a mean over noise.
         off_x = off_x - np.mean(off_x)
         return np.asarray(np.r_[off_f / self.sigma_f, off_x / self.sigma])
 
     def _run(self, rig: core.RigConfig) -> tuple[Floats, Floats]:
-        """Return displacement and force, each (n,), of a rig; of the last ones they are kept.
+        """Return displacement and force, each (n,), of a rig; the latest results are cached.
 
-        What only the load cell shows moves nothing: the rig stays the same.
+        Effects of the load cell do not change the motion, so the result remains valid.
         """
         made = self._made.get(rig)
         if made is None:
@@ -245,7 +245,7 @@ class RigBody(Body):
         return made
 
     def motion(self, problem: Problem, fit: Fit) -> Motion | None:
-        """Return the motion of the rig with a set in it, as it was fitted."""
+        """Return the motion of the rig with a fitted set."""
         base = self.case.model
         plain = _with_nuisance(base, problem, fit)
         own = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)

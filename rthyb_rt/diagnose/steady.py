@@ -1,12 +1,13 @@
-"""Whether the numbers of a set are the same in every part of a recording.
+"""Whether the parameters of a set are the same in every part of a recording.
 
-A law has one set of numbers. Laws that stand in for one which is in no catalogue take up its force
-with other numbers early than late, or in fast motion than in slow, and what they leave may be small
-enough to pass for noise all the same. So the rows of a recording are parted by time and by the
-motion, each part is given numbers of its own, and what that earns is held against chance (Chow,
-Econometrica 28 (1960) 591). The law of a right name is only near, too: beside it stand its
-`form.neighbours`, no larger than a form may be off, and what they explain as well is no evidence.
-Nor is it that a specimen warms or wears a little: numbers may be others by some per cent.
+A law has one set of parameters. Laws that replace one outside the catalogue imitate its force with
+different parameters early and late, or in fast and slow motion, and the residual may be small
+enough to pass for noise nevertheless. The rows of a recording are therefore divided by time and by
+motion, each part gets parameters of its own, and the gain is compared with chance (Chow,
+Econometrica 28 (1960) 591). The right law is only approximate, too: its `form.neighbours` are
+included, as large as a form may be off, and what they also explain is no evidence. Nor is a slight
+warming or wear of the
+specimen: parameters may differ by some per cent.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ from rthyb_rt.diagnose.select import Fit, Problem, design_of, inflation, priors_
 
 @dataclass(frozen=True)
 class Change:
-    """What numbers of its own in a part of the recording earn a set.
+    """Gain of a set from separate parameters in a part of the recording.
 
     Attributes:
-        part: of which rows, in words.
-        fall: of chi-squared, over what rows that hang together overstate it.
-        count: how many numbers.
+        part: the rows, in words.
+        fall: reduction of chi-squared, divided by the inflation due to correlated rows.
+        count: number of parameters.
     """
 
     part: str
@@ -39,9 +40,9 @@ class Change:
 
     @property
     def deviations(self) -> float:
-        """How far that is beyond chance, in standard deviations of a normal distribution.
+        """Deviation from chance, in standard deviations of a normal distribution.
 
-        By the cube root of chi-squared a number (Wilson and Hilferty, PNAS 17 (1931) 684).
+        By the cube root of chi-squared per parameter (Wilson and Hilferty, PNAS 17 (1931) 684).
         """
         spread = 2.0 / (9.0 * self.count)
         root = float(np.cbrt(max(self.fall, 0.0) / self.count))
@@ -49,18 +50,18 @@ class Change:
 
 
 def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
-    """Return what a set's numbers earn by being others in parts of the recording.
+    """Return the gain of a set from separate parameters in parts of the recording.
 
-    Of a fit in the balance of forces; none where it has no numbers, or was refined elsewhere.
+    For a fit in the force balance; none if it has no parameters, or was refined elsewhere.
     """
     slopes = _slopes(problem, fit)
     if slopes is None:
         return ()
-    # The nuisance is one for all of the recording.
+    # The nuisance parameters are the same for the entire recording.
     own = slopes[:, : slopes.shape[1] - fit.nuisance.size]
     design, prior = with_forms(problem, fit, slopes)
     shapes = sum(len(m.trial.theta) for m in fit.members)
-    # By how much each number is another: of shapes the logarithm is fitted.
+    # Change of each parameter: for shapes, of the logarithm.
     free = np.pad(prior, (0, own.shape[1]))
     held = free.copy()
     numbers = np.abs(np.concatenate([np.ones(shapes), *fit.betas]))
@@ -76,9 +77,9 @@ def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
 
 
 def standing(problem: Problem, fit: Fit) -> tuple[float, float] | None:
-    """Return what a set leaves with the form of its laws left free, and its price, in chi-squared.
+    """Return a set's residual with free forms of its laws, and its price, in chi-squared.
 
-    Beside it by how much rows that hang together overstate that. None where it has no slopes here.
+    The third value is the inflation due to correlated rows. None if it has no slopes here.
     """
     slopes = _slopes(problem, fit)
     if slopes is None:
@@ -88,18 +89,18 @@ def standing(problem: Problem, fit: Fit) -> tuple[float, float] | None:
 
 
 def _slopes(problem: Problem, fit: Fit) -> Floats | None:
-    """Return the slopes of a set, (rows, p); None of no set, or of one refined elsewhere."""
+    """Return the slopes of a set, (rows, p); None for no set, or one refined elsewhere."""
     slopes = design_of(problem, fit) if fit.members else np.zeros((0, 0))
     return slopes if slopes.shape[0] == fit.residual.size > 0 else None
 
 
 def with_forms(problem: Problem, fit: Fit, slopes: Floats) -> tuple[Floats, Floats]:
-    """Return the slopes of a set with its laws' neighbours beside them, and the priors of all.
+    """Return the slopes of a set together with its laws' neighbours, and the priors of all.
 
     Args:
-        problem: what is judged.
+        problem: the problem.
         fit: the set.
-        slopes: as `design_of` has them, (rows, p).
+        slopes: from `design_of`, (rows, p).
 
     Returns:
         Design, (rows, q), and prior, (q, q): a neighbour is no larger than a form may be off.
@@ -115,7 +116,7 @@ def with_forms(problem: Problem, fit: Fit, slopes: Floats) -> tuple[Floats, Floa
 
 
 def _near(problem: Problem, fit: Fit) -> Floats:
-    """Return the neighbours of the laws of a set as they are judged, (rows, m)."""
+    """Return the neighbours of the laws of a set, whitened, (rows, m)."""
     ctx = problem.ctx
     over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
     columns = [
@@ -128,7 +129,7 @@ def _near(problem: Problem, fit: Fit) -> Floats:
 
 
 def _parts(problem: Problem) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Return one of two parts of the judged rows each, (rows,), in which numbers may be others."""
+    """Return divisions of the evaluated rows into two parts: name and one part, (rows,)."""
     x, v = problem.ctx.x[problem.rows], problem.ctx.v[problem.rows]
     far, fast, row = np.abs(x), np.abs(v), np.arange(x.size)
     return [
@@ -141,7 +142,7 @@ def _parts(problem: Problem) -> list[tuple[str, NDArray[np.bool_]]]:
 
 
 def left(design: Floats, prior: Floats, residual: Floats) -> tuple[float, Floats]:
-    """Return chi-squared of least squares with its priors, and what is left, (rows,)."""
+    """Return chi-squared of least squares with its priors, and the residual, (rows,)."""
     gram = design.T @ design + prior
     unit = 1.0 / np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     right = unit * (design.T @ residual)

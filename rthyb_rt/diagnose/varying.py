@@ -1,12 +1,12 @@
 """Whether a stiffness or damping that changes periodically with time explains more than a set.
 
-No law of the catalogue knows the time. A damper that is switched, a valve that another system
-drives, a spring whose load comes and goes: the coefficient of each is a periodic function of time
-(Hill's equation; Nayfeh and Mook, Nonlinear Oscillations, 1979, ch. 5). Two or three laws of the
-catalogue may stand in for it down to the noise. So a named set is held against such a coefficient:
-k(t) x or c(t) v, with a constant part and three harmonics of a period that is looked for. It has no
-name; where it explains more than the set does, the set is not the answer. As in `steady`, the form
-of a law is only near the true one: the neighbours of the set's laws stand beside it.
+No law of the catalogue depends on time. A switched damper, a valve driven by another system, a
+spring with a changing load: each coefficient is a periodic function of time (Hill's equation;
+Nayfeh and Mook, Nonlinear Oscillations, 1979, ch. 5). Two or three laws of the catalogue may
+imitate it down to the noise. A named set is therefore compared with such a coefficient: k(t) x or
+c(t) v, with a constant part and three harmonics of a fitted period. It has no name; if it explains
+more than the set, the set is not the answer. As in `steady`, the form of a law is only approximate:
+the neighbours of the set's laws are included.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from rthyb_rt.diagnose.steady import standing
 
 HARMONICS = 3
 LINES = 192
-"""Frequencies that are tried at most, harmonics included."""
+"""Largest number of trial frequencies, including harmonics."""
 PERIODS = 2
-"""Least periods in a recording: what changes more slowly has a name (wear, drift, an onset)."""
+"""Least number of periods in a recording: slower changes have names (wear, drift, an onset)."""
 VALUES = 8_000_000
-"""Values of cosines and sines that are computed at most: a long recording has fewer lines, and
-where they are fewer than `FEWEST` none is tried."""
+"""Largest number of cosines and sines to compute: a long recording has fewer lines, and none if
+that is fewer than `FEWEST`."""
 FEWEST = 24
 
 
 def gain(problem: Problem, fit: Fit) -> float:
-    """Return what the best periodic coefficient explains more than a set, in chi-squared.
+    """Return the additional gain of the best periodic coefficient over a set, in chi-squared.
 
-    Prices counted, those of the set and the coefficient's, and over what rows that hang together
-    overstate; minus infinity where a set has no slopes, or a recording is too long.
+    Including the prices of both, and divided by the inflation due to correlated rows; minus
+    infinity if a set has no slopes, or a recording is too long.
     """
     own = standing(problem, fit)
     if own is None:
@@ -47,7 +47,7 @@ def _least(problem: Problem, column: Floats) -> float:
     lines = _lines(problem)
     if lines.size < FEWEST:
         return np.inf
-    # Cosine and sine in turn, so that a harmonic's two stand side by side.
+    # Cosine and sine alternate, so that the two of a harmonic are adjacent.
     angle = 2.0 * np.pi * (problem.ctx.t - problem.ctx.t[0])
     waves = [w for f in lines for w in (np.cos(f * angle), np.sin(f * angle))]
     base = problem.base
@@ -73,7 +73,7 @@ def _least(problem: Problem, column: Floats) -> float:
 def _lines(problem: Problem) -> Floats:
     """Return multiples of one frequency up to the harmonics of twice the motion's, Hz, (m,).
 
-    Twice that is where a changing spring feeds a motion most; they lie half a line apart.
+    At twice that frequency a changing spring adds most energy; they are half a line apart.
     """
     t, v = problem.ctx.t, problem.ctx.v
     power = np.cumsum(np.abs(np.fft.rfft(v)) ** 2)

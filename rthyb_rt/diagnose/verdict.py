@@ -1,7 +1,7 @@
-"""What is said of a recording: rules over what the named set, and the model alone, leave of it.
+"""The verdict on a recording: rules on the residuals of the named set and of the model alone.
 
-As in `decide` the rules see no recording. What costs a simulation is asked for only where it turns
-the answer, and each rule that turned it stands in the ledger.
+As in `decide`, the rules do not see the recording. What requires a simulation is requested only if
+it is decisive, and each rule that changed the verdict is recorded in the ledger.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ Asked = Literal["sheet", "simulated", "strength", "changes", "varying", "stroke"
 
 @dataclass(frozen=True)
 class Left:
-    """What the best set, and the model alone, leave of the force.
+    """Residuals of the best set, and of the model alone, in the force.
 
     Attributes:
-        names: of the best set; none: nothing was found.
-        equal: of others that fit as well.
-        laws: of the best set; a joint law of several effects is one.
+        names: names of the best set; none: nothing was found.
+        equal: names of others that fit equally well.
+        laws: number of laws of the best set; a joint law of several effects counts as one.
         before, after: misfit of the model alone and of the set, beyond noise, in noise power.
-        scale: by how much evidence was scaled down.
-        part_before, part_after: the same misfits, rms, as parts of the force.
-        bent, bent_after: how far model and set move a stated number, in standard deviations.
-        stated: effects that only move a stated number.
-        price: what the set has to earn, in chi-squared.
+        scale: factor by which evidence was scaled down.
+        part_before, part_after: the same misfits, rms, relative to the force.
+        bent, bent_after: largest change of a stated value by model and set, in standard deviations.
+        stated: effects that only change a stated value.
+        price: what the set must earn, in chi-squared.
         naive: whether the model states no tolerance of its stiffness.
-        exact: whether the motion is known without the noise of an estimate.
-        coloured: whether noise has a colour that was read off the recording.
-        moved: whether it is the motion that was judged, simulated with each set.
-        quiet: whether what a simulated motion leaves is within the displacement's data sheet.
-        late: whether a law of the set begins in mid-record.
-        cell: whether a load cell tells the force.
-        loud: whether the model alone leaves more of it than its data sheet allows for noise.
+        exact: whether the motion is free of estimation noise.
+        coloured: whether the noise has a colour that was determined from the recording.
+        moved: whether the motion was evaluated, simulated with each set.
+        quiet: whether the residual of a simulated motion is within the displacement's data sheet.
+        late: whether a law of the set begins in mid-recording.
+        cell: whether a load cell measures the force.
+        loud: whether the model alone leaves more of it than its data sheet permits for noise.
     """
 
     names: Names = ()
@@ -68,21 +68,21 @@ class Left:
 
     @property
     def size(self) -> int:
-        """Effects of the best set."""
+        """Number of effects of the best set."""
         return len(self.names)
 
     def coloured_noise(self, policy: Policy) -> bool:
-        """Return whether the best set leaves what may be noise of a colour read off it."""
+        """Return whether the best set's residual may be noise of a colour determined from it."""
         return self.coloured and self.after < policy.excess_as_noise
 
 
 @dataclass(frozen=True)
 class Moved:
-    """What was found of the actuator.
+    """Result for the actuator.
 
     Attributes:
-        names, equal: of the best set and of others that fit as well.
-        known: whether it leaves no more than noise, or the form of a law.
+        names, equal: names of the best set and of others that fit equally well.
+        known: whether its residual may be noise, or due to the form of a law.
     """
 
     names: Names = ()
@@ -92,14 +92,14 @@ class Moved:
 
 @dataclass(frozen=True)
 class Rounded:
-    """A coarse load cell, and what its steps explain.
+    """A coarse load cell, and how much its quantisation explains.
 
     Attributes:
-        name: in the answer.
-        share: of what the model alone leaves, the power that rounding explains.
-        gain: what the best set brings beyond its price, in chi-squared.
-        beyond: rows that the model alone leaves by more than rounding and noise can, as a part.
-        beyond_best: the same of the best set.
+        name: name in the answer.
+        share: fraction of the power of the model's residual that rounding explains.
+        gain: what the best set earns beyond its price, in chi-squared.
+        beyond: fraction of rows with a residual of the model beyond rounding and noise.
+        beyond_best: the same for the best set.
     """
 
     name: str
@@ -111,12 +111,12 @@ class Rounded:
 
 @dataclass(frozen=True)
 class Simulated:
-    """A free body's motion by the model alone, its numbers fitted within reason.
+    """A free body's motion by the model alone, with its parameters fitted within reason.
 
     Attributes:
         k_off, c_off: how far they had to be moved, in standard deviations.
-        nrmse: of the displacement.
-        noise: that of its sensor, in the same.
+        nrmse: error of the displacement.
+        noise: noise of its sensor, likewise.
     """
 
     k_off: float
@@ -127,16 +127,16 @@ class Simulated:
 
 @dataclass(frozen=True)
 class Seen:
-    """All that is known when it is said what is missing.
+    """Everything known for the verdict.
 
     Attributes:
-        known: answers to what was asked: "sheet", whether what the set leaves is within the load
-            cell's data sheet; "simulated", None where the motion does not decide; "strength", the
-            set's one effect over the standard deviation of its interval, squared; None where it
-            has no size; "changes", how far beyond chance the set's numbers are others in a part
-            of the recording, by that part in words, in standard deviations; "varying", what a
-            coefficient that changes periodically with time explains more, in chi-squared; "stroke",
-            the same of a mass whose own spring changes with its stroke.
+        known: answers to what was asked: "sheet", whether the residual of the set is within the
+            load cell's data sheet; "simulated", None if the motion is not decisive; "strength", the
+            squared ratio of a single effect's size to the standard deviation of its interval; None
+            if it has no size; "changes", how far beyond chance the set's parameters differ in a
+            part of the recording, by the description of that part, in standard deviations;
+            "varying", the additional gain of a coefficient that changes periodically with time, in
+            chi-squared; "stroke", the same for a mass whose own spring changes with its stroke.
     """
 
     force: Left | None = None
@@ -147,14 +147,14 @@ class Seen:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is said.
+    """The verdict.
 
     Attributes:
         names: effects, the actuator's first.
-        sets: of an ambiguous verdict, all that fit alike.
+        sets: for an ambiguous verdict, all sets that fit equally well.
         force, actuator: whether the best set of the channel is named.
-        rounding: whether rounding is.
-        ledger: rules that turned the answer.
+        rounding: whether rounding is named.
+        ledger: rules that changed the verdict.
     """
 
     said: Said
@@ -182,20 +182,20 @@ class _Court:
         return self.seen.known[what]
 
     def rules(self, rule: str, names: Names, found: float, wanted: float, part: str = "") -> None:
-        """Write down a rule that has turned the answer, and the part of the data that it read."""
+        """Record a rule that changed the verdict, and the part of the data that it used."""
         self.ledger.append(Ruling(rule, names, part, found, wanted))
 
 
-# ---- whether what is left is known to be nothing more -------------------------------------------
+# ---- whether the residual contains nothing more -------------------------------------------------
 
 
 def small(left: Left, part: float, policy: Policy) -> bool:
-    """Return whether a misfit is within what an estimated motion can tell of the force."""
+    """Return whether a misfit is within the accuracy of an estimated motion."""
     return not left.exact and part < blur_of(left, policy)
 
 
 def blur_of(left: Left, policy: Policy) -> float:
-    """Return what an estimated motion may leave of the force."""
+    """Return the misfit in the force that an estimated motion may cause."""
     return policy.blur_cell if left.cell else policy.blur_free
 
 
@@ -205,54 +205,54 @@ def within(bent: float, policy: Policy) -> bool:
 
 
 def allowed(left: Left, policy: Policy) -> float:
-    """Return which part of the misfit a set may leave as the form of its laws."""
+    """Return the fraction of the misfit that may be due to the form of a set's laws."""
     if left.moved:
         return of_size(policy.left_moved, left.size)
-    # A moment at which a law begins can be moved to meet much: what is left then is no blur.
+    # A free onset can absorb much: the residual is then not attributed to the estimate.
     blurred = 1.0 if left.exact or left.late else policy.estimated_motion
     return blurred * of_form(left.naive, left.size, policy)
 
 
 def of_form(naive: bool, size: int, policy: Policy) -> float:
-    """Return the part of a misfit that the forms of so many laws may leave."""
+    """Return the fraction of a misfit that may be due to the form of this many laws."""
     return policy.left_naive if naive else of_size(policy.left_stated, size)
 
 
 def understood(left: Left, policy: Policy, sheet: Callable[[], bool]) -> bool:
-    """Return whether what was found leaves no more than the form of a law.
+    """Return whether the residual of what was found may be due to the form of a law.
 
     Args:
-        left: what it leaves.
+        left: the residual.
         policy: the thresholds.
-        sheet: tells whether that is within the load cell's data sheet.
+        sheet: returns whether it is within the load cell's data sheet.
     """
     at_noise = left.after < policy.excess_as_noise
     share = left.after / max(left.before, 1e-12)
     if left.moved and (left.quiet or at_noise):
-        # What is moved as it was measured, by what is named or by nothing, has the force for it.
+        # If the motion is as measured, with or without a named set, the force is explained.
         return True
     if left.moved and left.names:
         return share < allowed(left, policy)
     if left.coloured and sheet():
         return True
     if not left.names:
-        # Small colour that no law earns its price for is not a finding.
+        # A small colour for which no law earns its price is not a finding.
         nothing = left.before < policy.excess_as_noise + policy.excess_of_nothing
         blurred = small(left, left.part_before, policy) and within(left.bent, policy)
         return not left.coloured and (nothing or left.naive or blurred)
     above = left.scale < policy.colourless and left.after < policy.colourless_excess
     if left.coloured_noise(policy):
-        # Noise that takes any colour has taken up what stays within the sheet, and that alone.
+        # Noise with a free colour has absorbed only what is within the data sheet.
         return False
     if (at_noise or above) and not left.coloured:
-        # At the noise, or above it without colour: the data sheet's figure is low. Noise that takes
-        # any colour to fit is to be as large as the sheet says, and no event.
+        # At the noise, or above it but white: the data sheet understates the noise. Noise with a
+        # free colour must be within the data sheet, and without bursts.
         return True
     return small(left, left.part_after, policy) or share < allowed(left, policy)
 
 
 def simulates(made: Simulated | None, policy: Policy) -> bool:
-    """Return whether the model alone, its parameters adjusted within tolerance, simulates it.
+    """Return whether the model alone, adjusted within tolerance, reproduces the motion.
 
     Without a load cell this decides: a force that the displacement does not show is the smoother's.
     """
@@ -262,14 +262,14 @@ def simulates(made: Simulated | None, policy: Policy) -> bool:
     return made.nrmse < policy.simulated_nrmse and unseen < policy.simulated_unseen**2
 
 
-# ---- rules that take the force's set back -------------------------------------------------------
+# ---- rules that withdraw the set of the force ---------------------------------------------------
 
 Turn = tuple[bool, bool]
-"""Whether the set is named, and whether what the force leaves is known."""
+"""Whether the set is named, and whether the residual of the force is explained."""
 
 
 def blur(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """Where the model alone is within what an estimated motion tells, only its numbers count."""
+    """If the model alone is within the accuracy of an estimated motion, no law is needed."""
     if left.moved or not small(left, left.part_before, court.policy):
         return named, known
     if named and within(left.bent, court.policy) and not set(left.names) <= left.stated:
@@ -279,7 +279,7 @@ def blur(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 def motion(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """Where the model alone simulates the motion of a free body, nothing is missing."""
+    """If the model alone reproduces the motion of a free body, nothing is missing."""
     if left.moved or not (named or not known):
         return named, known
     made: Simulated | None = court.ask("simulated")
@@ -290,12 +290,12 @@ def motion(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """One effect beside nothing but noise is no finding where noise of such a colour may do it.
+    """A single effect beside noise is no finding if noise of this colour may produce it.
 
-    Where the noise has a colour that was read off the recording itself, evidence counted row by row
-    is worth what that colour is known by. The effect's interval knows of more, how the parts of the
-    recording scatter among it: by that, too, the effect has to earn its price. Not where without it
-    the noise would have to be larger than the data sheet allows.
+    If the colour of the noise was determined from the recording itself, evidence counted by rows is
+    only as reliable as that colour. The effect's interval includes more, such as the scatter
+    between parts of the recording: by this measure, too, the effect must earn its price. Not if the
+    noise without it would exceed the data sheet.
     """
     noise = left.before < court.policy.excess_as_noise and left.coloured and not left.loud
     if not named or not noise or left.laws != 1 or left.moved:
@@ -308,10 +308,10 @@ def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """A law has the same numbers in every part of a recording; one that stands in for it has not.
+    """A law has the same parameters in every part of a recording; a substitute does not.
 
-    Not beside a naive model, whose laws are all of some other form, nor of a simulated motion,
-    which is fitted as a whole.
+    Not for a naive model, whose laws are all approximate, nor for a simulated motion, which is
+    fitted as a whole.
     """
     if not named or left.naive or left.moved:
         return named, known
@@ -326,11 +326,11 @@ def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 def beside_nameless(
     what: Literal["varying", "stroke"], least_laws: int
 ) -> Callable[[_Court, Left, bool, bool], Turn]:
-    """Return the rule that a set is not named where a law in no catalogue explains more.
+    """Return the rule by which a set is withdrawn if a law outside the catalogue explains more.
 
-    Of the same sets as `steady`, with at least so many laws. "varying": a coefficient that changes
-    periodically with time; "stroke": one mass on a spring that softens, in place of a second mode
-    beside another law.
+    For the same sets as `steady`, with a minimum number of laws. "varying": a coefficient that
+    changes periodically with time; "stroke": one mass on a softening spring instead of a second
+    mode together with another law.
     """
 
     def rule(court: _Court, left: Left, named: bool, known: bool) -> Turn:
@@ -346,9 +346,9 @@ def beside_nameless(
 
 
 def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """Where all that the model leaves is what rounding leaves, no force law is missing.
+    """If the model leaves only what rounding explains, no force law is missing.
 
-    Not where it has to leave its tolerances for that, nor where what was found stays within closer.
+    Not if this requires leaving its tolerances, nor if the set found stays closer.
     """
     rounded, policy = court.seen.rounding, court.policy
     if rounded is None or not within(left.bent, policy):
@@ -371,27 +371,27 @@ TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
     "varying": beside_nameless("varying", 0), "stroke": beside_nameless("stroke", 2),
     "steps": steps,
 }  # fmt: skip
-"""Rules that take the set of the force back, or say that what it leaves is known, in turn."""
+"""Rules that withdraw the set of the force, or declare its residual explained, in order."""
 
 
 def lost_in_form(seen: Seen, policy: Policy) -> bool:
-    """Return whether beside a naive model rounding explains less than a further law has to."""
+    """Return whether, for a naive model, rounding explains less than an additional law must."""
     left, rounded = seen.force, seen.rounding
     if rounded is None or left is None or not left.naive or not left.names:
         return False
     return rounded.share < of_size(policy.needed_share, left.size + 1)
 
 
-# ---- all of them --------------------------------------------------------------------------------
+# ---- all rules ----------------------------------------------------------------------------------
 
 
 def judge(seen: Seen, policy: Policy, less: Iterable[str] = ()) -> Verdict | Asked:
-    """Return what is said, or what has to be known for that.
+    """Return the verdict, or what must be known for it.
 
     Args:
         seen: what is known.
         policy: the thresholds.
-        less: rules of `TURNS` that are left out: to see what each is there for.
+        less: names of rules of `TURNS` to omit, to show the effect of each.
     """
     court, gone = _Court(seen, policy), set(less)
     try:
@@ -424,17 +424,17 @@ def _judged(court: _Court, gone: set[str]) -> Verdict:
     return Verdict(said, names, unique, named, bool(of_actuator), bool(extra), ledger)
 
 
-# ---- sets of which one stays within rounding ----------------------------------------------------
+# ---- sets within rounding -----------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Coarse:
-    """A set that was weighed, beside a load cell with coarse resolution.
+    """A set that was considered for a load cell with coarse resolution.
 
     Attributes:
-        names: of its effects.
-        count, chi2: its parameters and what it leaves.
-        beyond: rows that it leaves by more than rounding and noise can, as a part.
+        names: names of its effects.
+        count, chi2: its number of parameters and its residual.
+        beyond: fraction of rows with a residual beyond rounding and noise.
     """
 
     names: Names
@@ -446,14 +446,14 @@ class Coarse:
 def within_rounding(
     sets: tuple[Coarse, ...], equal: tuple[Names, ...], policy: Policy
 ) -> tuple[Names, tuple[Names, ...]]:
-    """Return the set that stays within rounding, where the best one does not, and its equals.
+    """Return the set that stays within rounding if the best one does not, and its equals.
 
-    Least squares takes rounding for noise, and its colour for a law; a right law is never off by
+    Least squares takes rounding for noise, and its colour for a law; the right law is never off by
     more than half a step.
 
     Args:
-        sets: those that were weighed, the best first.
-        equal: names of those that fit as well as that.
+        sets: sets that were considered, the best first.
+        equal: names of those that fit as well as the best.
         policy: the thresholds.
     """
     best = sets[0]
@@ -470,7 +470,7 @@ def within_rounding(
     def enough(one: Coarse) -> bool:
         return one.beyond < policy.rounded_outside + policy.rounded_alike * best.beyond
 
-    # Nor does what one more law takes up of the rounding make it a law.
+    # Nor is another law confirmed by absorbing part of the rounding.
     parts = [s for s in sets if s.names and set(s.names) < set(best.names) and enough(s)]
     if parts:
         return min(parts, key=lambda s: (len(s.names), s.chi2)).names, ()
