@@ -4,9 +4,9 @@ Part of a structure is real, on an actuator; the rest is computed. 1024 times a 
 controller reads the specimen, solves the equation of motion, compensates the actuator's delay and
 sends the next command.
 
-`__all__` is the public interface, and all of it: ``import rthyb_rt as rt``. What else can be
-imported may change with any version. Importing the package itself loads nothing; a name is looked
-up when it is first used.
+`__all__` is the complete public interface: ``import rthyb_rt as rt``. Everything else that can be
+imported may change with any version. Importing the package itself loads nothing; a name is
+imported when it is first used.
 """
 
 from __future__ import annotations
@@ -100,16 +100,16 @@ _HOMES = {
     "run": "api.running",
     "sweep": "api.sweeping",
 }
-"""Where each name is defined."""
+"""Module in which each name is defined."""
 _NAMES = {"open": "open_recording"}
-"""What those are called at home that have another name here."""
+"""Original names of those that have another name here."""
 
 __version__: str
 
-if not TYPE_CHECKING:  # else mypy would believe that the package has every attribute
+if not TYPE_CHECKING:  # otherwise mypy would assume that the package has every attribute
 
     def __getattr__(name: str) -> object:
-        """Look a name up when somebody asks, since each costs an import."""
+        """Import a name on first use, because each import takes time."""
         if name == "__version__":
             from importlib.metadata import version
 
@@ -117,7 +117,7 @@ if not TYPE_CHECKING:  # else mypy would believe that the package has every attr
         from importlib import import_module
 
         if name == "diagnose":
-            # The room of that name can be called; importing it makes it an attribute.
+            # The package of that name is callable; importing it makes it an attribute.
             return import_module(f"{__name__}.diagnose")
         if name not in _HOMES:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

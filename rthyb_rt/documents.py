@@ -1,4 +1,4 @@
-"""What documents of nested tables have in common."""
+"""Common functions for documents of nested tables."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def flat(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def finite(value: Any) -> Any:
-    """Return a copy of a document in which each number that JSON does not have is None."""
+    """Return a copy of a document with None for each number that JSON cannot represent."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Problem:
-    """One fault in something the user gave.
+    """One error in the user's input.
 
     Attributes:
         where: file, line and key as an editor understands them (``test.toml:12: controller.w1``).
@@ -19,7 +19,7 @@ class Problem:
     message: str
 
     def __str__(self) -> str:
-        """Return the fault as one line, ``where: message``."""
+        """Return the error as one line, ``where: message``."""
         return f"{self.where}: {self.message}" if self.where else self.message
 
 
@@ -28,11 +28,11 @@ class RthybError(Exception):
 
     Args:
         message: what was found, what is allowed, and the remedy.
-        where: the file or folder in question, if it is one.
+        where: the file or folder concerned, if any.
 
     Attributes:
         exit_code: exit status of the command line for this kind of failure.
-        problems: the faults, never empty.
+        problems: the errors, never empty.
     """
 
     exit_code = 1
@@ -46,11 +46,11 @@ class InputError(RthybError):
     """A configuration or input file that cannot be used.
 
     Args:
-        problems: every fault found; a single `Problem` or a plain message is accepted too.
-        where: place of the fault when ``problems`` is a plain message.
+        problems: every error found; a single `Problem` or a plain message is also accepted.
+        where: place of the error if ``problems`` is a plain message.
 
     Attributes:
-        problems: the faults in the order of the file, never empty.
+        problems: the errors in the order of the file, never empty.
     """
 
     exit_code = 3
@@ -65,5 +65,5 @@ class InputError(RthybError):
         Exception.__init__(self, *self.problems)
 
     def __str__(self) -> str:
-        """Return one line a fault."""
+        """Return one line per error."""
         return "\n".join(str(problem) for problem in self.problems)

@@ -1,4 +1,4 @@
-"""Numbers for people: significant digits, units, per cent."""
+"""Numbers for display: significant digits, units, per cent."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """Return ``value`` with that many significant digits, a dash where there is none."""
+    """Return ``value`` with this many significant digits, or a dash if there is no value."""
     if value is None or np.isnan(value):
         return "–"
     if np.isinf(value):
         return "∞" if value > 0 else "−∞"
-    # Below a ten-billionth only round-off is left, in every unit that is shown.
+    # Below 1e-10 only round-off remains, in every unit that is displayed.
     if abs(value) < 1e-10:
         return "0"
     if not 1e-4 <= abs(value) < 1e5:
@@ -29,12 +29,12 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def tare(tare_m: float, tare_n: float) -> str:
-    """Return what zeroing takes off both readings, ``tare 1.204 mm, -0.310 kN``."""
+    """Return the tare of both readings, ``tare 1.204 mm, -0.310 kN``."""
     return f"tare {tare_m * 1e3:.3f} mm, {tare_n * 1e-3:.3f} kN"
 
 
 def tare_of_status(found: Mapping[str, Any]) -> str:
-    """Return what a service's status says of the tare, of several axes with the name of each."""
+    """Return the tare in a service's status; for several axes, with the name of each."""
     each = found.get("axes") or {}
     if not each:
         return tare(found["displacement_m"], found["force_n"])
@@ -44,7 +44,7 @@ def tare_of_status(found: Mapping[str, Any]) -> str:
 
 
 def percent(fraction: float | None, digits: int = 2) -> str:
-    """Return a fraction as per cent, ``2.1 %``; above ten times the exact figure says nothing."""
+    """Return a fraction as per cent, ``2.1 %``; values above ten are given as a bound."""
     if fraction is None or np.isnan(fraction):
         return "–"
     if fraction > 10.0:
@@ -53,14 +53,14 @@ def percent(fraction: float | None, digits: int = 2) -> str:
 
 
 def quantity(value: float | None, unit: str, factor: float = 1.0, digits: int = 3) -> str:
-    """Return a value in a unit, ``0.12 mm``; ``factor`` turns SI into that unit."""
+    """Return a value in a unit, ``0.12 mm``; ``factor`` converts SI to that unit."""
     if value is None or np.isnan(value):
         return "–"
     return f"{number(value * factor, digits)} {unit}"
 
 
 def delay(samples: float, fs_hz: float, digits: int = 3) -> str:
-    """Return a delay as a person reads it, ``17 samples (16.6 ms)``.
+    """Return a delay in samples and ms, ``17 samples (16.6 ms)``.
 
     Args:
         samples: the delay in sampling periods; a dash for nan, ``∞ samples`` for infinity.
@@ -75,5 +75,5 @@ def delay(samples: float, fs_hz: float, digits: int = 3) -> str:
 
 
 def count(n: int, noun: str) -> str:
-    """Return a number of things, ``1 sample``, ``2 samples``."""
+    """Return a number with its noun, ``1 sample``, ``2 samples``."""
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"

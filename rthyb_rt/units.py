@@ -1,7 +1,7 @@
 """Numbers written with a unit, as on a drawing or a data sheet: ``"25 mm"``, ``"666.4 kN/m"``.
 
-A small table of the units a structural laboratory uses. Values are converted exactly (as fractions)
-and rounded once, so ``"9 mm"`` is the same double as ``0.009``.
+A small table of the units that a structural laboratory uses. Values are converted exactly (as
+fractions) and rounded once, so ``"9 mm"`` is the same double as ``0.009``.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ _UNITS: dict[str, tuple[str, Dimension]] = {
     "mrad": ("1e-3", _RATIO),
 }
 
-# The exponent is short so that an absurd one cannot become a gigantic fraction.
+# The length of the exponent is limited so that it cannot cause a huge fraction.
 _NUMBER = re.compile(
     r"\s*([+-]?(?:\d{1,40}(?:\.\d{0,40})?|\.\d{1,40})(?:[eE][+-]?\d{1,3})?)(.*)", re.S
 )
@@ -179,10 +179,10 @@ class _UnitReader:
 
 @cache
 def unit(text: str) -> Unit:
-    """Return the factor to SI and the dimension of a unit; empty text is a plain number.
+    """Return the factor to SI and the dimension of a unit; an empty text is a plain number.
 
     Raises:
-        UnitError: when a part of the text is not a known unit.
+        UnitError: a part of the text is not a known unit.
     """
     if not text.strip():
         return Unit(Fraction(1), _RATIO)
@@ -194,7 +194,7 @@ def unit(text: str) -> Unit:
 
 
 def dimension_name(unit_text: str) -> str:
-    """Return what a unit measures in words: ``"N/m"`` -> ``"a stiffness"``."""
+    """Return what a unit measures, in words: ``"N/m"`` -> ``"a stiffness"``."""
     return _DIMENSION_NAMES.get(unit(unit_text).dimension, f"a quantity in {unit_text}")
 
 
@@ -209,7 +209,7 @@ def convert(text: str, to_unit: str) -> float:
         The nearest double to the exact value.
 
     Raises:
-        UnitError: when the text is no number with a unit, the unit is unknown, or it measures
+        UnitError: the text is not a number with a unit, the unit is unknown, or it measures
             something else.
     """
     match = _NUMBER.fullmatch(text)

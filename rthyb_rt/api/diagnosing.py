@@ -22,14 +22,14 @@ if TYPE_CHECKING:
     from rthyb_rt.diagnose.outcome import Outcome
 
 Progress = Callable[[str], None]
-"""Takes the name of the part that begins."""
+"""Called with the name of the part that begins."""
 _WORDS = {
     "^--model$": "diagnose: model",
     **MAP_WORDS,
     r"^--map (\w+)": r"diagnose: columns: \1",
     "--map": "columns",
 }
-"""Options of the command line in messages, and what they are here."""
+"""Options of the command line in messages, and their equivalents here."""
 
 
 class Diagnosis:
@@ -176,10 +176,10 @@ def diagnose(
 
 
 def _of_axis(path: Path, model: Path, axis: str | None) -> OfAxis | None:
-    """Return the axis that is to be judged; None of a recording of one, or of a lab's.
+    """Return the axis to diagnose; None for a recording of one axis or of another program.
 
     Raises:
-        InputError: it is not named, or there is none of that name.
+        InputError: it is not named, or does not exist.
     """
     from rthyb_rt.diagnose import axes, reading
 
@@ -194,10 +194,10 @@ def _of_axis(path: Path, model: Path, axis: str | None) -> OfAxis | None:
 
 
 def _own_effects(given: Sequence[Any]) -> list[Effect]:
-    """Run the files among what was given, and return the effects of a user's own.
+    """Run the files among the arguments, and return the user-defined effects.
 
     Raises:
-        InputError: a file registers none; or what was given is neither file nor effect.
+        InputError: a file registers no effect, or an argument is neither a file nor an effect.
     """
     from rthyb_rt.diagnose import effects as register
 
@@ -221,7 +221,7 @@ def _own_effects(given: Sequence[Any]) -> list[Effect]:
 def _as_files(
     recording: Recording | Place, model: Rig | Place, second: Recording | Place | None
 ) -> Iterator[tuple[Path, Path, Path | None]]:
-    """Give the files of what was given, some of them for the time of the block."""
+    """Yield the files of the arguments, some of which exist only during the block."""
     from rthyb_rt.diagnose.reading import find_model
 
     with tempfile.TemporaryDirectory(prefix="rthyb-") as folder:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rthyb_rt.core.own import Own
 
 Place = str | os.PathLike[str]
-"""A file as Python names it."""
+"""How messages refer to a file in Python."""
 
 _File = TypeVar("_File", bound=TestFile | RigFile | AxesRig)
 RIG: Final = "rig"
@@ -77,7 +77,7 @@ def plain(value: Any) -> Any:
 
 
 def _of_own(made: Own) -> dict[str, Any]:
-    """Return the table that a file has in the place of an object of the user's own."""
+    """Return the table that represents a user-defined object in a file."""
     from rthyb_rt.core import CoreError
     from rthyb_rt.core.own import ControlLaw, Element, spelled
 
@@ -91,7 +91,7 @@ def _of_own(made: Own) -> dict[str, Any]:
 
 
 def _changes(given: Mapping[str, Any] | None, tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what `with_` was given by dotted key; keys of tables come one by one."""
+    """Return the arguments of `with_` by dotted key, with the keys of tables listed separately."""
     if given is not None and not isinstance(given, Mapping):
         raise InputError(
             f"found {written(given)}; changes are a dict of dotted keys, "
@@ -103,10 +103,10 @@ def _changes(given: Mapping[str, Any] | None, tables: Mapping[str, Any]) -> dict
 
 
 def _without(values: dict[str, Any], key: str, own: str) -> None:
-    """Take a key out of the values of a file, where it is called ``own``.
+    """Remove a key from the values of a file, in which it is called ``own``.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such key.
     """
     *tables, last = own.split(".")
     place: Any = values
@@ -124,7 +124,7 @@ def _without(values: dict[str, Any], key: str, own: str) -> None:
 
 
 class _Document(Generic[_File]):
-    """What test and rig have in common."""
+    """Common base of test and rig."""
 
     _kind: ClassVar[Literal["test", "rig"]]
     _model: ClassVar[type[Table]]
@@ -193,11 +193,11 @@ class _Document(Generic[_File]):
 
     @staticmethod
     def _own_key(key: str) -> str:
-        """Return a key as the file has it."""
+        """Return a key as in the file."""
         return key
 
     def _changed(self, changes: Mapping[str, Any], parse: Callable[..., _File]) -> _File:
-        """Return the file with changes by dotted key, of which None leaves a key out."""
+        """Return the file with changes by dotted key; None removes a key."""
         values = self._file.model_dump(by_alias=True)
         gone = [key for key, value in changes.items() if value is None]
         problems: list[Problem] = []
@@ -213,7 +213,7 @@ class _Document(Generic[_File]):
 
 
 def _source(kind: Literal["test", "rig"], given: object) -> Path:
-    """Return the file that is meant by a path or a name."""
+    """Return the file for a path or a name."""
     if not isinstance(given, (str, os.PathLike)):
         raise InputError(
             f"found {written(given)}; the first argument must be the path of a {kind} file or the "
@@ -300,7 +300,7 @@ class Rig(_Document[RigFile | AxesRig]):
 
     @staticmethod
     def _own_key(key: str) -> str:
-        """Return a key without the ``rig.`` that a test's changes of its rig have before it."""
+        """Return a key without the prefix ``rig.``, which changes of a test's rig have."""
         inner = key.removeprefix(f"{RIG}.")
         known = (*RigFile.model_fields, *AxesRig.model_fields)
         return inner if inner.split(".")[0] in known else key
@@ -440,7 +440,7 @@ class Test(_Document[TestFile]):
         return made if rig is None else made._take(as_rig(rig))
 
     def _take(self, rig: Rig) -> Self:
-        """Take a rig instead of the one that the file names, by its place if it has one."""
+        """Replace the rig named in the file, by its path if it has one."""
         self._rig = None if rig.place else rig
         self._file = self._file.model_copy(update={RIG: rig.place})
         return self

@@ -21,7 +21,7 @@ from rthyb_rt.rig import identify as sweeping
 from rthyb_rt.rig import identify_axes
 
 Progress = Callable[[int, int], None]
-"""Takes how many samples are done, and of how many."""
+"""Called with the number of samples done and the total number."""
 
 _AMPLITUDE: Final = Range("m", 1e-5, 1.0, "the amplitude of the slow sines", 'as in "1 mm"')
 _FREQUENCY: Final = Range("Hz", 0.05, 100.0, "the last sine's frequency", 'as in "5 Hz"')
@@ -89,10 +89,10 @@ class Identification:
 
 
 class AxesIdentification:
-    """What an identification of a rig of several axes found.
+    """Result of the identification of a rig with several axes.
 
     Attributes:
-        rig: the rig with the identified values filled in, for tests to begin with.
+        rig: the rig with the identified values filled in, for use in tests.
     """
 
     def __init__(self, found: identify_axes.AxesResult, rig: Rig) -> None:
@@ -107,10 +107,10 @@ class AxesIdentification:
     def measures(self) -> dict[str, Any]:
         """The figures as in ``rthyb identify --json``, SI units.
 
-        ``axes`` has those of each axis by its name, as of a rig with one axis while the others hold
-        still; ``response`` the matrix of frequency responses; ``stiffness`` that of the specimen
-        along the directions of the interface, and ``asymmetry`` the largest difference of two
-        numbers in it that should be the same, relative to the largest.
+        ``axes`` has those of each axis by name, as for a rig with one axis while the others are
+        held still; ``response`` is the matrix of frequency responses; ``stiffness`` is that of the
+        specimen along the directions of the interface, and ``asymmetry`` the largest difference
+        between two entries in it that should be equal, relative to the largest entry.
         """
         return self._found.as_json(self._file)
 
@@ -131,7 +131,7 @@ class AxesIdentification:
 
     @property
     def notes(self) -> list[str]:
-        """What a user should know, each with the axis that it is about."""
+        """Remarks for the user, each with the axis to which it applies."""
         named = zip(self.axis_names, self._found.axes, strict=True)
         return [f"axis {name}: {note}" for name, own in named for note in own.notes]
 

@@ -10,7 +10,7 @@ from typing import Final
 from rthyb_rt.errors import InputError, Problem, RthybError
 
 MAP_WORDS: Final = {r'--map (\w+)="([^"]*)"': r'columns={"\1": "\2"}'}
-"""How a column is named for a channel, on the command line and here."""
+"""How a column is assigned to a channel, on the command line and here."""
 
 
 def map_options(columns: Mapping[str, str] | str | os.PathLike[str] | None) -> list[str]:

@@ -78,7 +78,7 @@ class Plot:
         return f"<Plot {self.key}: {self.title}>"
 
     def _repr_html_(self) -> str:
-        # A notebook shows many figures on one page, and what a drawing refers to must be its own.
+        # A notebook shows many figures on one page, so ids must be unique.
         own = f"{self.key}-{next(_SHOWN)}-"
         svg = re.sub(rf'( id="|#){re.escape(self.key)}-', rf"\g<1>{own}", self.svg)
         width = "" if self.figure is None else f"max-width:{self.figure.get_figwidth():.1f}in"
@@ -297,7 +297,8 @@ class Recording(Mapping[str, NDArray[Any]]):
         found: Dataset = xarray.Dataset(signals, coords={TIME: time}, attrs=about)
         return found
 
-    # ---- what it says ---------------------------------------------------------------------------
+    # ---- results
+    # ------------------------------------------------------------------------------------
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -577,7 +578,8 @@ class Recording(Mapping[str, NDArray[Any]]):
             export.to_csv(self._raw, path, full=whole)
         return path
 
-    # ---- at the prompt --------------------------------------------------------------------------
+    # ---- interactive display
+    # ------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         from rthyb_rt.numbers import percent

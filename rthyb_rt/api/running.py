@@ -62,7 +62,7 @@ def run(
         setup = prepared(test, rig)
         raw = virtual_time.run(setup, progress)
     except OwnCodeError as error:
-        # What a user's class has raised is the user's: with its own type, file and line.
+        # An exception raised by a user's class keeps its own type, file and line.
         raise error.original from None
     rec = Recording(raw, folder, setup.notes)
     if folder is not None:
@@ -80,7 +80,7 @@ def _free(folder: Path) -> Path:
     """Return the folder if it is new or empty.
 
     Raises:
-        InputError: something is there already.
+        InputError: the folder is not empty.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise InputError(
@@ -96,7 +96,7 @@ def _whole(folder: Path) -> Iterator[Path]:
     Raises:
         RthybError: it cannot be written; nothing is left behind.
     """
-    # As the command line names its own, which removes those that a killed process has left.
+    # Named as by the command line, which removes those that a killed process has left.
     stage = folder.with_name(f".{folder.name}.{os.getpid()}.part")
     try:
         stage.mkdir(parents=True)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 Progress = Callable[[int, int], None]
-"""Takes how many runs are done, and of how many."""
+"""Called with the number of runs done and the total number."""
 _CALLED: Final = "sweep"
 _NO_MEASURES: Final = ("case", "drawn", "repeat", "ending", "cause", "folder", "report")
 _WORDS_HERE: Final = {
@@ -32,7 +32,7 @@ _WORDS_HERE: Final = {
     rf"{_CALLED}: campaign\.": f"{_CALLED}: ",
     f"{_CALLED}: noise_seeds": f"{_CALLED}: repeat_seeds",
 }
-"""What messages of the campaign engine call something, and what it is here."""
+"""Terms in messages of the campaign engine, and their equivalents here."""
 
 
 class Sweep:
@@ -222,10 +222,10 @@ def sweep(
 
 
 def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str, Any]:
-    """Return the values by key as a campaign file has them; the files that they name go to parts.
+    """Return the values by key as in a campaign file; files that they name are put into ``parts``.
 
     Raises:
-        InputError: they are no lists by key, or a rig stands where none can.
+        InputError: they are not lists by key, or a rig is given where none is allowed.
     """
     if not isinstance(over, Mapping):
         raise InputError(
@@ -274,7 +274,7 @@ def _written(base: Test, values: dict[str, Any]) -> dict[str, str]:
 
 
 def _try_first(base: Test, campaign: CampaignFile) -> None:
-    """Refuse values of which the first run has a fault, before anything is written.
+    """Reject values for which the first run has an error, before anything is written.
 
     Raises:
         InputError: with the keys of the sweep.
@@ -293,7 +293,7 @@ def _try_first(base: Test, campaign: CampaignFile) -> None:
 
 
 def _line(name: str) -> Progress:
-    """Return what keeps one line on a terminal, and says nothing elsewhere."""
+    """Return a function that shows progress in one line on a terminal, and nothing elsewhere."""
     if not sys.stderr.isatty():
         return lambda done, whole: None
 

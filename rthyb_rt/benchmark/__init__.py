@@ -1,4 +1,4 @@
-"""The field's benchmark of real-time hybrid simulation, run by this program's own parts.
+"""The benchmark problem of real-time hybrid simulation, run with this program's own parts.
 
 Silva, Gomez, Maghareh, Dyke, Spencer, "Benchmark control problem for real-time hybrid simulation",
 Mechanical Systems and Signal Processing 135 (2020) 106381. Controller, numerical part and virtual

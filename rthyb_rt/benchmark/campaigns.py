@@ -1,4 +1,4 @@
-"""The benchmark as a campaign: its runs one by one, kept as they end, with a table and a page."""
+"""The benchmark as a campaign: its runs are saved one by one, with a table and a page."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ MEASURES: Final = (
     Measure("J8", "Its peak, J8", "%", 1.0),
     Measure("high", "Command above 100 Hz", "µm", 1.0),
 )
-"""Figures of `criteria.MEANINGS` that are told of each group of runs."""
+"""Figures of `criteria.MEANINGS` that are shown for each group of runs."""
 
 
 @dataclass(frozen=True)
 class BenchmarkCase(Case):
-    """A run of the benchmark: its own test and rig, and its own figures.
+    """A run of the benchmark, which has its own test and rig, and its own figures.
 
     Attributes:
-        run: which.
+        run: the run.
     """
 
     run: Run
@@ -49,22 +49,23 @@ class BenchmarkCase(Case):
         return " ".join(words)
 
     def identity(self) -> Row:
-        """Return the part of its row that says which run it is, with the seed of its plant."""
+        """Return the columns of its row that identify the run, with the seed of its plant."""
         row = super().identity()
         return row | {"plant": self.run.plant}
 
     def prepared(self) -> Setup:
-        """Return it ready to go."""
+        """Return the test, ready to run."""
         return runs.prepared(self.run)
 
     def recorded(self, setup: Setup) -> Recording:
-        """Carry it out in virtual time, with what the figures need beside the record."""
+        """Run it in virtual time, with the additional data that the figures require."""
         return runs.recorded(setup)
 
     def measured(self, setup: Setup, rec: Recording) -> Row:
         """Return ``ending``, ``cause`` and the figures of `criteria.MEANINGS`.
 
-        A run that met its force limit says ``beyond`` instead: whether no law could have helped.
+        ``beyond`` is returned for a run that reached its force limit: whether no law could avoid
+        this.
         """
         row = plan.ended(rec)
         if row["ending"] != COMPLETED:
@@ -79,8 +80,8 @@ def read(path: str | Path) -> Plan:
     """Return the runs of a campaign file, of a test or of the benchmark.
 
     Raises:
-        InputError: with every fault of the file, of the test or the rig with which it begins, or
-            with what the benchmark does not have.
+        InputError: with all errors in the file, or in the test or the rig of its first run, or with
+            values that the benchmark does not have.
     """
     path = Path(path)
     file = config.parse_campaign(config.read_text(path, "campaign"), str(path))
@@ -88,11 +89,11 @@ def read(path: str | Path) -> Plan:
 
 
 def of(file: CampaignFile, path: Path) -> Plan:
-    """Return the runs of a campaign of the benchmark; what it does not say is taken whole.
+    """Return the runs of a benchmark campaign; keys that it does not give include everything.
 
     Args:
         file: the campaign.
-        path: of its file.
+        path: path of its file.
 
     Raises:
         InputError: there is no such law, rate, motion or case.
@@ -124,7 +125,7 @@ def of(file: CampaignFile, path: Path) -> Plan:
 
 
 def _placed(problem: Problem, path: Path) -> Problem:
-    """Return a complaint about an option of `rthyb benchmark` as one about the file's key."""
+    """Return an error in an option of `rthyb benchmark` as one in the corresponding key."""
     key = {"--rate": "rate_hz", "--case": "structure"}.get(problem.where, problem.where.strip("-"))
     return Problem(f"{path}: over.{key}", problem.message)
 

@@ -1,4 +1,4 @@
-"""What the benchmark asks: structures, motions, rates, plants, and who takes part in it."""
+"""The benchmark's structures, motions, rates, plants and entrants."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STIFFNESS_N_PER_M: Final = (
     (-2.3133939e7, 3.2560774e7, -1.4419971e7),
     (0.5937035e7, -1.4419971e7, 0.9267276e7),
 )
-"""Of the whole structure, three storeys; the specimen is a part of the first one."""
+"""Stiffness of the whole structure, three storeys; the specimen is part of the first one."""
 
 
 @dataclass(frozen=True)
@@ -40,45 +40,45 @@ MOTIONS: Final = {
     "kobe": "rths-kobe",
     "morgan": "rths-morgan-hill",
 }
-"""Built-in records of the three motions, with their rests; all are taken at `SCALE`."""
+"""Built-in records of the three motions, including rest; all are scaled by `SCALE`."""
 SCALE: Final = 0.4
 
 SEEDS: Final = tuple(range(7001, 7021))
-"""Of the perturbed plants; the benchmark asks for 20."""
+"""Seeds of the perturbed plants; the benchmark requires 20."""
 
 BENCHMARK_HZ: Final = 4096
 RATES: Final = {BENCHMARK_HZ: 1, 1024: 0}
-"""Sample rates, and the samples by which the numerical part has the force late: one in the model of
-the benchmark, none in the order of a test of this program."""
+"""Sample rates, and the delay of the force in the numerical part in samples: one in the benchmark's
+model, none in the order of a test of this program."""
 
 HELD: Final = 0.5
-"""Samples by which a force is late that is held over one."""
+"""Mean delay, in samples, of a force that is held over one sample."""
 
 WITH_FORCE: Final = "+rfc"
-"""Behind the name of a law that was published without: with the restoring-force compensator."""
+"""Suffix of the name of a law published without it: with the restoring-force compensator."""
 FORCE_CUTOFF_HZ: Final = 60.0
-"""Of the low-pass on x_c - x_m there: a little below the first resonance of the plant, 67 Hz."""
+"""Cut-off of its low-pass on x_c - x_m: slightly below the plant's first resonance, 67 Hz."""
 
 QUICK: Final = {"inverse.memory_s": 0.6}
 QUICK_CUTOFF_HZ: Final = 30.0
-"""A shorter memory than the 1 s that is shipped, and a lower low-pass than its 60 Hz: one setting
-for all runs, at either rate. A specimen that yields is followed sooner (J4 at 1024 Hz, case 1, from
-2.72 to 2.64 %), and the elastic one, where estimates scatter more, stays within .01 points."""
+"""A shorter memory than the default of 1 s, and a lower cut-off than its 60 Hz: one setting for all
+runs, at either rate. A yielding specimen is followed faster (J4 at 1024 Hz, case 1, from 2.72 to
+2.64 %), and with the elastic one, for which estimates scatter more, J4 changes by at most .01."""
 
 BASELINE: Final = "pi-lead"
 
 
 @dataclass(frozen=True)
 class Entrant:
-    """Who takes part: a control law with its settings, on a rig that may have a loop of its own.
+    """An entrant: a control law with its settings, on a rig that may have its own loop.
 
     Attributes:
-        name: as the table has it.
+        name: name in the table.
         law: ``controller.type``.
-        settings: of the law, by their keys; what is absent comes from the rig or by default.
-        rfc: whether the restoring-force compensator runs; it knows how late the force is.
-        cutoff_hz: of its low-pass; None: as shipped.
-        loop: kp and ki of the drive's own loop, 1 and 1/s; None: it has none.
+        settings: settings of the law, by key; others come from the rig or are defaults.
+        rfc: whether the restoring-force compensator is used; it knows the delay of the force.
+        cutoff_hz: cut-off of its low-pass; None: default.
+        loop: kp and ki of the drive's own loop, 1 and 1/s, or None.
     """
 
     name: str
@@ -90,18 +90,17 @@ class Entrant:
 
 
 def entrant(name: str) -> Entrant:
-    """Return who takes part by that name: the benchmark's own controller, or a control law.
+    """Return the entrant with this name: the benchmark's own controller, or a control law.
 
-    ``pi-lead`` is the benchmark's: 2 + 95/s in the drive, 50.8 (s + 168.6) / (s + 8570) before it,
-    of which the gain at rest, .9994, is taken as 1. ``ats`` begins with the coefficients that the
-    rig's sweep gives, and ``third-order`` has them: with those of the set-up file of ``ats``,
-    a2 = a1^2 / 2, the loop is unstable at 67 Hz until it has learnt. ``amb`` begins with its
-    published coefficients, those of the actuator without the specimen. ``inverse`` learns by
-    `QUICK`. With `WITH_FORCE` behind its name a law of others has the restoring-force compensator
-    as well.
+    ``pi-lead`` is the benchmark's: 2 + 95/s in the drive, preceded by 50.8 (s + 168.6) / (s +
+    8570), whose static gain, .9994, is taken as 1. ``ats`` starts with the coefficients from the
+    rig's sweep, and ``third-order`` keeps them: with those of the set-up file of ``ats``, a2 = a1^2
+    / 2, the loop is unstable at 67 Hz until it has learnt. ``amb`` starts with its published
+    coefficients, those of the actuator without the specimen. ``inverse`` learns with `QUICK`. With
+    the suffix `WITH_FORCE`, a law published by others also has the restoring-force compensator.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such entrant.
     """
     if name == BASELINE:
         lead = {"zhao.tau_s": 1.0 / 168.6, "zhao.filter_s": 1.0 / 8570.0}
@@ -132,25 +131,25 @@ def entrant(name: str) -> Entrant:
 
 
 def entrants() -> tuple[Entrant, ...]:
-    """Return all that take part, the benchmark's own controller first."""
+    """Return all entrants, the benchmark's own controller first."""
     names = (BASELINE, *LAWS, *(f"{law}{WITH_FORCE}" for law in ("amb", "ats")))
     return tuple(entrant(name) for name in names)
 
 
 SWEPT_HZ: Final = 10.0
-"""Up to which a low order is fitted: the structure's first two modes lie around it, and the first
-resonance of the plant far above."""
+"""Frequency up to which a low order is fitted: near the structure's first two modes, and far below
+the first resonance of the plant."""
 
 
 def swept_inverse(rig: RigFile, order: int) -> tuple[float, ...]:
-    """Return a0, a1 (s), a2 (s^2) ... of the inverse a0 + a1 s + a2 s^2 ... that a sweep shows.
+    """Return a0, a1 (s), a2 (s^2) ... of the inverse a0 + a1 s + a2 s^2 ... from a sweep.
 
-    Least squares over the swept tones up to `SWEPT_HZ` of |G (a0 + a1 s + a2 s^2 ...) - 1|, G the
+    Least squares over the tones up to `SWEPT_HZ` of |G (a0 + a1 s + a2 s^2 ...) - 1|, with G the
     identified response.
 
     Args:
-        rig: with what was identified.
-        order: the last power of s.
+        rig: the rig with its identified response.
+        order: the highest power of s.
 
     Raises:
         InputError: the rig file has no sweep.
@@ -178,7 +177,7 @@ def motion(name: str) -> GroundMotion:
     """Return one of `MOTIONS`, not scaled.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: no motion has this name.
     """
     if name not in MOTIONS:
         raise InputError(f"found {name!r}; must be one of {', '.join(MOTIONS)}", "--motion")
@@ -186,15 +185,15 @@ def motion(name: str) -> GroundMotion:
 
 
 def test_of(who: Entrant, case: int, rate_hz: int) -> TestFile:
-    """Return the test file of a run: the whole structure, of which the specimen is taken out.
+    """Return the test file of a run: the whole structure, from which the specimen is subtracted.
 
     Args:
-        who: takes part.
+        who: the entrant.
         case: one of `CASES`.
         rate_hz: one of `RATES`.
 
     Raises:
-        InputError: with what is wrong in it.
+        InputError: with the errors in it.
     """
     nominal, structure = plants.nominal(), CASES[case]
     late_s = (RATES[rate_hz] + HELD) / rate_hz
@@ -228,29 +227,29 @@ rfc = {{ enabled = {str(who.rfc).lower()}, force_lateness_s = {late_s if who.rfc
 
 
 YIELD_M: Final = 1e-3
-"""Yield displacement of the yielding specimen: Bouc-Wen with ratio .1, exponent 2.5, parts .1 and
-.9, as the non-linear example to Galmez and Fermandois (2022) has them."""
+"""Yield displacement of the yielding specimen: Bouc-Wen with ratio .1, exponent 2.5, weights .1 and
+.9, as in the nonlinear example of Galmez and Fermandois (2022)."""
 POST_YIELD_RATIO: Final = 0.1
 EXPONENT: Final = 2.5
 SHARE: Final = 0.1
 YIELDING_SUBSTEPS: Final = 64
-"""Of a sample of 1/1024 s: over one of them the yielding force is held, which takes damping from
-the plant; with twice as many no criterion differs by more than .1 points."""
+"""Per sample of 1/1024 s: the yielding force is held over one substep, which reduces the damping of
+the plant; with twice as many, no criterion changes by more than .1 points."""
 
 
 def rig_of(
     who: Entrant, seed: int | None, rate_hz: int, *, width: float = 1.0, yielding: bool = False
 ) -> RigFile:
-    """Return the plant of a run, its sensors as at that rate.
+    """Return the plant of a run, with its sensors at that rate.
 
     The noise of the sensors has the same density at every rate.
 
     Args:
-        who: takes part: its drive may have a loop.
-        seed: of a perturbed plant; None: the nominal one.
+        who: the entrant, whose drive may have a loop.
+        seed: seed of a perturbed plant; None: the nominal one.
         rate_hz: one of `RATES`.
-        width: times the stated standard deviations.
-        yielding: the specimen's stiffness is a Bouc-Wen loop.
+        width: factor on the stated standard deviations.
+        yielding: whether the specimen's stiffness is a Bouc-Wen loop.
     """
     rig = plants.nominal() if seed is None else plants.drawn(seed, width)
     if who.loop is not None and isinstance(rig.actuator, ServoValve):

@@ -1,7 +1,8 @@
 """The benchmark's nine criteria, in the order of its code and of its published Table 3.
 
-The paper's text numbers them otherwise: there J4 to J6 are the rms errors of the three storeys and
-J7 to J9 the peaks. Code and table go storey by storey only in part, and are followed here.
+The text of the paper numbers them differently: there J4 to J6 are the rms errors of the three
+storeys and J7 to J9 the peaks. In code and table only some are ordered by storey; that order is
+used here.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ MEANINGS: Final = {
     "true": "J2 without sensor noise, %",
     "high": "rms of the command above 100 Hz, um",
 }
-"""What each figure of a run is."""
+"""Meaning of each figure of a run."""
 
 LAGS: Final = 50
-"""Samples; J1 is the best of lags below this, as in the benchmark's code."""
+"""Number of lags, in samples: J1 is the best lag below this, as in the benchmark's code."""
 HIGH_HZ: Final = 100.0
 
 
@@ -46,13 +47,13 @@ def figures(
     """Return J1 to J9, ``true`` and ``high`` of a run.
 
     Args:
-        target_m: displacement of the interface that the numerical part wants, (n,).
-        measured_m: what came back from it, with noise, (n,).
+        target_m: displacement of the interface from the numerical part, (n,).
+        measured_m: measured displacement, with noise, (n,).
         true_m: the same without noise, (n,).
-        command_m: what was sent, (n,).
+        command_m: command sent to the plant, (n,).
         storeys_m: storeys 2 and 3 of the numerical part, (n, 2).
         reference_m: the three storeys of the reference simulation, (n, 3).
-        rate_hz: samples a second.
+        rate_hz: samples per second.
     """
     first, second, third = reference_m.T
     error, response = measured_m - target_m, measured_m - first
@@ -72,9 +73,9 @@ def figures(
 
 
 def delay_samples(target: Floats, measured: Floats) -> int:
-    """Return the lag below `LAGS` at which the correlation of both, each (n,), is largest.
+    """Return the lag below `LAGS` with the largest correlation of both, each (n,).
 
-    numpy's corrcoef of measured[k:] and target[:n-k], with sums that are not formed anew.
+    numpy's corrcoef of measured[k:] and target[:n-k], with sums that are updated incrementally.
     """
     t, m = target - target.mean(), measured - measured.mean()
     n = t.size
@@ -96,7 +97,7 @@ def delay_samples(target: Floats, measured: Floats) -> int:
 
 
 def above(signal: Floats, frequency_hz: float, rate_hz: float) -> float:
-    """Return the rms of what a signal, (n,), has above a frequency."""
+    """Return the rms of the part of a signal, (n,), above a frequency."""
     spectrum = np.fft.rfft(signal - signal.mean())
     spectrum[np.fft.rfftfreq(signal.size, 1.0 / rate_hz) <= frequency_hz] = 0.0
     return float(np.sqrt(2.0) * np.linalg.norm(spectrum) / signal.size)

@@ -1,8 +1,8 @@
 """Runs of the multi-axial benchmark, and their criteria.
 
 "Experimental benchmark control problem on multi-axial real-time hybrid simulation" (Frontiers in
-Built Environment, research topic 2023-2025): a frame of which one bay is in the laboratory, moved
-by two actuators that feel one another.
+Built Environment, research topic 2023-2025): a frame with one bay in the laboratory, moved by two
+coupled actuators.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ Floats = NDArray[np.float64]
 
 NOMINAL: Final = runs.NOMINAL
 RUNAWAY: Final = 1.0
-"""Displacement of the interface, m, and rotation, rad, that end a run: it has gone unstable."""
+"""Displacement of the interface, m, and rotation, rad, at which a run is considered unstable."""
 LOST: Final = STATUS["out_of_range"]
-"""So has one whose specimen has no position with its actuators where they are."""
+"""Also unstable: no position of the specimen is consistent with its actuators."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Run:
         law: one of `marths_laws.NAMES`.
         motion: one of `cases.MOTIONS`, scaled by `cases.SCALE`.
         plant: the seed of a perturbed plant, or `NOMINAL`.
-        integrator: of the numerical part, one of `PARTS`.
-        width: of the perturbation, in the benchmark's standard deviations.
-        noisy: whether the readings have their noise.
+        integrator: integrator of the numerical part, one of `PARTS`.
+        width: size of the perturbation, in the benchmark's standard deviations.
+        noisy: whether the readings have noise.
     """
 
     law: str
@@ -53,24 +53,24 @@ class Run:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to: its figures by name, none if it went unstable."""
+    """Result of a run: its figures by name, none if it became unstable."""
 
     run: Run
     figures: dict[str, float]
 
     @property
     def completed(self) -> bool:
-        """Whether it came to its end."""
+        """Whether the run was completed."""
         return bool(self.figures)
 
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """What a run recorded; n samples, axes 1 and 2.
+    """Signals of a run; n samples, axes 1 and 2.
 
     Attributes:
         target_m, reading_m, true_m, command_m: of the actuators, (n, 2) each.
-        pose: x and theta as they were read, (n, 2).
+        pose: x and theta from the readings, (n, 2).
         displacement: of the numerical part, (n, 29).
         force: force and moments of the specimen, (n, 3).
     """
@@ -85,22 +85,22 @@ class Signals:
 
     @classmethod
     def of(cls, samples: int) -> Signals:
-        """Return room for so many samples."""
+        """Return empty arrays for this number of samples."""
         freedoms = len(frame.numerical().influence)
         return cls(*(np.zeros((samples, width)) for width in (2, 2, 2, 2, 2, freedoms, 3)))
 
     def put(self, n: int, row: Sequence[Floats]) -> None:
-        """Keep what sample n came to, in the order of the attributes."""
+        """Store the values of sample n, in the order of the attributes."""
         for name, value in zip(self.__dataclass_fields__, row, strict=True):
             getattr(self, name)[n] = value
 
 
 @functools.cache
 def ground_motion(name: str) -> Floats:
-    """Return the scaled accelerations of a motion to the instant of its last point, m/s2, (n,).
+    """Return the scaled accelerations of a motion up to the time of its last point, m/s2, (n,).
 
     Raises:
-        InputError: there is none of that name.
+        InputError: no motion has this name.
     """
     record = cases.motion(name)
     time_s = record.time_s
@@ -117,7 +117,7 @@ def reference(motion: str) -> Floats:
 
 @functools.cache
 def joined(motion: str) -> Floats:
-    """Return those of the numerical part with the frame that makes the forces, (n, 29)."""
+    """Return those of the numerical part joined to the frame model, (n, 29)."""
     return frame.Newmark(frame.joined()).run(ground_motion(motion))
 
 
@@ -125,15 +125,15 @@ PARTS: Final[dict[str, type[frame.Newmark | frame.KrAlpha]]] = {
     "newmark": frame.Newmark,
     "kr-alpha": frame.KrAlpha,
 }
-"""Integrators of the numerical part: as the benchmark has it; this program's own."""
+"""Integrators of the numerical part: the benchmark's, and this program's own."""
 
 
 def simulate(run: Run) -> Signals | None:
-    """Do one run; None where it went unstable.
+    """Carry out one run; None if it became unstable.
 
-    Targets, commands and readings of a row are of one instant t_n, from which on the plant has the
-    commands. ``newmark`` computes the targets of t_n from the forces of t_n, ``kr-alpha`` from
-    those of the sample before it, as a test of this program does.
+    Targets, commands and readings of a row belong to the same instant t_n, from which on the
+    commands apply to the plant. ``newmark`` computes the targets of t_n from the forces of t_n,
+    ``kr-alpha`` from those of the previous sample, as in a test of this program.
     """
     ag = ground_motion(run.motion)
     seed = None if run.plant == NOMINAL else run.plant
@@ -180,7 +180,7 @@ MEANINGS: Final = {
     "command": "largest command of actuators 1 and 2, mm",
     "force": "largest force of actuators 1 and 2, kN",
 }
-"""Of the figures; each has two or four, numbered from 1. J4 is J1."""
+"""Meanings of the figures; each has two or four values, numbered from 1. J4 is J1."""
 
 COUNTS: Final = {name: 4 if name in ("J8", "J10", "joined-upper") else 2 for name in MEANINGS}
 
@@ -216,7 +216,7 @@ def figures(run: Run, signals: Signals) -> dict[str, float]:
 
 
 def actuator_forces(signals: Signals) -> Floats:
-    """Return the forces of the actuators that hold the specimen's, N, (n, 2)."""
+    """Return the forces of the actuators that balance those of the specimen, N, (n, 2)."""
     tie = frame.kinematics()
     found = np.empty_like(signals.reading_m)
     for n, reading in enumerate(signals.reading_m):
@@ -231,9 +231,9 @@ def _node(displacement: Floats) -> Floats:
 
 
 def _delay(target: Floats, reading: Floats) -> int:
-    """Return the lag, samples, at which the correlation of both is largest in size.
+    """Return the lag, samples, with the largest magnitude of the correlation.
 
-    MATLAB's finddelay; of lags that are equally good the smallest.
+    MATLAB's finddelay; of equally good lags the smallest.
     """
     size = 1 << (2 * target.size - 1).bit_length()
     product = np.fft.irfft(np.conj(np.fft.rfft(target, size)) * np.fft.rfft(reading, size), size)
@@ -255,7 +255,7 @@ def _peak(error: Floats, of: Floats) -> Floats:
 
 
 def measure(run: Run) -> Outcome:
-    """Do one run, and measure it."""
+    """Carry out one run, and evaluate it."""
     signals = simulate(run)
     return Outcome(run, {} if signals is None else figures(run, signals))
 
@@ -267,12 +267,12 @@ def planned(
     integrator: str = "newmark",
     width: float = 1.0,
 ) -> list[Run]:
-    """Return all runs of these: of each the nominal plant, then ``plants`` perturbed ones.
+    """Return all combinations as runs, on the nominal plant and on ``plants`` perturbed ones.
 
-    ``width``: of the perturbation, in the benchmark's standard deviations.
+    ``width``: size of the perturbation, in the benchmark's standard deviations.
 
     Raises:
-        InputError: there is no such law, motion or integrator, or not so many plants.
+        InputError: there is no such law, motion or integrator, or there are not as many plants.
     """
     if integrator not in PARTS:
         raise InputError(f"found {integrator!r}; must be one of {', '.join(PARTS)}", "--integrator")
@@ -298,15 +298,15 @@ def planned(
 def measured(
     wanted: Sequence[Run], jobs: int = 1, tell: Callable[[int, int, str], None] | None = None
 ) -> list[Outcome]:
-    """Do runs, in their order, by as many processes as are asked for.
+    """Carry out runs, in their order, with the given number of processes.
 
     Args:
-        wanted: which.
-        jobs: processes; 1: this one alone.
-        tell: called with (runs done, runs in all, the law) after each.
+        wanted: the runs.
+        jobs: number of processes; 1: only this one.
+        tell: called with (runs done, total runs, the law) after each.
 
     Raises:
-        InputError: fewer than one process.
+        InputError: the number of processes is below one.
     """
     found = []
     for outcome in runs.each(measure, wanted, jobs):

@@ -1,11 +1,11 @@
 """The multi-axial benchmark: its frames, its plant and its coupler.
 
-A steel frame of three storeys, of which one bay of the first stands in the laboratory: two
-actuators move its upper right joint by a coupler, sideways and in rotation. Reference structure,
-the bay that is taken out of it, the frame that makes the forces, and the plant with what its
-perturbed ones differ in are those of the benchmark's own code (github.com/FermandoisLab/
-maRTHS-bmk-RoDeAC at eb0f21b, MIT), written again from it; ``docs/benchmark-marths.md`` says what
-of them is peculiar. Degrees of freedom are counted from 0; SI units throughout, also of the plant.
+A steel frame of three storeys, with one bay of the first storey in the laboratory: two actuators
+move its upper right joint by a coupler, in translation and rotation. Reference structure, the
+subtracted bay, the frame model that provides the forces, and the plant with its perturbations are
+reimplemented from the benchmark's own code (github.com/FermandoisLab/maRTHS-bmk-RoDeAC at eb0f21b,
+MIT); ``docs/benchmark-marths.md`` describes its peculiarities. Degrees of freedom are counted from
+0; SI units throughout, also for the plant.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ RATE_HZ: Final = 1024
 PERIOD_S: Final = 1.0 / RATE_HZ
 
 X, TURN, OTHER_TURN = 26, 20, 28
-"""Of the interface: displacement, rotation of the joint at the coupler, of the joint across the
-beam. The laboratory's rotations have the other sign."""
+"""Degrees of freedom of the interface: displacement, rotation of the joint at the coupler, and of
+the joint across the beam. The laboratory's rotations have the opposite sign."""
 UPPER: Final = {"x2": 25, "theta2": 21, "x3": 12, "theta3": 2}
-"""Displacement and rotation of storeys 2 and 3 that the criteria look at."""
+"""Displacement and rotation of storeys 2 and 3 that the criteria use."""
 SHAKEN: Final = (26, 25, 12)
-"""Degrees of freedom that the ground motion acts on."""
+"""Degrees of freedom on which the ground motion acts."""
 INTERFACE: Final = (X, OTHER_TURN, TURN)
 
 _INCH: Final = 0.0254
@@ -47,7 +47,7 @@ _BEAM_M: Final = 0.762
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """M x'' + C x' + K x = -M l ag, of n degrees of freedom, some of them without mass.
+    """M x'' + C x' + K x = -M l ag, with n degrees of freedom, some of them without mass.
 
     Attributes:
         mass, damping, stiffness: (n, n).
@@ -62,7 +62,7 @@ class Structure:
 
     @property
     def load(self) -> Floats:
-        """Force of a ground acceleration of -1 m/s^2, (n,)."""
+        """Force for a ground acceleration of -1 m/s^2, (n,)."""
         return np.asarray(self.mass @ self.influence)
 
 
@@ -72,14 +72,14 @@ def _read(name: str) -> Floats:
 
 
 def _rayleigh(mass: Floats, stiffness: Floats, ratio: float, first: float, last: float) -> Floats:
-    """Return the damping matrix with that ratio at two circular frequencies, rad/s."""
+    """Return the damping matrix with this ratio at two circular frequencies, rad/s."""
     equations = 0.5 * np.array([[1.0 / first, first], [1.0 / last, last]])
     by_mass, by_stiffness = np.linalg.solve(equations, [ratio, ratio])
     return np.asarray(by_mass * mass + by_stiffness * stiffness)
 
 
 def _modes(mass: Floats, stiffness: Floats) -> tuple[Floats, Floats]:
-    """Return circular frequencies, rising, and modes of unit modal mass, of a diagonal mass."""
+    """Return circular frequencies, ascending, and modes of unit modal mass, for a diagonal mass."""
     root = 1.0 / np.sqrt(np.diag(mass))
     squares, vectors = np.linalg.eigh(root[:, None] * stiffness * root)
     return np.sqrt(squares), root[:, None] * vectors
@@ -97,10 +97,10 @@ def reference() -> Structure:
 
 @functools.cache
 def bay() -> tuple[Floats, Floats, Floats]:
-    """Return M, C, K of the bay that is taken out, by `INTERFACE`, (3, 3) each.
+    """Return M, C, K of the bay to be subtracted, by `INTERFACE`, (3, 3) each.
 
-    Pinned feet, their rotations condensed. Its density is 785 t/m3 in the benchmark's code, so that
-    902 kg are taken out.
+    Pinned feet, with their rotations condensed. Its density is 785 t/m3 in the benchmark's code, so
+    that 902 kg are subtracted.
     """
     column_m, density, beam_i, beam_a = 0.635, 785e3, 0.6132 * _INCH**4, 0.947 * _INCH**2
     beam_kg, column_kg = density * beam_a * _BEAM_M, density * _COLUMN_A * column_m
@@ -121,7 +121,7 @@ def bay() -> tuple[Floats, Floats, Floats]:
 
 @functools.cache
 def numerical() -> Structure:
-    """Return the reference less the bay; of the bay's mass that of x alone is taken out."""
+    """Return the reference less the bay, of whose mass only the part for x is subtracted."""
     whole, (mass, damping, stiffness) = reference(), bay()
     where = np.ix_(INTERFACE, INTERFACE)
     m, c, k = whole.mass.copy(), whole.damping.copy(), whole.stiffness.copy()
@@ -133,10 +133,10 @@ def numerical() -> Structure:
 
 @functools.cache
 def specimen() -> tuple[Floats, Floats, Floats]:
-    """Return K, C, M, (3, 2) each, of the frame that makes the forces.
+    """Return K, C, M, (3, 2) each, of the frame model that provides the forces.
 
     Rows are force and the moments of `TURN` and `OTHER_TURN`, columns x and the rotation at the
-    coupler; the other joint's rotation and the feet's follow statically.
+    coupler; the rotations of the other joint and of the feet follow statically.
     """
     column_m, density, beam_i, beam_a = 0.64135, 7850.0, 4.21372e-7, 7.56e-4
     column, beam = _E_PA * 0.7 * _COLUMN_I / column_m, _E_PA * beam_i / _BEAM_M
@@ -165,12 +165,12 @@ def specimen() -> tuple[Floats, Floats, Floats]:
 
 
 TO_INTERFACE: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
-"""Forces of `specimen` to those along `INTERFACE`: the rotations' sign turned round."""
+"""Signs from forces of `specimen` to those along `INTERFACE`: rotations are reversed."""
 
 
 @functools.cache
 def joined() -> Structure:
-    """Return the numerical part with the frame that makes the forces, solved as one."""
+    """Return the numerical part and the frame model, solved as one."""
     part = numerical()
     m, c, k = part.mass.copy(), part.damping.copy(), part.stiffness.copy()
     pose = np.zeros((2, len(m)))
@@ -181,7 +181,7 @@ def joined() -> Structure:
 
 
 class _Joined(Structure):
-    """The frame in the laboratory does not feel the ground move: of its mass nothing is a load."""
+    """The frame in the laboratory is not on moving ground: its mass causes no load."""
 
     @property
     def load(self) -> Floats:
@@ -225,22 +225,22 @@ DEVIATIONS: Final = {
     "pole_2b": 0.03,
     "zero_22": 0.03,
 }
-"""Standard deviations of the perturbed plants, of each root; gains at rest stay nominal."""
+"""Standard deviations of each root for perturbed plants; static gains remain nominal."""
 
 GAINS: Final = {"11": 2165.2, "21": 349.95, "12": 4.5394e6, "22": 1.9238e7}
 NOISE_M: Final = 1e-3 * float(np.sqrt(1.5e-7 * RATE_HZ))
 STROKE_M: Final = 0.030
-"""Of a command: 3.8 V."""
+"""Range of a command: 3.8 V."""
 FORCE_LIMIT_N: Final = 2100 * 4.44822
-"""Of an actuator; its load cell ends at 11.1 kN."""
+"""Range of an actuator's force; its load cell is limited to 11.1 kN."""
 SEEDS: Final = tuple(range(8001, 8021))
-"""Of the perturbed plants; the benchmark asks for 20."""
+"""Seeds of the perturbed plants; the benchmark requires 20."""
 
 
 def roots(seed: int | None, width: float = 1.0) -> dict[str, complex]:
     """Return zeros and poles, Hz, of the nominal plant (None) or of a perturbed one.
 
-    ``width``: times the stated standard deviations.
+    ``width``: factor on the stated standard deviations.
     """
     if seed is None:
         return dict(ROOTS)
@@ -254,7 +254,7 @@ def roots(seed: int | None, width: float = 1.0) -> dict[str, complex]:
 def _transfer(
     zeros: tuple[str, ...], poles: tuple[str, ...], gain: float, of: Mapping[str, complex]
 ) -> tuple[Floats, Floats]:
-    """Return numerator and denominator, highest power first, with the nominal gain at rest."""
+    """Return numerator and denominator, highest power first, with the nominal static gain."""
 
     def polynomials(values: Mapping[str, complex]) -> tuple[Floats, Floats]:
         pair = [values["frame"], np.conj(values["frame"])]
@@ -270,7 +270,7 @@ def _transfer(
 def plant_matrices(seed: int | None, width: float = 1.0) -> tuple[Floats, Floats, Floats]:
     """Return A, B, C of the plant in continuous time, (8, 8), (8, 2), (2, 8), mm to mm or m to m.
 
-    Each column of the transfer matrix has its own four poles, in the form of a controller.
+    Each column of the transfer matrix has its own four poles, in controller canonical form.
     """
     of = roots(seed, width)
     first, second = ("pole_1a", "pole_1b"), ("pole_2a", "pole_2b")
@@ -296,8 +296,8 @@ def plant(
 ) -> CoupledPlantConfig:
     """Return the virtual rig with the nominal plant (None) or a perturbed one.
 
-    Discretised as Simulink's ode4 does a held input: the series of the exponential to the fourth
-    power of a sample.
+    Discretised like a held input in Simulink's ode4: the series of the exponential up to the fourth
+    power of the sampling period.
     """
     a, b, c = plant_matrices(seed, width)
     step, power, by_input = np.eye(8), np.eye(8), np.zeros((8, 8))
@@ -325,10 +325,10 @@ def plant(
 
 
 class Newmark:
-    """Newmark's method of constant acceleration as the benchmark has it, at rest at 0.
+    """Newmark's constant-acceleration method as implemented in the benchmark, at rest at 0.
 
-    It answers with the displacements of the instant whose reading made the force: the force of
-    an equation of t_n is that of the specimen where the actuators had got to by then.
+    It returns the displacements for the instant at which the force was measured: the force in the
+    equation of t_n is that of the specimen at the position the actuators had reached by then.
     """
 
     ahead = 0
@@ -350,11 +350,11 @@ class Newmark:
         self._state = np.zeros(3 * n)
 
     def step(self, ag_mps2: float, force: Floats | None = None) -> Floats:
-        """Return the displacements, (n,), one sample on.
+        """Return the displacements, (n,), one sample later.
 
         Args:
-            ag_mps2: ground acceleration there.
-            force: of the specimen along `INTERFACE`, (3,); None: no specimen is joined.
+            ag_mps2: ground acceleration at that sample.
+            force: force of the specimen along `INTERFACE`, (3,); None: no specimen is joined.
         """
         n, h, state = self._n, self._h, self._state
         x = self._by_state @ state + self._by_ground * ag_mps2
@@ -366,17 +366,17 @@ class Newmark:
         return x
 
     def run(self, ag_mps2: Floats) -> Floats:
-        """Return the displacements, (samples, n), of a structure that is simulated as a whole."""
+        """Return the displacements, (samples, n), of a structure simulated as a whole."""
         return np.array([self.step(float(ag)) for ag in ag_mps2])
 
 
 class KrAlpha:
-    """This program's numerical part: KR-alpha with one sparse solve a step, in C, at rest at 0.
+    """This program's numerical part: KR-alpha with one sparse solve per step, in C, at rest at 0.
 
-    It answers with the displacements of the next instant. What it is told of the specimen is the
-    stiffness of the bay that was taken out, along that matrix's own directions. The rotations at
-    the interface have no mass: what of the force's noise lies near half of the sample rate stays in
-    them, the longer the nearer ``rho_inf`` is to 1.
+    It returns the displacements for the next instant. Its estimate of the specimen is the stiffness
+    of the subtracted bay along the directions of that matrix. The rotations at the interface have
+    no mass: noise of the force near half the sample rate persists in them, the longer the closer
+    ``rho_inf`` is to 1.
     """
 
     ahead = 1
@@ -401,7 +401,7 @@ class KrAlpha:
         )
 
     def step(self, ag_mps2: float, force: Floats) -> Floats:
-        """Return the displacements, (n,), a sample after a ground acceleration and force, (3,)."""
+        """Return displacements, (n,), one sample after a ground acceleration and force, (3,)."""
         self._part.answer_all(ag_mps2, (self._directions.T @ force).tolist())
         self._part.advance()
         return self._part.displacements()

@@ -1,4 +1,4 @@
-"""Who takes part in the multi-axial benchmark: compensations of its two actuators."""
+"""Entrants of the multi-axial benchmark: compensations of its two actuators."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 class Compensation(Protocol):
-    """What leads two actuators, in m; each (2,)."""
+    """A compensation of two actuators, in m; each (2,)."""
 
     def lead(self, target_m: Floats) -> Floats:
         """Return the commands for these targets."""
@@ -30,7 +30,7 @@ class Compensation(Protocol):
 
 
 class Nothing:
-    """Commands are the targets."""
+    """No compensation: commands equal the targets."""
 
     def lead(self, target_m: Floats) -> Floats:
         """Return the targets."""
@@ -48,7 +48,7 @@ THETA0: Final = np.array(
         [6.05817263, 2.19981575, -1.67459763, -5.53849986],
     ]
 )
-"""Where the four taps of each axis begin (Initial_parameters.mat of the benchmark's repository)."""
+"""Initial values of the four taps of each axis (Initial_parameters.mat in its repository)."""
 P0: Final = np.array(
     [
         [
@@ -65,21 +65,21 @@ P0: Final = np.array(
         ],
     ]
 )
-"""And how loosely, of the same file; they belong to signals in mm, or nothing would be learnt."""
+"""Their initial uncertainty, from the same file; for signals in mm, or nothing would be learnt."""
 
 
 class Rodeac:
-    """Quiroz, Galmez and Fermandois (2024), Front. Built Environ. 10:1394952, derived anew.
+    """Quiroz, Galmez and Fermandois (2024), Front. Built Environ. 10:1394952, reimplemented.
 
-    Each axis by itself: its command is a sum of its last four targets, whose weights are found by
-    recursive least squares, without forgetting, from command and reading behind a Butterworth
-    low-pass of fourth order at 20 Hz.
+    Each axis separately: its command is a sum of its last four targets, with weights found by
+    recursive least squares, without forgetting, from command and reading after a fourth-order
+    Butterworth low-pass filter at 20 Hz.
     """
 
     def __init__(self) -> None:
         self._theta, self._p = THETA0.copy(), P0.copy()
         self._past, self._read = np.zeros((2, 4)), np.zeros((2, 4))
-        # Command, then reading, of each axis: two sections of second order.
+        # Command, then reading, of each axis: two second-order sections.
         self._sections = _butterworth4(20.0, frame.PERIOD_S)
         self._kept = np.zeros((len(self._sections), 2, 2, 2))
 
@@ -123,7 +123,7 @@ def _butterworth4(cutoff_hz: float, period_s: float) -> list[tuple[Floats, Float
 
 
 class Lead:
-    """The lead of several axes, in C."""
+    """This program's lead for several axes, in C."""
 
     def __init__(self, config: MatrixLeadConfig) -> None:
         self.own = MatrixLead(config)
@@ -138,25 +138,25 @@ class Lead:
 
 
 SWEEP_SEED: Final = 7000
-"""Of the sensors' noise while the nominal plant is swept; no run has it."""
+"""Seed of the sensors' noise during the sweep of the nominal plant; no run uses it."""
 ROLL_OFF_HZ: Final = 20.0
 
 
 @functools.cache
 def identified() -> MatrixResponse:
-    """Return what one sweep of the noisy nominal plant shows: all that a lead knows."""
+    """Return the result of one sweep of the noisy nominal plant: all that a lead knows."""
     rig = frame.plant(None, SWEEP_SEED)
     return identify_axes.identify_axes(lambda commands: CoupledPlant(rig).run(commands)[0], 2)
 
 
 @functools.cache
 def inverse() -> MatrixFit:
-    """Return the inverse that is fitted to that sweep."""
+    """Return the inverse fitted to that sweep."""
     return matrix_response.fit(identified(), frame.PERIOD_S)
 
 
 def _at_rest() -> MatrixInverse:
-    """Return what undoes the slowest tone of the sweep, where it is as good as rest."""
+    """Return the inverse at the slowest tone of the sweep, which is nearly static."""
     slowest = identified().response[0]
     return MatrixInverse((), np.linalg.inv(np.real(slowest))[None])
 
@@ -186,14 +186,14 @@ NAMES: Final = {
     "matrix": "gain, delay and curvature as matrices",
     "matrix-inverse": "the identified inverse, with matrices for the remaining error",
 }
-"""Who takes part, and what it is."""
+"""The entrants, with a description of each."""
 
 
 def compensation(name: str) -> Compensation:
-    """Return one of `NAMES` at the beginning of a test.
+    """Return one of `NAMES` at the start of a test.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such compensation.
     """
     if name == "none":
         return Nothing()

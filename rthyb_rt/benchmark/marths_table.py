@@ -1,4 +1,4 @@
-"""Runs of the multi-axial benchmark as a table: means over the plants, in brackets the worst."""
+"""Runs of the multi-axial benchmark as a table: means over the plants, the worst in brackets."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rthyb_rt.benchmark.marths import Outcome
 from rthyb_rt.benchmark.table import facts, short
 
 WITH_WORST: Final = ("J2", "joined-upper", "command")
-"""Figures of which a table has the worst plant behind the mean."""
+"""Figures for which a table shows the worst plant after the mean."""
 HEADS: Final = {
     "J1": "J1 ms",
     "true": "true %",
@@ -24,7 +24,7 @@ HEADS: Final = {
 }
 PUBLISHED: Final = ("J1", "J2", "J3", "J5", "J6", "J7", "J8", "J9", "J10")
 BESIDE: Final = ("J2", "true", "joined", "joined-upper", "command", "force")
-"""Two tables: the benchmark's criteria; what they do not show."""
+"""Two tables: the benchmark's criteria, and what they do not show."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Line:
     """All plants of one law with one motion.
 
     Attributes:
-        law, motion, integrator: which.
-        runs: how many.
-        unstable: how many of them did not come to their end.
-        mean, worst: of those that did, by figure and number; of none, nothing.
+        law, motion, integrator: identification.
+        runs: number of runs.
+        unstable: number of runs that were not completed.
+        mean, worst: of the completed runs, by figure and number; empty if there are none.
     """
 
     law: str
@@ -48,7 +48,7 @@ class Line:
 
 
 def lines(outcomes: Iterable[Outcome]) -> list[Line]:
-    """Return a line for each kind of run, in the order in which they come."""
+    """Return a row for each kind of run, in the order in which they occur."""
     kinds: dict[tuple[str, str, str], list[Outcome]] = {}
     for one in outcomes:
         run = one.run
@@ -70,12 +70,12 @@ def _line(kind: tuple[str, str, str], found: Sequence[Outcome]) -> Line:
 
 
 def heads(names: Sequence[str]) -> list[str]:
-    """Return the heads of columns of figures."""
+    """Return the headings of the columns of figures."""
     return [HEADS.get(name, f"{name} %") for name in names] + ["unstable"]
 
 
 def cells(line: Line, names: Sequence[str]) -> list[str]:
-    """Return the cells below `heads`: a number for each axis or freedom, the worst in brackets."""
+    """Return the cells below `heads`: a number per axis or coordinate, the worst in brackets."""
     found = []
     for name in names:
         if not line.mean:
@@ -94,7 +94,7 @@ def _several(figures: Mapping[str, float], name: str) -> str:
 
 
 def document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return everything for machines: facts, meanings, lines, and every run with its figures."""
+    """Return everything in machine-readable form: facts, meanings, rows, and all runs."""
     return {
         "benchmark": "marths",
         "facts": facts(),

@@ -1,8 +1,8 @@
-"""The field's benchmark of real-time hybrid simulation: its plants, as they are drawn.
+"""The random plants of the benchmark problem of real-time hybrid simulation.
 
 Silva, Gomez, Maghareh, Dyke, Spencer, "Benchmark control problem for real-time hybrid simulation",
 Mechanical Systems and Signal Processing 135 (2020) 106381, Table 2: the standard deviations of the
-parameters that its perturbed plants differ in.
+parameters of its perturbed plants.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ def nominal() -> RigFile:
 
 
 def drawn(seed: int, width: float = 1.0) -> RigFile:
-    """Return a perturbed plant; what was identified of the rig is still the nominal one's.
+    """Return a perturbed plant; its identified values are still those of the nominal one.
 
     The specimen's damping follows its stiffness at the same damping ratio, as in the benchmark's
     own code. The noise of the sensors has the same seed as the plant.
 
     Args:
         seed: the same seed gives the same plant.
-        width: times the stated standard deviations.
+        width: factor on the stated standard deviations.
     """
     rig = nominal()
     if not isinstance(rig.actuator, ServoValve):

@@ -1,4 +1,4 @@
-"""Runs of the benchmark, one by one or by many processes."""
+"""Runs of the benchmark, one by one or with several processes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
 
 NOMINAL: Final = 0
-"""Instead of a seed: the plant that is not perturbed."""
+"""Used instead of a seed for the plant without perturbation."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,13 @@ class Run:
     """One run.
 
     Attributes:
-        entrant: who takes part, by name.
+        entrant: name of the entrant.
         rate_hz: one of `cases.RATES`.
         case: one of `cases.CASES`.
         motion: one of `cases.MOTIONS`.
         plant: the seed of a perturbed plant, or `NOMINAL`.
-        width: of the perturbation, in the benchmark's standard deviations.
-        yielding: the specimen yields.
+        width: size of the perturbation, in the benchmark's standard deviations.
+        yielding: whether the specimen yields.
     """
 
     entrant: str
@@ -44,14 +44,14 @@ class Run:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to.
+    """Result of a run.
 
     Attributes:
-        run: which.
-        end: how it ended, "completed" when it did; the benchmark's own evaluation takes a force of
-            8900 N for the end of a run.
+        run: the run.
+        end: how it ended, "completed" for a complete run; in the benchmark's own evaluation, a
+            force of 8900 N ends a run.
         figures: J1 to J9 and the others of `criteria.MEANINGS`; empty if it was not completed.
-        beyond: it was not, and no law could have: see `is_beyond`.
+        beyond: whether it was not completed, and could not be with any law: see `is_beyond`.
     """
 
     run: Run
@@ -61,7 +61,7 @@ class Outcome:
 
     @property
     def completed(self) -> bool:
-        """Whether it came to its end."""
+        """Whether the run was completed."""
         return bool(self.figures)
 
 
@@ -75,12 +75,12 @@ def planned(
     width: float = 1.0,
     yielding: bool = False,
 ) -> list[Run]:
-    """Return all runs of these, each on every plant.
+    """Return all combinations as runs, each on every plant.
 
     Args:
-        entrants, rates, numbers, motions: which; ``numbers`` of `cases.CASES`.
-        seeds: of the plants, or `NOMINAL`; `seeds_of` gives the benchmark's.
-        width, yielding: as `Run` has them.
+        entrants, rates, numbers, motions: values to combine; ``numbers`` are `cases.CASES`.
+        seeds: seeds of plants, or `NOMINAL`; `seeds_of` returns the benchmark's.
+        width, yielding: as in `Run`.
 
     Raises:
         InputError: there is no such entrant, rate, case, motion or plant.
@@ -108,10 +108,10 @@ def planned(
 
 
 def seeds_of(perturbed: int) -> tuple[int, ...]:
-    """Return the nominal plant and the seeds of so many perturbed ones.
+    """Return the nominal plant and the seeds of this number of perturbed ones.
 
     Raises:
-        InputError: there are not so many.
+        InputError: there are not as many.
     """
     if not 0 <= perturbed <= len(cases.SEEDS):
         raise InputError(
@@ -130,7 +130,7 @@ def _known(found: Sequence[Any], known: Any, where: str, unit: str) -> None:
 
 
 def prepared(run: Run) -> Setup:
-    """Return a run as the program's own test, ready to go."""
+    """Return a run as a test of this program, ready to run."""
     who = cases.entrant(run.entrant)
     seed = None if run.plant == NOMINAL else run.plant
     rig = cases.rig_of(who, seed, run.rate_hz, width=run.width, yielding=run.yielding)
@@ -139,12 +139,12 @@ def prepared(run: Run) -> Setup:
 
 
 def recorded(setup: Setup) -> Recording:
-    """Carry a run out in virtual time, with what `figures_of` needs beside the record."""
+    """Carry out a run in virtual time, with the additional data that `figures_of` requires."""
     return virtual_time.run(setup, truth=True, freedoms=True)
 
 
 def measure(run: Run) -> Outcome:
-    """Do one run in virtual time, and measure it."""
+    """Carry out one run in virtual time, and evaluate it."""
     setup = prepared(run)
     rec = recorded(setup)
     end = str(rec.meta["end_reason"])
@@ -154,10 +154,10 @@ def measure(run: Run) -> Outcome:
 
 
 def is_beyond(setup: Setup) -> bool:
-    """Return whether the reference simulation of a run passes the force limit itself.
+    """Return whether the reference simulation of a run itself exceeds the force limit.
 
-    That is so with Kobe in case 3, on the stiffer eight of the 21 plants: the limit would end the
-    run of a perfect control law.
+    This is the case for Kobe in case 3, on the stiffest eight of the 21 plants: the limit would end
+    the run even with a perfect control law.
     """
     limit = setup.rig.limits.force_n
     force_n = reference(setup)[2]
@@ -165,7 +165,7 @@ def is_beyond(setup: Setup) -> bool:
 
 
 def reference(setup: Setup) -> tuple[criteria.Floats, ...]:
-    """Return the reference simulation of a run, the plant's own specimen joined to the structure.
+    """Return the reference simulation of a run: the structure joined to the plant's own specimen.
 
     Displacement, velocity and force of the interface, (n,) each, and the displacement of every
     storey, (n, 3).
@@ -178,7 +178,7 @@ def reference(setup: Setup) -> tuple[criteria.Floats, ...]:
 
 
 def figures_of(setup: Setup, rec: Recording) -> dict[str, float]:
-    """Return the figures of a completed run over the whole record, its rests included."""
+    """Return the figures of a completed run over the whole record, including rest."""
     rows = rec.samples[rec.running()][: setup.ticks]
     storeys_m = reference(setup)[3][: rows.size]
     return criteria.figures(
@@ -200,15 +200,15 @@ _CHUNK: Final = 4
 
 
 def measured(runs: Sequence[Run], jobs: int = 1, tell: Tell | None = None) -> list[Outcome]:
-    """Do runs, in their order, by as many processes as are asked for.
+    """Carry out runs, in their order, with the given number of processes.
 
     Args:
-        runs: which.
-        jobs: processes; 1: this one alone.
-        tell: called with (runs done, runs in all, the entrant) after each.
+        runs: the runs.
+        jobs: number of processes; 1: only this one.
+        tell: called with (runs done, total runs, the entrant) after each.
 
     Raises:
-        InputError: fewer than one process.
+        InputError: the number of processes is below one.
     """
     outcomes = []
     for outcome in each(measure, runs, jobs):
@@ -219,10 +219,10 @@ def measured(runs: Sequence[Run], jobs: int = 1, tell: Tell | None = None) -> li
 
 
 def each(do: Callable[[Item], Found], items: Sequence[Item], jobs: int) -> Iterator[Found]:
-    """Yield what a function makes of each item, in their order, by so many processes.
+    """Yield the result of a function for each item, in order, using the given number of processes.
 
     Raises:
-        InputError: fewer than one process.
+        InputError: the number of processes is below one.
     """
     if jobs < 1:
         raise InputError(f"found {jobs}; must be at least 1 process", "--jobs")

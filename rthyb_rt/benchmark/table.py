@@ -1,4 +1,4 @@
-"""Runs of one kind as one line: means, the worst of the plants, how many were unstable."""
+"""Runs of one kind as one row: means, the worst plant, number of unstable runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rthyb_rt.benchmark.runs import NOMINAL, Outcome
 from rthyb_rt.lab import jitter
 
 WITH_WORST: Final = ("J2", "J4", "J6", "J8", "true")
-"""Figures of which a table has the worst plant beside the mean."""
+"""Figures for which a table shows the worst plant beside the mean."""
 
 
 @dataclass(frozen=True)
@@ -26,11 +26,11 @@ class Line:
     """All plants of one entrant in one case, at one rate, with one motion.
 
     Attributes:
-        entrant, rate_hz, case, motion: which.
-        runs: how many.
-        unstable: how many of them did not come to their end.
-        beyond: how many of them no law could have brought there; not counted among the unstable.
-        mean, worst, deviation: of those that did, by figure; of none, nothing.
+        entrant, rate_hz, case, motion: identification.
+        runs: number of runs.
+        unstable: number of runs that were not completed.
+        beyond: number of runs that no law could complete; not counted as unstable.
+        mean, worst, deviation: of the completed runs, by figure; empty if there are none.
     """
 
     entrant: str
@@ -46,7 +46,7 @@ class Line:
 
 
 def lines(outcomes: Iterable[Outcome]) -> list[Line]:
-    """Return a line for each kind of run, in the order in which they come."""
+    """Return a row for each kind of run, in the order in which they occur."""
     kinds: dict[tuple[int, str, str, int], list[Outcome]] = {}
     for one in outcomes:
         run = one.run
@@ -76,13 +76,13 @@ def _line(kind: tuple[int, str, str, int], found: Sequence[Outcome]) -> Line:
 
 
 def heads() -> list[str]:
-    """Return the heads of the columns behind entrant and case."""
+    """Return the headings of the columns after entrant and case."""
     units = {"J1": "J1 ms", "true": "true %", "high": "> 100 Hz µm"}
     return [units.get(key, f"{key} %") for key in criteria.MEANINGS] + ["unstable"]
 
 
 def cells(line: Line) -> list[str]:
-    """Return the cells below `heads`: a mean, behind a stroke the worst where that matters."""
+    """Return the cells below `heads`: a mean, followed by the worst plant if relevant."""
     found = []
     for key in criteria.MEANINGS:
         if not line.mean:
@@ -96,7 +96,7 @@ def cells(line: Line) -> list[str]:
 
 
 def short(value: float) -> str:
-    """Return a figure with what of it matters in a table."""
+    """Return a figure with the digits relevant in a table."""
     if not math.isfinite(value):
         return "–"
     return (
@@ -109,7 +109,7 @@ def short(value: float) -> str:
 
 
 def facts() -> dict[str, Any]:
-    """Return what the figures depend on, and where they come from."""
+    """Return what the figures depend on, and their sources."""
     return {
         "rthyb": __version__,
         **core.build_facts(),
@@ -122,7 +122,7 @@ def facts() -> dict[str, Any]:
 
 
 def document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Return everything for machines: facts, meanings, lines, and every run with its figures."""
+    """Return everything in machine-readable form: facts, meanings, rows, and all runs."""
     return {
         "benchmark": "rths",
         "facts": facts(),

@@ -1,1 +1,1 @@
-"""Is a test sound, and how far is it from trouble: its figures, remarks and tables."""
+"""The check of a test and its margins: figures, remarks and tables."""

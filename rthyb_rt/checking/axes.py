@@ -1,4 +1,4 @@
-"""A test on a rig of several axes, examined without running it."""
+"""The check of a test on a rig with several axes."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ NOT_COMPUTED: Final = (
 
 @dataclass(frozen=True, eq=False)
 class ExaminedAxes:
-    """What `rthyb check` says of a test on several axes.
+    """Result of `rthyb check` for a test on several axes.
 
     Attributes:
-        setup, group: the test, ready to go.
-        notes, warnings: what a user should know, and what should be changed.
+        setup, group: the test, ready to run.
+        notes, warnings: information, and problems that should be corrected.
     """
 
     setup: Setup
@@ -40,7 +40,7 @@ class ExaminedAxes:
     warnings: tuple[str, ...]
 
     def tables(self) -> list[Rows]:
-        """Return structure, each axis and each direction in rows: what, how much, of what."""
+        """Return rows for structure, axes and directions: quantity, value, explanation."""
         return [self._structure(), *(self._axis(i) for i in range(len(self.group.rig.axis))),
                 self._directions()]  # fmt: skip
 
@@ -127,14 +127,14 @@ class ExaminedAxes:
 
 
 def _of_limit(limit: float | None, unit: str) -> str:
-    """Return in words what a peak of the reference is to be compared with."""
+    """Return a text that compares a peak of the reference with its limit."""
     if limit is None:
         return "peak of the reference; no limit"
     return f"peak of the reference; limit {number(limit, 4)} {unit}"
 
 
 def _limits_in_reach(setup: Setup, group: Group) -> list[str]:
-    """Name the limits of axes and directions that already the reference simulation exceeds."""
+    """Report the limits of axes and directions that even the reference simulation exceeds."""
     found: list[tuple[str, Limit | None, float, str]] = []
     whole = group.reference
     axis_m, axis_n, x, force = (
@@ -160,10 +160,10 @@ def _limits_in_reach(setup: Setup, group: Group) -> list[str]:
 
 
 def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:
-    """Examine a test on a rig of several axes.
+    """Check a test on a rig with several axes.
 
     Raises:
-        InputError: with what is wrong in the files, or between them.
+        InputError: with all errors in the files, or inconsistencies between them.
     """
     setup = several.prepare(test, rig)
     assert setup.group is not None

@@ -1,4 +1,4 @@
-"""Curves of a check: delays that structures survive, the loop by frequency, predicted tracking."""
+"""Curves of a check: critical delays of structures, the loop by frequency, predicted tracking."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 PERIODS: Final = 33
-"""Of the map, from a quarter to four times that of the test: eight an octave."""
+"""Number of periods on the map, from a quarter to four times that of the test: eight per octave."""
 LINES: Final = 2000
-"""Frequencies of the loop."""
+"""Number of frequencies for the loop."""
 
 
 @dataclass(frozen=True)
 class StabilityMap:
-    """Delays that the structure of a test survives, were its period another.
+    """Critical delays of a test's structure for other periods.
 
     Attributes:
-        periods_s: (k,), s; stiffness and damping ratio are the test's, the mass follows.
+        periods_s: (k,), s; stiffness and damping ratio are the test's, the mass varies.
         alone_s: `margins.critical_delay` without compensation, (k,), s; inf: any.
-        with_lead_s: with the control law as it begins, (k,), s; None where nothing leads.
-        period_s, delay_s: of the test, and of its rig where that was identified.
+        with_lead_s: with the control law at its initial settings, (k,), s; None without a lead.
+        period_s, delay_s: of the test, and of its rig if that was identified.
     """
 
     periods_s: Floats
@@ -71,13 +71,13 @@ def stability_map(setup: Setup) -> StabilityMap | None:
 
 @dataclass(frozen=True)
 class ByFrequency:
-    """A curve for each state of the control law, over one set of frequencies.
+    """A curve for each state of the control law, over common frequencies.
 
     Attributes:
         frequency_hz: (k,), Hz.
-        curves: complex values by name: ``as it begins``, ``once adapted``; of the
-            tracking also ``not compensated``.
-        swept_hz: up to where the rig's response is known.
+        curves: complex values by name: ``as it begins``, ``once adapted``; for the tracking also
+            ``not compensated``.
+        swept_hz: frequency up to which the rig's response is known.
     """
 
     frequency_hz: Floats
@@ -86,15 +86,15 @@ class ByFrequency:
 
 
 def nyquist(setup: Setup) -> ByFrequency | None:
-    """Return L of 1 + L = 0, the whole loop opened at the rig, up to half of the rate.
+    """Return L of 1 + L = 0, the whole loop opened at the rig, up to half the sample rate.
 
-    None where the rig's response is not known, or nothing goes round.
+    None if the rig's response is not known, or there is no loop.
     """
     model, laws, hold = _known(setup)
     if model is None or setup.controller.motion.integrator == "prescribed":
         return None
     h = setup.controller.period_s
-    # The resonance of the computed part may be narrower than any grid: its angles are among it.
+    # The resonance of the computed part may be narrower than any grid, so its angles are included.
     found = {
         name: loop_roots.loop_of(setup.controller, model, law, hold) for name, law in laws.items()
     }
@@ -109,9 +109,9 @@ def nyquist(setup: Setup) -> ByFrequency | None:
 
 
 def tracking(setup: Setup) -> ByFrequency | None:
-    """Return what the measured displacement will be over the command, by the rig's response.
+    """Return the predicted ratio of measured displacement to command, from the rig's response.
 
-    None where that is not known.
+    None if the response is not known.
     """
     model, laws, hold = _known(setup)
     if model is None:

@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 _UNKNOWN = "The rig's response is not known; rthyb identify finds it."
 _COLOURS = (draw.BLUE, draw.GREEN)
 _REACH = 2.2
-"""Either side of zero in the Nyquist plot: what is farther out comes to no harm."""
+"""Range on either side of zero in the Nyquist plot; points beyond it are not critical."""
 
 
 def plates(setup: Setup) -> list[draw.Plate]:
@@ -32,7 +32,7 @@ def plates(setup: Setup) -> list[draw.Plate]:
 
 
 def stability(setup: Setup) -> draw.Plate:
-    """Draw the delays that the structure survives over its period, and where the test is."""
+    """Draw the delays up to which the structure is stable over its period, and the test itself."""
     title, found = "Stability over period and delay", curves.stability_map(setup)
     if found is None:
         why = "Drawn of a structure of one degree of freedom in a test that has a loop."
@@ -81,7 +81,7 @@ def _milliseconds(seconds: float) -> str:
 
 
 def nyquist(setup: Setup) -> draw.Plate:
-    """Draw the whole loop, opened at the rig, in the complex plane about -1."""
+    """Draw the Nyquist plot of the whole loop, opened at the rig, around -1."""
     title, found = "Nyquist plot of the whole loop", curves.nyquist(setup)
     if found is None:
         return draw.Plate("nyquist", title, "", _UNKNOWN, True)
@@ -109,7 +109,7 @@ def nyquist(setup: Setup) -> draw.Plate:
 
 
 def tracking(setup: Setup) -> draw.Plate:
-    """Draw the gain and the delay that are to be expected from command to measured."""
+    """Draw the predicted gain and delay from command to measured displacement."""
     title, found = "Predicted tracking", curves.tracking(setup)
     if found is None:
         return draw.Plate("tracking", title, "", _UNKNOWN, True)

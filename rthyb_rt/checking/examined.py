@@ -1,4 +1,4 @@
-"""A test and its rig, checked."""
+"""The complete result of a check of a test and its rig."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ SCHEMA: Final = "rthyb-check/1"
 
 @dataclass(frozen=True)
 class Examined:
-    """What a test came to that was checked.
+    """Result of a check of a test.
 
     Attributes:
-        setup: the test, ready to go.
-        figures: that follow from test and rig.
-        loop: roots and margins of the loop; None where the rig's response is not known.
-        runs_on: how far a HOLD, a STOP or a ramp-out goes on at most.
-        limits: those that act, and where they come from.
-        link, commissioning: of the rig; None for one without a link.
-        factors: of the rig's calibration.
-        notes, warnings: what a user should know, and what should be changed.
+        setup: the test, ready to run.
+        figures: figures derived from test and rig.
+        loop: roots and margins of the loop; None if the rig's response is not known.
+        runs_on: largest overshoot of a HOLD, a STOP or a ramp-out.
+        limits: effective limits and their origin.
+        link, commissioning: of the rig; None for a rig without a link.
+        factors: calibration factors of the rig.
+        notes, warnings: information, and problems that should be corrected.
     """
 
     setup: Setup
@@ -45,7 +45,7 @@ class Examined:
     warnings: list[str]
 
     def document(self) -> dict[str, Any]:
-        """Return it as a JSON document."""
+        """Return the result as a JSON document."""
         return {
             "schema": SCHEMA,
             "ok": True,
@@ -63,7 +63,7 @@ class Examined:
         }
 
     def tables(self) -> list[list[tuple[str, str, str]]]:
-        """Return its tables, those that have a row: what, how much, what it is."""
+        """Return the tables that are not empty: quantity, value, explanation."""
         setup = self.setup
         all_tables = (
             self._first_rows(),
@@ -86,11 +86,11 @@ def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> E
     """Check a test on a rig.
 
     Args:
-        test_file, rig_file: the two.
-        rig: path or name of the rig, by which it is known whether it was commissioned.
+        test_file, rig_file: the two files.
+        rig: path or name of the rig, from which its commissioning is found.
 
     Raises:
-        InputError: with what is wrong between them.
+        InputError: with all inconsistencies between them.
     """
     real_time = rig_file.link is not None and test_file.test.sample_rate_hz == rig_file.rate.hz
     setup = experiment.prepare(test_file, rig_file, real_time=real_time)

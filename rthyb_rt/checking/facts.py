@@ -1,4 +1,4 @@
-"""What a test is given: its limits, its link, dates of commissioning, calibration."""
+"""Data of a test for its check: limits, link, dates of commissioning, calibration."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rthyb_rt.rig.commissioning import certificate
 
 
 def is_real(setup: Setup) -> bool:
-    """Return whether something real is at the other end of the rig's link."""
+    """Return whether the rig's link leads to a real rig."""
     return setup.rig.link is not None and not setup.rig.link.virtual
 
 
 def limits_of(setup: Setup) -> list[dict[str, Any]]:
-    """Return every limit of test and rig together: key, value, unit, action, where it is from."""
+    """Return every limit of test and rig combined: key, value, unit, action, origin."""
     found = []
     for key, source in setup.derived.limits.sources.items():
         limit = getattr(setup.test.limits, key)
@@ -40,7 +40,7 @@ def limits_of(setup: Setup) -> list[dict[str, Any]]:
 
 
 def _derived(setup: Setup) -> list[dict[str, Any]]:
-    """Return the limits that no file states and a test at a link has all the same."""
+    """Return the limits that no file gives and that a test with a link has nevertheless."""
     return [
         {
             "key": key,
@@ -55,7 +55,7 @@ def _derived(setup: Setup) -> list[dict[str, Any]]:
 
 
 def link_of(setup: Setup) -> dict[str, Any] | None:
-    """Return the rig's link, with the share of bus or line that its frames take."""
+    """Return the rig's link, with the load of bus or line by its frames."""
     link = setup.rig.link
     if link is None:
         return None
@@ -64,7 +64,7 @@ def link_of(setup: Setup) -> dict[str, Any] | None:
 
 
 def _bus_load(link: Link, extras: int) -> float | None:
-    """Return the share of the bus or line, None where bit rate or frames are not known."""
+    """Return the load of the bus or line, None if bit rate or frames are not known."""
     if link.bitrate is None:
         return None
     if link.kind == "serial":
@@ -80,13 +80,13 @@ def _bus_load(link: Link, extras: int) -> float | None:
 
 
 def dbc_is_read(link: Link) -> bool:
-    """Return whether a DBC file, if the link has one, could be read for its faults."""
+    """Return whether a DBC file, if the link has one, could be read and checked."""
 
     return link.dbc is None or util.find_spec("cantools") is not None
 
 
 def commissioning_of(setup: Setup, name: str | None) -> dict[str, Any] | None:
-    """Return what has been checked on the rig, as its file stands; None without a link."""
+    """Return the checks made on the rig as its file is now; None without a link."""
     if setup.rig.link is None:
         return None
     path = config.find_rig(name)
@@ -103,5 +103,5 @@ def commissioning_of(setup: Setup, name: str | None) -> dict[str, Any] | None:
 
 
 def calibration_of(setup: Setup) -> dict[str, float]:
-    """Return the factors between wire and structure by name."""
+    """Return the conversion factors between wire and structure by name."""
     return asdict(experiment.calibration(setup.rig))

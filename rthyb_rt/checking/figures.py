@@ -1,4 +1,4 @@
-"""What follows from a test on a rig: period, gains, the delays that it survives."""
+"""Figures of a test on a rig: period, gains, critical delays."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ GAIN: Final = "delay_estimator.gain_per_mm2_per_sample"
 
 @dataclass(frozen=True)
 class Figures:
-    """What follows from a test on a rig; None where a figure does not apply.
+    """Figures of a test on a rig; None where a figure does not apply.
 
     Attributes:
-        critical_delay_samples: longest pure delay that the structure with an elastic specimen
-            survives without compensation; 0 if none.
-        alpha0, beta0: what the phase lead begins with; None for a law that has none.
-        critical_delay_with_lead_samples: the same with the phase lead as it begins.
-        critical_delay_followed_samples: the same with a phase lead whose alpha is the delay.
-        identified_delay_samples: the rig's, as `rthyb identify` found it.
+        critical_delay_samples: longest pure delay at which the structure with an elastic specimen
+            is stable without compensation; 0 if there is none.
+        alpha0, beta0: initial values of the phase lead; None for a law without one.
+        critical_delay_with_lead_samples: the same with the phase lead at its initial values.
+        critical_delay_followed_samples: the same with a phase lead whose alpha equals the delay.
+        identified_delay_samples: delay of the rig according to `rthyb identify`.
         peak_phi: peak of the estimator's input, from the reference simulation or from one with an
             elastic specimen, whichever is larger.
         estimator_loop_gain: g of the controller ``paper``.
-        modes: of a structure that is given by matrices, the elastic specimen in it; mass, period
-            and damping are then those of the first, as the interface sees it.
+        modes: modes of a structure given by matrices, including the elastic specimen; mass, period
+            and damping are then those of the first mode, as seen by the interface.
     """
 
     samples: int
@@ -60,7 +60,7 @@ class Figures:
 
 
 def figures_of(setup: Setup) -> Figures:
-    """Return what follows from a test that is ready to go."""
+    """Return the figures of a test that is ready to run."""
     derived, wanted = setup.derived, setup.test.controller
     lead = margins.lead_of(setup.controller.law, derived.rate.period_s)
     leads, settings, rate = derived.plc_enabled, derived.law_settings, derived.rate
@@ -114,7 +114,7 @@ def figures_of(setup: Setup) -> Figures:
 
 @dataclass(frozen=True)
 class _Survival:
-    """Delays that a test's structure survives, and how it moves with an elastic specimen."""
+    """Critical delays of a test's structure, and its motion with an elastic specimen."""
 
     alone: float
     with_lead: float | None
@@ -123,7 +123,7 @@ class _Survival:
 
     @classmethod
     def of(cls, setup: Setup, lead: Lead | SampledLead | None) -> _Survival:
-        """Return them; ``lead`` is None where nothing leads the command."""
+        """Return them; ``lead`` is None if nothing compensates the command."""
         from rthyb_rt.analysis import margins
         from rthyb_rt.config.own_structure import OwnStructure
 
@@ -142,6 +142,6 @@ class _Survival:
 
 
 def most_delay(setup: Setup) -> int:
-    """Return the largest delay that the law of this test may find, samples."""
+    """Return the largest delay that the law of this test can estimate, samples."""
     most = setup.derived.law_settings["delay_estimator.alpha_max"]
     return math.floor(setup.derived.rate.samples(most))

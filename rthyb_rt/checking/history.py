@@ -1,4 +1,4 @@
-"""What follows from a prescribed history on a rig: its peaks beside the limits, its steps."""
+"""Figures of a prescribed history on a rig: its peaks beside the limits, and its steps."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Rows = list[tuple[str, str, str]]
 
 @dataclass(frozen=True)
 class HistoryFigures:
-    """What follows from a history; None where a figure does not apply.
+    """Figures of a history; None where a figure does not apply.
 
     Attributes:
-        history: what is prescribed, in words.
+        history: description of the history.
         time_scale: seconds in the laboratory per second of the history.
-        reference_peak_m, reference_peak_m_per_s, reference_peak_m_per_s2: of the history, in the
-            laboratory's time.
-        reference_peak_n: what the rig file's specimen has against it.
+        reference_peak_m, reference_peak_m_per_s, reference_peak_m_per_s2: of the history, in
+            laboratory time.
+        reference_peak_n: force of the rig file's specimen for this history.
         steps: amplitude and number of cycles, in their order; none for a sweep or noise.
-        identified_delay_samples: the rig's, as `rthyb identify` found it.
+        identified_delay_samples: delay of the rig according to `rthyb identify`.
     """
 
     samples: int
@@ -41,7 +41,7 @@ class HistoryFigures:
 
 
 def figures_of_history(setup: Setup) -> HistoryFigures:
-    """Return what follows from a history that is ready to go."""
+    """Return the figures of a history that is ready to run."""
     plan, history, found = setup.plan, setup.test.history, setup.rig.identified
     assert plan is not None
     assert history is not None
@@ -64,7 +64,7 @@ def figures_of_history(setup: Setup) -> HistoryFigures:
 
 
 def rows_of_history(setup: Setup, f: HistoryFigures) -> Rows:
-    """Return the lines of the history: what, how long, its peaks and the limits they are below."""
+    """Return the rows for a history: description, length, and its peaks with their limits."""
     limits, fs_hz = setup.test.limits, setup.derived.fs_hz
     position, velocity = limits.command_position_m, limits.command_velocity_m_per_s
     force = limits.force_n

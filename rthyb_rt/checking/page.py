@@ -1,4 +1,4 @@
-"""A check as one page that needs nothing else: figures, remarks, tables."""
+"""A check as one self-contained page: figures, remarks, tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Notes and warnings on a test that has no fault."""
+"""Notes and warnings on a test without errors."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.numbers import delay, quantity
 
 MUCH_DAMPING: Final = 0.5
-"""As a part of critical. No structure has it; who wrote 2 meant per cent."""
+"""Implausible fraction of critical damping; a value of 2 was probably meant in per cent."""
 
 RUN_ON_TOLERANCE: Final = 1.005
-"""A smooth brake so near a peak that it is past it before it has begun is no run-on."""
+"""Tolerance for an overshoot: a smooth brake so near a peak takes effect after the peak."""
 
 NOISE_SPAN: Final = 7
-"""Standard deviations that 1024 samples of noise span."""
+"""Range of 1024 samples of noise, in standard deviations."""
 
 
 def remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[str]]:
@@ -52,7 +52,7 @@ def remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[
 
 
 def _of_structure(setup: Setup, f: Figures, notes: list[str], warnings: list[str]) -> None:
-    """Add what may go wrong between a structure and the rig."""
+    """Add remarks on the combination of structure and rig."""
     for found in (_divergence(setup, f), _oscillation(setup, f)):
         if found is not None:
             is_warning, text = found
@@ -65,7 +65,7 @@ def _of_structure(setup: Setup, f: Figures, notes: list[str], warnings: list[str
 
 
 def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[str]]:
-    """Return notes and warnings on what only a test in real time watches."""
+    """Return notes and warnings on conditions that are watched only in real time."""
     limits, noise = setup.test.limits, setup.derived.rest_noise_displacement_m
     notes, warnings = list[str](), list[str]()
     if setup.rig.link is not None and not dbc_is_read(setup.rig.link):
@@ -84,7 +84,7 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
             "nothing ends a test whose displacement sensor freezes or jumps: set "
             "limits.sensor_stuck_samples and limits.sensor_jump_m"
         )
-    # Two samples that are each off by four standard deviations.
+    # Two samples, each off by four standard deviations.
     step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise
     if jump is not None and jump.acts and setup.rate.leap(jump.value) < step:
         warnings.append(
@@ -101,11 +101,11 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
 
 
 def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
-    """Compare the rig's delay with what the structure survives."""
+    """Compare the rig's delay with the critical delay of the structure."""
     leads = f.critical_delay_with_lead_samples is not None
     critical = f.critical_delay_with_lead_samples if leads else f.critical_delay_samples
     identified = f.identified_delay_samples
-    # The estimator moves a lead that starts too short; force compensation removes the error.
+    # The estimator corrects a lead that starts too short; force compensation removes the error.
     helped = setup.derived.rfc_enabled or (leads and setup.derived.estimator_enabled)
     if identified is None or critical is None or identified < critical:
         return None
@@ -124,7 +124,7 @@ def _divergence(setup: Setup, f: Figures) -> tuple[bool, str] | None:
 
 
 def _lead_in_words(f: Figures) -> tuple[str, str]:
-    """Return how the command is led, and the delay that this is made for."""
+    """Return a description of the lead, and of the delay for which it is designed."""
     if f.alpha0 is not None:
         return "with the phase lead at alpha0", "even at a delay of alpha0"
     return (
@@ -134,7 +134,7 @@ def _lead_in_words(f: Figures) -> tuple[str, str]:
 
 
 def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
-    """Judge the loop of the paper's delay estimator."""
+    """Check the loop of the paper's delay estimator."""
     g = f.estimator_loop_gain
     if g is None or g <= LITTLE_MARGIN:
         return None
@@ -158,10 +158,10 @@ def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
 
 
 def within_reach(given: Iterable[tuple[str, Limit | None, float, str]]) -> list[str]:
-    """Name the limits that a peak of the reference simulation exceeds.
+    """Report the limits that a peak of the reference simulation exceeds.
 
     Args:
-        given: of each its key, the limit, the peak and the unit of both.
+        given: key, limit, peak, and the unit of both, for each.
     """
     return [
         f"{key} = {limit.value:g} {unit} is below the {peak:.3g} {unit} of the reference "
@@ -172,7 +172,7 @@ def within_reach(given: Iterable[tuple[str, Limit | None, float, str]]) -> list[
 
 
 def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
-    """Name the limits that already the reference simulation exceeds."""
+    """Report the limits that even the reference simulation exceeds."""
     limits = setup.test.limits
     found = within_reach(
         [
@@ -197,7 +197,7 @@ def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
 
 
 def run_on_warnings(setup: Setup, f: Figures | HistoryFigures, found: RunOn) -> list[str]:
-    """Name what a HOLD, a STOP or a ramp-out overshoots to that the test itself does not reach."""
+    """Report overshoots of a HOLD, a STOP or a ramp-out beyond what the test itself reaches."""
     limits = setup.test.limits
     warnings = []
     for key, limit, value, own, unit, factor in (

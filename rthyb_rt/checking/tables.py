@@ -1,4 +1,4 @@
-"""The tables of a check: what, how much, what it is."""
+"""The tables of a check: quantity, value, explanation."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _slow_rows(setup: Setup) -> list[tuple[str, str, str]]:
 
 
 def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
-    """Return the lines of the test itself: motion, structure, controller, delays, peaks."""
+    """Return the rows for the test itself: motion, structure, controller, delays, peaks."""
     fs_hz = setup.derived.fs_hz
 
     def samples(value: float | None) -> str:
@@ -149,7 +149,7 @@ def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
 
 
 def loop_rows(loop: Verdict | None) -> list[tuple[str, str, str]]:
-    """Return the lines of the whole loop: root, gain margin, delay margin."""
+    """Return the rows for the whole loop: root, gain margin, delay margin."""
     if loop is None:
         return [("Largest root", "not judged", "the rig file has no identified response")]
     what = f"whole loop, elastic specimen; rig known up to {loop.swept_hz:g} Hz"
@@ -168,7 +168,7 @@ def loop_rows(loop: Verdict | None) -> list[tuple[str, str, str]]:
 
 
 def limit_rows(setup: Setup, limits: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
-    """Return the limits that were given; for a rig with a link also what the others come to."""
+    """Return the limits from the files; for a rig with a link also the derived ones."""
     words = {
         "test": "limit of the test",
         "rig": "limit of the rig",
@@ -188,7 +188,7 @@ def limit_rows(setup: Setup, limits: list[dict[str, Any]]) -> list[tuple[str, st
 
 
 def run_on_rows(found: RunOn) -> list[tuple[str, str, str]]:
-    """Return the lines of how far the test runs on when it is braked."""
+    """Return the rows for the overshoot when the test is braked."""
     return [
         (
             "Run-on, displacement",
@@ -204,7 +204,7 @@ def run_on_rows(found: RunOn) -> list[tuple[str, str, str]]:
 
 
 def link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
-    """Return the lines of the rig's link; none without one."""
+    """Return the rows for the rig's link; none without one."""
     if link is None:
         return []
     unit = "baud" if link["kind"] == "serial" else "bit/s"
@@ -236,7 +236,7 @@ def link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
 
 
 def commissioning_rows(found: dict[str, Any] | None) -> list[tuple[str, str, str]]:
-    """Return the lines of what was checked on the rig, and when."""
+    """Return the rows for the checks of the rig and their dates."""
     if found is None:
         return []
     words = {True: "passed", False: "FAILED", None: "could not be checked"}
@@ -254,7 +254,7 @@ def commissioning_rows(found: dict[str, Any] | None) -> list[tuple[str, str, str
 
 
 def calibration_rows(c: dict[str, float]) -> list[tuple[str, str, str]]:
-    """Return the lines of what leads from the wire to the structure, if anything changes there."""
+    """Return the rows for the conversion from the wire to the structure, if it is not trivial."""
     if c == asdict(core.Calibration()):
         return []
 

@@ -21,23 +21,23 @@ _VALUES_FIRST = re.compile(rf"^ *(\d{{1,9}}) *,? +{_FLOAT} *,? *NPTS", re.IGNORE
 
 
 def is_at2(text: Text) -> bool:
-    """Tell whether the text has the NPTS line of a PEER file."""
+    """Return whether the text has the NPTS line of a PEER file."""
     return _points_line(text) is not None
 
 
 def resembles_at2(text: Text) -> bool:
-    """Tell whether the text lacks nothing of a PEER file but its NPTS line."""
+    """Return whether the text is a PEER file that lacks only its NPTS line."""
     head = " ".join(text.header(i) for i in range(min(_HEADER_LINES, len(text.lines)))).upper()
     named = text.path.upper().endswith(".AT2")
     return not is_at2(text) and (named or "PEER" in head or "IN UNITS OF" in head)
 
 
 def read_at2(text: Text, units: str | None) -> Samples:
-    """Read a PEER AT2 file; ``units`` holds where the header names none, else g.
+    """Read a PEER AT2 file; ``units`` applies if the header names none; the default is g.
 
     Raises:
-        InputError: no NPTS/DT line, velocity or displacement instead of acceleration,
-            or data that do not agree with the header.
+        InputError: there is no NPTS/DT line, the file has velocity or displacement instead of
+            acceleration, or the data do not agree with the header.
     """
     index = _points_line(text)
     if index is None:

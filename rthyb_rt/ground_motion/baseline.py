@@ -1,4 +1,4 @@
-"""Baseline check: does the ground come to rest at the end of the record?"""
+"""Baseline check: is the ground at rest at the end of the record?"""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from rthyb_rt.ground_motion.record import GroundMotion
 
-#: A record passes when its final velocity is at most this part of its peak velocity.
+#: A record passes if its final velocity is at most this fraction of its peak velocity.
 FINAL_VELOCITY_LIMIT = 0.05
 
 
@@ -22,8 +22,8 @@ class BaselineCheck:
         final_velocity_mps: velocity at the last sample, m/s.
         peak_displacement_m: largest |displacement|, m.
         final_displacement_m: displacement at the last sample, m.
-        ok: the final velocity is at most 5 % of the peak velocity.
-        message: the finding in one sentence, with the criterion.
+        ok: whether the final velocity is at most 5 % of the peak velocity.
+        message: the result in one sentence, with the criterion.
     """
 
     mean_mps2: float
@@ -36,12 +36,12 @@ class BaselineCheck:
 
 
 def baseline_check(motion: GroundMotion) -> BaselineCheck:
-    """Integrate a record twice from rest by the trapezoidal rule and judge its end.
+    """Integrate a record twice from rest by the trapezoidal rule and check its end.
 
-    The criterion is |v_end| <= 0.05 max|v|. The final displacement is reported but not judged: a
-    static offset of the ground can be real. The record is never changed; a failing record can
-    still be used, because the structure's displacement relative to the ground depends little on
-    a slow drift of the ground.
+    The criterion is |v_end| <= 0.05 max|v|. The final displacement is reported but not checked,
+    because a static offset of the ground can be real. The record is never changed; a record that
+    fails can still be used, because the structure's displacement relative to the ground depends
+    little on a slow drift of the ground.
     """
     a = motion.acceleration_mps2
     velocity = np.concatenate([[0.0], np.cumsum(0.5 * (a[1:] + a[:-1])) * motion.dt_s])

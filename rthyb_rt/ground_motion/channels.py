@@ -1,4 +1,4 @@
-"""Choice of one channel out of a file that holds several."""
+"""Selection of one channel from a file that contains several."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from rthyb_rt.ground_motion.text import Text, clean
 
 @dataclass(frozen=True)
 class Channel:
-    """Where one channel of acceleration stands in its file.
+    """Location of one channel of acceleration in its file.
 
     Attributes:
-        number: the channel's number as the file gives it, else its place, from 1.
+        number: the channel's number as given in the file, else its position, from 1.
         label: component in words (``90 Deg``, ``Up``), may be empty.
         index: index of the line that announces the data.
     """
@@ -24,13 +24,13 @@ class Channel:
     index: int
 
     def __str__(self) -> str:
-        """Return number and component as shown to people."""
+        """Return number and component for display."""
         return f"{self.number} ({self.label})" if self.label else str(self.number)
 
 
 @dataclass(frozen=True)
 class Samples:
-    """What a format's reader found.
+    """Result of a format's reader.
 
     Attributes:
         dt_s: sampling interval, s.
@@ -48,11 +48,11 @@ class Samples:
 
 
 def choose_channel(text: Text, channels: Sequence[Channel], wanted: int | str | None) -> Channel:
-    """Return the channel asked for by number or by a part of its label.
+    """Return the channel requested by number or by part of its label.
 
     Raises:
-        InputError: nothing asked for though there are several, no such channel, or more than one
-            that fits.
+        InputError: none is requested although there are several, or no channel, or more than one,
+            matches.
     """
     listed = ", ".join(str(c) for c in channels[:20]) + (", ..." if len(channels) > 20 else "")
     if wanted is None:

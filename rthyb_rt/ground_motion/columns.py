@@ -2,7 +2,7 @@
 
 Lines that begin with ``#``, ``%``, ``!``, ``//``, ``*`` or ``"`` are comments; lines before the
 first row of numbers are headers. Columns are separated by commas, semicolons, tabs or blanks.
-The unit stands in a header (``acc_g``, ``acc (m/s2)``, ``units: cm/s2``) or is an argument.
+The unit is stated in a header (``acc_g``, ``acc (m/s2)``, ``units: cm/s2``) or is an argument.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _MAX_HEADER_LINES = 200
 
 @dataclass(frozen=True)
 class _Table:
-    """Rows of numbers and what stands before them."""
+    """Rows of numbers and the headers before them."""
 
     headers: list[str]
     rows: list[int]
@@ -49,12 +49,13 @@ def read_columns(text: Text, units: str | None, channel: int | str | None) -> Sa
 
     Args:
         text: the file.
-        units: canonical unit of acceleration; None: it must stand in a header.
-        channel: name or number (from 1) of the column of acceleration in a file of more than two.
+        units: canonical unit of acceleration; None: it must be stated in a header.
+        channel: name or number (from 1) of the acceleration column in a file with more than two.
 
     Raises:
-        InputError: no numbers, a wrong number of columns (with row), a value that is no finite
-            number (with row), a decimal comma, uneven or decreasing time (with row), or no unit.
+        InputError: there are no numbers, a wrong number of columns (with row), a value that is not
+            a finite number (with row), a decimal comma, uneven or decreasing time (with row), or no
+            unit.
     """
     table = _read_table(text)
     names = _column_names(table)
@@ -118,7 +119,7 @@ def _read_table(text: Text) -> _Table:
 
 
 def _is_row(line: str) -> bool:
-    """Tell whether a line is data: its first field is a number or stands for one."""
+    """Return whether a line is data: its first field is, or represents, a number."""
     fields = [f for f in re.split(r"[,;\s]+", line) if f]
     return bool(fields) and (
         parse_float(fields[0]) is not None
@@ -127,7 +128,7 @@ def _is_row(line: str) -> bool:
 
 
 def _separator(text: Text, rows: list[int]) -> str | None:
-    """Return the separator of the first rows (None: blanks); refuse a decimal comma."""
+    """Return the separator of the first rows (None: blanks); reject a decimal comma."""
     sample = [text.lines[i][:1000] for i in rows[:50]]
     for index, line in zip(rows, sample, strict=False):
         by_other = re.split(r"[;\s]+", line.strip())
@@ -152,12 +153,12 @@ def _read_rows(text: Text, rows: list[int], separator: str | None) -> FloatArray
             if bool(np.isfinite(values).all()):
                 return values
         except ValueError:
-            pass  # the rows are read once more below, to say what is wrong and where
+            pass  # the rows are read again below, to locate the errors
     return _read_rows_one_by_one(text, rows, separator)
 
 
 def _read_rows_one_by_one(text: Text, rows: list[int], separator: str | None) -> FloatArray:
-    """Read rows with the place of every fault."""
+    """Read rows with the place of every error."""
     problems: list[Problem] = []
     table: list[list[float]] = []
     width = 0
@@ -191,7 +192,7 @@ def _read_rows_one_by_one(text: Text, rows: list[int], separator: str | None) ->
 
 
 def _column_names(table: _Table) -> list[str]:
-    """Return the names of the columns if the last header has one for each, else nothing."""
+    """Return the names of the columns if the last header has one for each, else an empty list."""
     width = table.values.shape[1]
     for line in reversed(table.headers[-3:]):
         body = re.sub(r"^columns? *:", "", line, flags=re.IGNORECASE).strip()

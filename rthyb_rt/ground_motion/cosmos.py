@@ -3,7 +3,7 @@
 Each channel repeats: text header whose first line is ``Corrected acceleration (Format v01.20 with
 13 text lines)``, integer header, real header, comment lines, then
 ``7000 acceleration pts, approx 70 secs, units=cm/sec2(04),Format=(8F10.5)`` and the data. Every
-block says its own length and Fortran format. The interval of the series is real header 62, in
+block states its own length and Fortran format. The interval of the series is real header 62, in
 milliseconds; real header 34, in seconds, is that of the recorder, which can differ.
 """
 
@@ -48,8 +48,8 @@ def read_cosmos(text: Text, channel: int | str | None) -> Samples:
     """Read one channel of acceleration of a COSMOS V1 or V2 file.
 
     Raises:
-        InputError: raw counts, no acceleration in the file, a header that cannot be read or
-            contradicts itself, an unknown channel, or damaged data.
+        InputError: the file contains raw counts or no acceleration, a header cannot be read or
+            contradicts itself, the channel is unknown, or the data are damaged.
     """
     first = _FIRST.match(text.header(0))
     if first and first.group(1).lower() == "raw":
@@ -80,7 +80,7 @@ def read_cosmos(text: Text, channel: int | str | None) -> Samples:
 
 
 def _acceleration_channels(text: Text) -> list[Channel]:
-    """Return the channels of acceleration; velocity and displacement series are passed over."""
+    """Return the channels of acceleration, without velocity and displacement series."""
     channels: list[Channel] = []
     number, label = "", ""
     for index, line in enumerate(text.lines):

@@ -46,7 +46,7 @@ class _Block:
 
     channel: Channel
     points: int
-    dt_s: float | None  # None: the block holds its own times
+    dt_s: float | None  # None: the block contains its own times
     unit: str | None
     columns: int
     width: int
@@ -97,12 +97,12 @@ def read_csmip(text: Text, channel: int | str | None) -> Samples:
 
 
 def _is_announcement(line: str) -> bool:
-    """Tell cheaply whether a line may announce a block of data."""
+    """Return whether a line may announce a block of data, by a fast test."""
     return " points " in line[:60] or " POINTS " in line[:60]
 
 
 def _announced_blocks(text: Text) -> list[_Block]:
-    """Return the blocks of acceleration that a line announces, with the channel named before."""
+    """Return the announced blocks of acceleration, with the channel named before each."""
     blocks: list[_Block] = []
     number, label = 0, ""
     for index, line in enumerate(text.lines):

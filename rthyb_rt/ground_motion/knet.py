@@ -1,7 +1,7 @@
 """K-NET and KiK-net ASCII: 17 header lines, then integer counts.
 
-Acceleration in gal is count x scale factor, ``3920(gal)/6182761``; the offset of the sensor is
-part of the counts (https://www.kyoshin.bosai.go.jp, "K-NET ASCII format").
+Acceleration in gal is count x scale factor, ``3920(gal)/6182761``; the counts include the offset
+of the sensor (https://www.kyoshin.bosai.go.jp, "K-NET ASCII format").
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _NAMES = {
 
 
 def is_knet(text: Text) -> bool:
-    """Tell whether the text begins as a K-NET file does."""
+    """Return whether the text begins like a K-NET file."""
     first = next(line for line in text.lines if line.strip())
     return first.lstrip().startswith("Origin Time")
 
@@ -35,7 +35,7 @@ def read_knet(text: Text) -> Samples:
     """Read a K-NET or KiK-net file and remove the mean, which is the sensor's offset.
 
     Raises:
-        InputError: a header line is missing or unreadable, or the data are damaged or cut short.
+        InputError: a header line is missing or unreadable, or the data are damaged or truncated.
     """
     header: dict[str, str] = {}
     last = None
@@ -70,7 +70,7 @@ def read_knet(text: Text) -> Samples:
     details = {k: clean(v, 80) for k, v in header.items() if k not in ("sampling", "duration")}
     if duration is not None:
         missing = round(duration * rate) - values.size
-        # The header's duration is in whole seconds.
+        # The duration in the header is in whole seconds.
         if missing > rate:
             raise text.error(
                 f"the header says {duration:g} s at {rate:g} Hz, but the file has "
@@ -83,6 +83,6 @@ def read_knet(text: Text) -> Samples:
 
 
 def _leading_number(text: str) -> float | None:
-    """Return the number that a header value begins with."""
+    """Return the number at the beginning of a header value."""
     match = re.match(r"\d{1,9}\.?\d{0,9}", text, re.ASCII)
     return float(match.group()) if match else None

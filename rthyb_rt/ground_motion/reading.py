@@ -1,4 +1,4 @@
-"""Reading a ground motion: format by content, units, plausibility, built-in records."""
+"""Reading a ground motion: format detection, units, plausibility, built-in records."""
 
 from __future__ import annotations
 
@@ -112,19 +112,19 @@ def read(
 
     Args:
         path: the file, at most 64 MiB.
-        format: one of `FORMATS`; ``auto`` tells by the content, never by the file's name.
-        units: unit of the file's numbers, for a file that does not say it (g, m/s2, cm/s2, gal,
+        format: one of `FORMATS`; ``auto`` detects it from the content, never from the file's name.
+        units: unit of the file's numbers, for a file that does not state it (g, m/s2, cm/s2, gal,
             mg, in/s2, ...).
-        channel: number or part of the name of a component, for a file that holds several.
+        channel: number or part of the name of a component, for a file that contains several.
 
     Returns:
-        The motion in m/s2. ``details`` say the format, unit, points, interval, peak, encoding and
-        checksum, what the header says, and ``warning`` where something looks odd.
+        The motion in m/s2. ``details`` contains the format, unit, points, interval, peak, encoding
+        and checksum, data from the header, and ``warning`` if something looks unusual.
 
     Raises:
-        InputError: one or more faults, each with file and row: missing, binary or empty file,
+        InputError: one or more errors, each with file and row: missing, binary or empty file,
             unknown format, wrong columns, a value that is not finite, uneven or decreasing time,
-            data cut short, no unit, or a PGA above 5 g.
+            truncated data, no unit, or a PGA above 5 g.
     """
     wanted_unit = None
     if units is not None:
@@ -174,7 +174,7 @@ def read(
 
 
 def _only_channel(text: Text, channel: int | str | None) -> None:
-    """Refuse a choice of channel in a format that holds one."""
+    """Reject a choice of channel in a format that contains only one."""
     if channel is not None and str(channel) != "1":
         raise text.error(f"has only one component; omit channel {clean(str(channel), 40)!r}")
 
@@ -188,7 +188,7 @@ def _columns(text: Text, units: str | None, channel: int | str | None) -> Sample
     try:
         return read_columns(text, units, channel)
     except InputError:
-        # Its rows of five or eight values are no columns; what is missing is a line of its header.
+        # Its rows of five or eight values are not columns; a line of its header is missing.
         if resembles_at2(text):
             return read_at2(text, units)
         raise
@@ -219,7 +219,7 @@ _READERS: dict[str, Callable[[Text, str | None, int | str | None], Samples]] = {
 
 
 def _detect(text: Text) -> str:
-    """Return the format that the content looks like; columns if none of the others."""
+    """Return the format that the content resembles; columns if none of the others."""
     if is_knet(text):
         return "knet"
     if is_at2(text):
@@ -266,7 +266,7 @@ def _checked(text: Text, samples: Samples) -> tuple[FloatArray, list[str]]:
 
 
 def _exists(path: str | PathLike[str]) -> bool:
-    """Tell whether a path exists, also for names that no file can have."""
+    """Return whether a path exists, also for names that no file can have."""
     try:
         return Path(path).exists()
     except (OSError, ValueError):

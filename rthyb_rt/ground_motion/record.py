@@ -22,7 +22,7 @@ class GroundMotion:
 
     Attributes:
         name: short name for tables and file names.
-        source: where the numbers come from, in words.
+        source: origin of the data, in words.
         dt_s: sampling interval, s.
         acceleration_mps2: ground acceleration, m/s2, shape (n,); a read-only copy is kept.
             Sample k belongs to the instant k dt_s; the ground is at rest outside the record.
@@ -75,13 +75,13 @@ class GroundMotion:
         """Return the motion scaled to a peak of ``pga_g`` or multiplied by ``factor``.
 
         Args:
-            pga_g: wanted peak ground acceleration, g, not negative.
-            factor: multiplier, any finite number (negative turns the direction round).
+            pga_g: peak ground acceleration to scale to, g, not negative.
+            factor: multiplier, any finite number (a negative one reverses the direction).
 
         Raises:
             InputError: a scale that is not finite, a negative PGA, or a record without motion
-                that is to be scaled to a PGA.
-            ValueError: both or neither given.
+                that should be scaled to a PGA.
+            ValueError: both or neither are given.
         """
         if (pga_g is None) == (factor is None):
             raise ValueError("give either pga_g or factor")
@@ -124,7 +124,7 @@ class GroundMotion:
                 f"duration {length} s of {self.name}: must be more than 0 s",
                 "ground_motion.duration_s",
             )
-        # An instant within a millionth of an interval of a sample is that sample.
+        # An instant within a millionth of an interval of a sample counts as that sample.
         first = math.ceil(start_s / self.dt_s - 1e-6)
         ends = min((start_s + length) / self.dt_s, float(size))
         last = math.ceil(ends - 1e-6)
@@ -143,7 +143,7 @@ class GroundMotion:
         """Return the motion followed by ``free_vibration_s`` of rest.
 
         Raises:
-            InputError: a time that is negative or not finite.
+            InputError: the time is negative or not finite.
         """
         if not (math.isfinite(free_vibration_s) and free_vibration_s >= 0.0):
             raise InputError(

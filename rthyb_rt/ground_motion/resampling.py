@@ -31,19 +31,19 @@ def resample(
     ``band-limited`` is the Kaiser-windowed sinc interpolation of the record, zero outside:
     x(t) = sum_k a_k h(t/dt - k), h(u) = c sinc(c u) I0(beta sqrt(1 - (u/U)^2)) / I0(beta),
     with beta for 100 dB (Kaiser 1974; Oppenheim & Schafer, Discrete-Time Signal Processing, 7.6)
-    and U = 64/c rounded up. Going up, c = 1: frequencies up to .95 of the record's Nyquist
-    frequency are kept to 1e-5, nothing appears from 1.05 of it on, and the record's own samples
-    are kept where instants coincide. Going down, c = .95 fs dt, so that nothing folds back. The
-    record's abrupt beginning or end, if it has one, rings for some samples.
+    and U = 64/c rounded up. For upsampling, c = 1: frequencies up to .95 of the record's Nyquist
+    frequency are preserved to 1e-5, none appear above 1.05 of it, and the record's own samples
+    are preserved where instants coincide. For downsampling, c = .95 fs dt, which prevents aliasing.
+    An abrupt beginning or end of the record causes ringing for some samples.
 
     ``linear`` is `numpy.interp` on the record followed by zeros: it adds content above the
-    record's Nyquist frequency and is there for comparison with published results.
+    record's Nyquist frequency and is provided for comparison with published results.
 
     Args:
         motion: the record.
-        fs_hz: rate wanted, Hz.
+        fs_hz: sample rate, Hz.
         method: interpolation.
-        duration_s: length wanted, s; the record's own if None. Rest follows the record.
+        duration_s: length, s; None: that of the record. Rest follows the record.
 
     Raises:
         ValueError: an unknown method, a rate or a duration that is not finite and positive, or
@@ -55,7 +55,7 @@ def resample(
     if length_s * fs_hz > _MAX_SAMPLES:
         raise ValueError(f"{length_s} s at {fs_hz} Hz are more than {_MAX_SAMPLES} samples")
     count = max(1, round(length_s * fs_hz))
-    # Instants in units of the record's interval; a product of round numbers stays exact.
+    # Instants in units of the record's interval; a product of round numbers remains exact.
     position = np.arange(count) / (fs_hz * motion.dt_s)
     if method == "linear":
         followed_by_rest = np.append(motion.acceleration_mps2, 0.0)
@@ -84,7 +84,7 @@ def _interpolate(samples: FloatArray, position: FloatArray, cutoff: float) -> Fl
     half = math.ceil(_ZERO_CROSSINGS / cutoff)
     taps = _tap_polynomials(half, cutoff)
     # Branch p is the convolution with the taps' coefficients of mu**p. Convolution delays by
-    # `half` samples, so the output between samples m and m + 1 stands at m + half.
+    # `half` samples, so the output between samples m and m + 1 is at m + half.
     length = samples.size + 2 * half - 1
     size = 1 << length.bit_length()
     spectrum = np.fft.rfft(samples, size)
@@ -119,7 +119,7 @@ def _tap_polynomials(half: int, cutoff: float) -> FloatArray:
 
 
 def _powers_of_fraction(chebyshev: FloatArray) -> FloatArray:
-    """Turn Chebyshev coefficients on [0, 1] (rows) into coefficients of powers of mu."""
+    """Convert Chebyshev coefficients on [0, 1] (rows) to coefficients of powers of mu."""
     degree = chebyshev.shape[0] - 1
     basis = np.zeros((degree + 1, degree + 1))
     basis[0, 0] = 1.0

@@ -18,7 +18,7 @@ from rthyb_rt.ground_motion.record import FloatArray
 
 MAX_BYTES = 64 * 2**20
 MAX_POINTS = 2_000_000
-#: Faults listed of one file; the rest is counted.
+#: Largest number of errors listed for one file; the others are counted.
 MAX_PROBLEMS = 5
 
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?", re.ASCII)
@@ -39,9 +39,9 @@ class Text:
     """The lines of a text file.
 
     Attributes:
-        path: the file as the user named it.
+        path: the file as given by the user.
         lines: text without line ends; line number = index + 1.
-        encoding: how the bytes were read.
+        encoding: encoding of the bytes.
         sha256: checksum of the file's bytes.
     """
 
@@ -55,7 +55,7 @@ class Text:
         return f"{self.path}:{index + 1}"
 
     def header(self, index: int) -> str:
-        """Return the beginning of a line, which is all that a header ever needs."""
+        """Return the beginning of a line, which is sufficient for any header."""
         return self.lines[index][:300]
 
     def error(self, message: str, index: int | None = None) -> InputError:
@@ -94,7 +94,7 @@ def load_text(path: str | PathLike[str]) -> Text:
 
 
 def _decode(data: bytes, name: str) -> tuple[str, str]:
-    """Return the text and its encoding; refuse what is not text."""
+    """Return the text and its encoding; raise an error if it is not text."""
     for start, what in _BINARY_STARTS.items():
         if data.startswith(start):
             raise InputError(f"is {what}", name)
@@ -130,9 +130,9 @@ _GOES_ON = re.compile(r"([.,;:]| (in|of|the|and|by|at|to|for|from|with))$")
 
 
 def header_text(lines: Iterable[str], length: int = 300) -> str:
-    """Return the header of a file on one line; what is too long ends with a sentence or with "…".
+    """Return the header of a file on one line; a long one ends with a sentence or with "…".
 
-    Lines are joined as they read: a sentence goes on, an entry of its own follows after ";".
+    Lines are joined as they read: sentences continue, separate entries follow after ";".
     """
     whole = ""
     for line in filter(None, (clean(line, 400).lstrip("# ") for line in lines)):
@@ -146,14 +146,14 @@ def header_text(lines: Iterable[str], length: int = 300) -> str:
 
 
 def parse_float(token: str) -> float | None:
-    """Return a number written as C, Python or Fortran (1.5D-3) do, or None."""
+    """Return a number in C, Python or Fortran notation (1.5D-3), or None."""
     if not _NUMBER.fullmatch(token):
         return None
     return float(token.replace("D", "E").replace("d", "e"))
 
 
 def limited(problems: Iterable[Problem], path: str) -> InputError:
-    """Return one error from many faults of a file: the first ones, and how many more."""
+    """Return one error for many errors of a file: the first ones, and the number of others."""
     found = list(problems)
     shown = found[:MAX_PROBLEMS]
     if len(found) > MAX_PROBLEMS:
@@ -162,7 +162,7 @@ def limited(problems: Iterable[Problem], path: str) -> InputError:
 
 
 def not_a_number(token: str) -> str:
-    """Return the message for a value that is no finite number."""
+    """Return the message for a value that is not a finite number."""
     shown = clean(token, 40)
     if _NOT_FINITE.fullmatch(shown) or parse_float(shown) is not None:
         return (
@@ -185,21 +185,22 @@ def read_block(
     width: int | None = None,
     said: str = "the header says",
 ) -> FloatArray:
-    """Read ``count`` numbers from line ``first`` on, up to the next line of words.
+    """Read ``count`` numbers from line ``first`` on, up to the next line of text.
 
-    With a Fortran format (``columns`` fields of ``width`` characters a line) fields may touch;
+    With a Fortran format (``columns`` fields of ``width`` characters per line), fields may touch;
     without one they are separated by blanks, and a sign may touch the number before it.
 
     Args:
         text: the file.
         first: index of the first line of numbers.
-        count: how many numbers there must be.
-        columns: fields a line.
-        width: characters a field.
-        said: where ``count`` comes from, for the message.
+        count: expected number of values.
+        columns: fields per line.
+        width: characters per field.
+        said: origin of ``count``, for the message.
 
     Raises:
-        InputError: a value that is no finite number, or more or fewer values than ``count``.
+        InputError: a value is not a finite number, or there are more or fewer values than
+            ``count``.
     """
     if count > MAX_POINTS:
         raise text.error(f"{said} {count} points; at most {MAX_POINTS} are accepted", first - 1)
@@ -216,7 +217,7 @@ def read_block(
 
 
 def _is_words(line: str) -> bool:
-    """Tell whether a line of a data block is text: the end-of-data mark or the next header."""
+    """Return whether a line of a data block is text: the end-of-data mark or the next header."""
     rest = _NOT_FINITE.sub("", line[:300])
     return re.search(r"[A-Za-z]{2,}|[|/&#=]|--", rest) is not None
 
@@ -230,7 +231,7 @@ def _read_fields(
     width: int | None,
     said: str,
 ) -> FloatArray:
-    """Read a block field by field, with the line of every fault."""
+    """Read a block field by field, with the line of every error."""
     values: list[float] = []
     problems: list[Problem] = []
     for index in range(first, last):
@@ -284,8 +285,8 @@ def time_step(
 ) -> tuple[float, float]:
     """Return the interval and the first instant of a column of times.
 
-    Times may be rounded to the decimals they are printed with; the interval is then the round
-    rate or the round interval that fits them all.
+    Times may be rounded to the decimals with which they are printed; the interval is then the
+    round rate or the round interval that fits them all.
 
     Args:
         times_s: instants, s, shape (n,), n >= 2.
@@ -294,7 +295,7 @@ def time_step(
         remedy: what the user can do about uneven times.
 
     Raises:
-        InputError: times that decrease, repeat or are not equally spaced, with row and interval.
+        InputError: times decrease, repeat or are not equally spaced, with row and interval.
     """
     steps = np.diff(times_s)
     usual = float(np.median(steps))
@@ -314,7 +315,7 @@ def time_step(
     tolerance = min(1.01 * quantum + 1e-3 * mean + single_precision, 0.25 * mean)
     away = np.abs(times_s - (times_s[0] + mean * np.arange(count + 1)))
     if bool((away > tolerance).any()):
-        # The step to blame is the one that differs; a slow drift shows in the distance only.
+        # The step at fault is the one that differs; a slow drift shows only in the total.
         uneven = np.abs(steps - usual) > max(tolerance, 0.02 * usual)
         k = int(np.argmax(uneven) if uneven.any() else np.argmax(away[1:])) + 1
         raise text.error(
@@ -332,7 +333,7 @@ def time_step(
 
 
 def _printed_quantum(times_s: FloatArray) -> float:
-    """Return the last decimal place that the times are printed with, s; 0 if finer than 1e-9."""
+    """Return the last decimal place of the printed times, s; 0 if finer than 1e-9."""
     for decimals in range(10):
         scaled = times_s * 10.0**decimals
         if bool(np.all(np.abs(scaled - np.rint(scaled)) <= 1e-12 * np.abs(scaled) + 1e-9)):

@@ -1,5 +1,5 @@
-"""The live view: a page in the browser that shows a test as it runs, or one of the past.
+"""The live view: a browser page that shows a running test, or a recorded one.
 
-Loopback only, behind a random token; it reads the telemetry ring and talks to the service's control
-socket as any other client does.
+Loopback only, protected by a random token; it reads the telemetry ring and talks to the service's
+control socket like any other client.
 """

@@ -35,7 +35,7 @@ STATUS_S: Final = 0.25
 _IDLE_S: Final = 1.0
 MESSAGE_BYTES: Final = 4096
 PAGES: Final = 16
-"""Sockets at a time."""
+"""Largest number of simultaneous sockets."""
 _TRY_AGAIN: Final = 1013
 _UNSUPPORTED: Final = 1003
 _COMMAND_S: Final = 5.0
@@ -66,21 +66,21 @@ NEEDS: Final[dict[str, Pass]] = {
     "resume": Pass.OPERATE,
     "reset": Pass.OPERATE,
 }
-"""The commands of the page, and what its token must open for them."""
+"""The commands of the page, and the permission that each requires."""
 
 
 class Feed:
-    """Reads the source for all pages together: rows at 30 a second, the rest at four.
+    """Reads the source for all pages together: rows 30 times per second, the rest four times.
 
-    Nobody looks: once a second, so that the ring does not lap the reader.
+    Without pages: once per second, so that the ring does not overtake the reader.
 
     Args:
-        source: what is looked at.
+        source: the source.
 
     Attributes:
-        pages: how many are open.
-        status: what is to be said besides rows, as a message.
-        said: how often that was renewed.
+        pages: number of open pages.
+        status: status message, as sent to pages.
+        said: number of updates of the status.
     """
 
     def __init__(self, source: Source) -> None:
@@ -96,19 +96,19 @@ class Feed:
         await self._beat.wait()
 
     def open(self) -> None:
-        """Count one more page, and ask at once for what it is told first."""
+        """Count one more page, and request its first message at once."""
         self.pages += 1
         self._opened.set()
 
     async def run(self) -> None:
-        """Work until cancelled."""
+        """Run until cancelled."""
         due = looked = time.monotonic()
         state = self.source.state
         self._say()
         while True:
             self.source.poll()
             now = time.monotonic()
-            # Another state: its cause is asked for at once.
+            # The state has changed: query its cause at once.
             wanted = now - looked >= STATUS_S or self.source.state != state
             wanted = wanted or self._opened.is_set()
             if wanted and (self._looking is None or self._looking.done()):
@@ -119,7 +119,7 @@ class Feed:
                 self._looking = asyncio.create_task(self._look())
             beat, self._beat = self._beat, asyncio.Event()
             beat.set()
-            # Without a page to draw, and behind a machine that stalled, nothing is made up for.
+            # Without pages, and after a delay of the machine, missed updates are not repeated.
             if self.pages:
                 due = max(due + 1.0 / FRAMES_PER_S, now)
                 await asyncio.sleep(due - time.monotonic())
@@ -140,10 +140,10 @@ class Feed:
 
 
 class Commander:
-    """Passes commands on to the service, with the rights of this process.
+    """Passes commands on to the service, with the permissions of this process.
 
     Args:
-        socket: the service's, or None.
+        socket: the service's control socket, or None.
     """
 
     def __init__(self, socket: Path | None) -> None:
@@ -151,15 +151,15 @@ class Commander:
         self._token = ""
 
     async def give(self, name: str, opened: Pass, digest: str = "") -> str:
-        """Give a command; return what became of it, in words.
+        """Give a command; return the result in words.
 
         Args:
-            name: of `NEEDS`.
-            opened: what the page's token opens.
-            digest: of the test that the page shows: that one is armed, or none.
+            name: a command in `NEEDS`.
+            opened: permission of the page's token.
+            digest: digest of the test that the page shows: only this test is armed.
 
         Raises:
-            RthybError: it is refused, here or there.
+            RthybError: it is refused, here or by the service.
         """
         needs = NEEDS.get(name)
         if needs is None:
@@ -199,17 +199,17 @@ _DONE: Final = {
 
 
 class Page:
-    """One open page: what it asks for, and the frames that it gets."""
+    """One open page: its requests, and the frames that it receives."""
 
     def __init__(self, socket: WebSocket, feed: Feed, commander: Commander) -> None:
         self._socket, self._feed, self._commander = socket, feed, commander
         self._framer = Framer(feed.source.history, feed.source.fs_hz)
         self._opened: Pass = socket.scope["rthyb.pass"]
-        # What was found out before it came may be a second old: another state, other buttons.
+        # The status may be a second old: the state, and so the buttons, may have changed.
         self._reported = feed.said
 
     async def run(self) -> None:
-        """Serve the page until it goes."""
+        """Serve the page until it disconnects."""
         await self._socket.send_text(json.dumps(self._hello()))
         sending = asyncio.create_task(self._send())
         try:
@@ -245,10 +245,10 @@ class Page:
         return self._opened >= NEEDS[name]
 
     async def _hear(self, text: str) -> None:
-        """Take what the page says.
+        """Process a message from the page.
 
         Raises:
-            ValueError: it is no message of this page's.
+            ValueError: it is not a valid message.
         """
         try:
             said = json.loads(text)
@@ -258,7 +258,7 @@ class Page:
             raise ValueError("a message must be an object")
         if "view" in said:
             self._framer.show(said["view"])
-            # Not with the next beat only: whoever drags a window sees it move.
+            # Not only at the next beat, so that resizing a window is smooth.
             await self._send_frames()
         elif isinstance(said.get("command"), str):
             await self._command(said["command"], str(said.get("digest", "")))
@@ -274,10 +274,10 @@ class Page:
         await self._socket.send_text(json.dumps(answer))
 
     async def _send(self) -> None:
-        """Send what is new. A page that is slow gets fewer and larger frames, and holds up none."""
+        """Send new data. A slow page gets fewer and larger frames, and does not delay others."""
         while True:
             if self._reported != self._feed.said:
-                # Also if it is the same again: a page that hears nothing says so.
+                # Even if unchanged: a page that receives nothing shows a warning.
                 self._reported = self._feed.said
                 await self._socket.send_text(self._feed.status.decode())
             await self._meet_rate()
@@ -285,11 +285,11 @@ class Page:
             await self._feed.beat()
 
     async def _meet_rate(self) -> None:
-        """Begin anew where the source has another rate: it may open before anything runs."""
+        """Restart if the rate of the source has changed: a page may open before anything runs."""
         if self._framer.fs_hz == self._feed.source.fs_hz:
             return
         self._framer = Framer(self._feed.source.history, self._feed.source.fs_hz)
-        # The page answers it with the view that it wants.
+        # The page replies with the view that it wants.
         await self._socket.send_text(json.dumps(self._hello()))
 
     async def _send_frames(self) -> None:
@@ -306,10 +306,10 @@ def make_app(
     """Return the application.
 
     Args:
-        source: what is looked at; stays the caller's.
-        tokens: let in.
+        source: the source, which remains the caller's.
+        tokens: accepted tokens.
         ready: called once it works.
-        failed: called with what ended the reading of the source, which nothing should.
+        failed: called with the exception if reading the source ends unexpectedly.
     """
     feed, commander = Feed(source), Commander(source.socket)
 

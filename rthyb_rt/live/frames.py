@@ -1,15 +1,15 @@
-"""The binary frames of the live view: what a page asks for, and the bytes that it gets.
+"""The binary frames of the live view: a page's request, and the bytes that it receives.
 
-A frame, low byte first::
+A frame, little-endian::
 
     0    4 bytes "RLV1"
-    4    u8 kind: 0 more columns, 1 all columns anew, 2 the whole test in outline
+    4    u8 kind: 0 more columns, 1 all columns anew, 2 overview of the whole test
     5    u8 state of the newest row, 255 without one
     6    u16 channels
-    8    u32 columns, u32 ticks of a column, u32 points of the loop, u32 0
+    8    u32 columns, u32 ticks per column, u32 points of the loop, u32 0
     24   f64 first column, position of the row whose values follow, position of time zero,
-         oldest and newest position at hand
-    64   f32 values of that row, one a channel
+         oldest and newest position available
+    64   f32 values of that row, one per channel
     then f32 smallest and largest value, for each channel, for each column
     then f32 position after the first column, displacement, force, for each point of the loop
 """
@@ -42,14 +42,14 @@ _LONGEST: Final = 2.0**31
 
 @dataclass(frozen=True)
 class View:
-    """What a page shows.
+    """The view shown on a page.
 
     Attributes:
-        columns: pixels across a chart.
-        ticks: length of what it shows.
-        first: position that it begins with; None: it ends with the newest row, and follows.
-        outline: with the whole test in outline.
-        axis: of several the one that is shown, from 0.
+        columns: number of pixels across a chart.
+        ticks: length of the view.
+        first: first position; None: the view ends with the newest row, and follows it.
+        outline: whether to include an overview of the whole test.
+        axis: index of the axis shown, from 0.
     """
 
     columns: int
@@ -60,15 +60,15 @@ class View:
 
     @property
     def column_ticks(self) -> int:
-        """Ticks of one column."""
+        """Ticks per column."""
         return max(1, -(-self.ticks // self.columns))
 
 
 def view_of(asked: Any, fs_hz: float) -> View:
-    """Return the view that a page asks for.
+    """Return the view that a page requests.
 
     Raises:
-        ValueError: it is none.
+        ValueError: the request is invalid.
     """
     if not isinstance(asked, dict):
         raise ValueError("a view must be an object")
@@ -90,11 +90,11 @@ def _number(asked: dict[str, Any], name: str, least: float, most: float) -> floa
 
 
 class Framer:
-    """Makes the frames of one page, each with what the page does not have yet.
+    """Creates the frames of one page, each with what the page does not have yet.
 
     Args:
-        history: what there is to show.
-        fs_hz: ticks a second.
+        history: the available rows.
+        fs_hz: ticks per second.
     """
 
     def __init__(self, history: History, fs_hz: float) -> None:
@@ -103,16 +103,16 @@ class Framer:
         self._sent: int | None = None
 
     def show(self, asked: Any) -> None:
-        """Turn to another view.
+        """Change to another view.
 
         Raises:
-            ValueError: it is none.
+            ValueError: the request is invalid.
         """
         self._view = view_of(asked, self.fs_hz)
         self._sent = None
 
     def next(self, zero: int) -> list[bytes]:
-        """Return the frames that bring the page up to date; none if it is.
+        """Return the frames that update the page; none if it is up to date.
 
         Args:
             zero: position of time zero.
@@ -133,11 +133,11 @@ class Framer:
         return [self._frame(kind, first, history.last + 1, zero)]
 
     def _next_frame(self, view: View) -> tuple[int, int]:
-        """Return what kind of frame comes next, and the position that it begins with."""
+        """Return the kind and first position of the next frame."""
         begin = self._history.last + 1 - view.ticks
         if self._sent is None or self._sent < begin:
             return ANEW, begin
-        # The last column that went out was not full.
+        # The last column sent was not complete.
         return MORE, self._sent // view.column_ticks * view.column_ticks
 
     def _frame(self, kind: int, first: int, end: int, zero: int) -> bytes:
@@ -148,7 +148,7 @@ class Framer:
         at, values, states = self._rows(column * wide, end)
         extremes = columns(at, values, column, count, wide)
         thin = self._stride()
-        # Every so manieth position, not row: what was left out once stays out.
+        # Every n-th position, not row: the selection remains the same in later frames.
         kept = at % thin == 0
         points = loop_points(at[kept], values[:, kept], LOOP_CELLS, LOOP_POINTS)
         if points.size:
@@ -160,10 +160,10 @@ class Framer:
         )
 
     def _rows(self, first: int, end: int) -> tuple[Positions, Floats, NDArray[np.uint8]]:
-        """Return `History.rows` with the channels of the axis that is shown."""
+        """Return `History.rows` with the channels of the axis shown."""
         assert self._view is not None
         at, values, states = self._history.rows(first, end)
-        # An axis that there is no longer shows nothing of another.
+        # If the axis no longer exists, nothing is shown in its place.
         axis = self._view.axis if self._view.axis < self._history.axes else 0
         return at, values[axis * len(CHANNELS) : (axis + 1) * len(CHANNELS)], states
 
@@ -172,7 +172,7 @@ class Framer:
         return max(1, -(-self._view.ticks // LOOP_POINTS))
 
     def _outline(self, view: View, zero: int) -> bytes:
-        """Return the frame of the whole test."""
+        """Return the frame with the overview of the whole test."""
         history = self._history
         wide = max(1, -(-(history.last + 1 - history.first) // view.columns))
         column = history.first // wide

@@ -1,8 +1,8 @@
-"""Who is let in: the right token, a name of this PC alone, and no page but the live view's own.
+"""Access control: the right token, a host name of this PC only, and the live view's own page.
 
-A token keeps other users of this PC out. The Host header must name the loopback, or a name that
-somebody else's name server turned to 127.0.0.1 would do; the Origin must be the page's own, or any
-page that the operator has open could talk to the socket.
+The token excludes other users of this PC. The Host header must name the loopback, because another
+name server could resolve any name to 127.0.0.1; the Origin must be the page's own, because any
+page that the operator has open could otherwise use the socket.
 """
 
 from __future__ import annotations
@@ -38,29 +38,29 @@ HEADERS: Final[tuple[tuple[bytes, bytes], ...]] = (
 
 
 class Pass(IntEnum):
-    """What a token opens."""
+    """What a token permits."""
 
     LOOK = 1
-    """Look, hold and stop."""
+    """View, hold and stop."""
     OPERATE = 2
-    """Zero, arm, start, resume and reset as well."""
+    """Also zero, arm, start, resume and reset."""
 
 
 @dataclass(frozen=True)
 class Tokens:
-    """The secrets in the addresses of the page; random, and new with every start.
+    """The secrets in the addresses of the page; random, and new at every start.
 
     Attributes:
         look: of the page for everybody.
-        operate: of the operator's page, or None: there is none.
+        operate: of the operator's page, or None if there is none.
     """
 
     look: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     operate: str | None = None
 
     def opens(self, given: str) -> Pass | None:
-        """Return what a token opens; None: nothing."""
-        # Both are compared, whatever the first one says: the time taken tells nothing.
+        """Return what a token permits; None: nothing."""
+        # Both are always compared, so that timing reveals nothing.
         found = given.encode()
         operates = hmac.compare_digest(found, (self.operate or "").encode())
         looks = hmac.compare_digest(found, self.look.encode())
@@ -70,9 +70,9 @@ class Tokens:
 
 
 class Guard:
-    """ASGI middleware: turns away what has no business here, and adds the headers.
+    """ASGI middleware that rejects unauthorised requests and adds headers.
 
-    The first part of the path is the token; what is behind finds what it opens as
+    The first part of the path is the token; the application receives what it permits as
     ``scope["rthyb.pass"]``, and the rest of the path.
     """
 
@@ -80,7 +80,7 @@ class Guard:
         self._app, self._tokens = app, tokens
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Let in or turn away."""
+        """Accept or reject a request."""
         if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
@@ -95,7 +95,7 @@ class Guard:
 
     @staticmethod
     def _why_not(scope: Scope) -> str | None:
-        """Return why a request is turned away whatever its token says, or None."""
+        """Return why a request is rejected whatever its token, or None."""
         found: dict[bytes, list[str]] = {}
         for name, value in scope["headers"]:
             found.setdefault(name.lower(), []).append(value.decode("latin-1"))
@@ -105,7 +105,7 @@ class Guard:
         own = f"http://{hosts[0]}"
         if any(origin != own for origin in origins):
             return "Only the page of the live view itself may send requests."
-        # Each browser says where a socket's page is from.
+        # All browsers send the origin of a socket.
         if scope["type"] == "websocket" and len(origins) != 1:
             return "A socket must state the page to which it belongs."
         return None
@@ -117,7 +117,7 @@ async def _turn_away(scope: Scope, receive: Receive, send: Send, why: str) -> No
         await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": why})
         return
     body = f"rthyb live: {why} Use the address printed by rthyb live.\n".encode()
-    # Whoever has no business here keeps no place either.
+    # A rejected connection is closed at once.
     headers = [
         (b"content-type", b"text/plain; charset=utf-8"),
         (b"connection", b"close"),

@@ -1,6 +1,6 @@
-"""What the live view has seen: the channels that it draws, at positions that only grow.
+"""The rows that the live view can show: channels at increasing positions.
 
-Of several axes each has the channels of one, one axis behind the other.
+With several axes, the channels of each axis follow one another.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ Positions = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Channel:
-    """A quantity that is drawn.
+    """A quantity that is plotted.
 
     Attributes:
-        name: with its unit.
-        field: of a record.
-        factor: from the record's unit to that of the name.
-        less: another field that is taken off first.
+        name: label with unit.
+        field: field of a record.
+        factor: factor from the record's unit to that of the label.
+        less: another field that is subtracted first.
     """
 
     name: str
@@ -50,12 +50,12 @@ FORCE: Final = 4
 
 
 def channels(samples: NDArray[np.void], tie: Kinematics | None = None) -> Floats:
-    """Return what is drawn of records, shape (axes * channels, n); nan for what is not finite.
+    """Return the plotted channels of records, shape (axes * channels, n); nan if not finite.
 
     Args:
         samples: the records, with their channels, (n,).
-        tie: of several axes what leads from the interface to them; None: where the numerical part
-            wants each of them is not known.
+        tie: for several axes, the kinematics from the interface to the axes; None: the axes'
+            commands from the numerical part are unknown.
     """
     axes = axes_in(samples.dtype)
     fields: list[Any] = [samples] if axes == 1 else _of_axes(samples, axes, tie)
@@ -74,7 +74,7 @@ def channels(samples: NDArray[np.void], tie: Kinematics | None = None) -> Floats
 def _of_axes(
     samples: NDArray[np.void], axes: int, tie: Kinematics | None
 ) -> list[dict[str, NDArray[np.float64]]]:
-    """Return the fields that are drawn of each axis, by the names that those of one axis have."""
+    """Return the plotted fields of each axis, under the names used for a single axis."""
     names = samples.dtype.names or ()
     nothing = np.full(samples.size, np.nan)
 
@@ -92,7 +92,7 @@ def _of_axes(
             "x_num_m": wanted[:, k],
             **{name: numbered(name, k, ".") for name in ("x_cmd_m", "x_meas_m", "f_meas_n")},
             "alpha": numbered("alpha", k, "_"),
-            # The tangent stiffness is one of directions, by a matrix.
+            # The tangent stiffness is a matrix of directions.
             "k_t_n_per_m": nothing,
             "energy_error_j": samples["energy_error_j"],
         }
@@ -101,10 +101,10 @@ def _of_axes(
 
 
 class History:
-    """The newest rows at hand, each at its position: a tick, counted on from ring to ring.
+    """The newest rows, each at its position: a tick, counted continuously across rings.
 
     Args:
-        capacity: rows that are kept at least; twice as many have room.
+        capacity: least number of rows kept; there is space for twice as many.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -115,16 +115,16 @@ class History:
         self._size = 0
 
     def append(self, at: Positions, values: Floats, states: NDArray[np.uint8]) -> None:
-        """Add rows behind those that are there.
+        """Append rows.
 
         Args:
-            at: their positions, shape (n,), rising.
-            values: their channels, shape (axes * channels, n); other axes that there were have
-                none.
+            at: their positions, shape (n,), increasing.
+            values: their channels, shape (axes * channels, n); axes that existed before get no
+                values.
             states: their states, shape (n,).
 
         Raises:
-            ValueError: the positions do not rise.
+            ValueError: the positions do not increase.
         """
         if at.size and (np.any(np.diff(at) <= 0) or (self._size and at[0] <= self.last)):
             raise ValueError("positions must increase")
@@ -148,12 +148,12 @@ class History:
 
     @property
     def axes(self) -> int:
-        """How many axes it has the channels of."""
+        """Number of axes."""
         return self._values.shape[0] // len(CHANNELS)
 
     @property
     def size(self) -> int:
-        """Rows at hand."""
+        """Number of rows."""
         return self._size
 
     @property
@@ -167,7 +167,7 @@ class History:
         return int(self._at[self._size - 1]) if self._size else -1
 
     def rows(self, first: int, end: int) -> tuple[Positions, Floats, NDArray[np.uint8]]:
-        """Return the rows from position ``first`` up to ``end``, the latter left out: views."""
+        """Return views of the rows from position ``first`` up to, but not including, ``end``."""
         low, high = np.searchsorted(self._at[: self._size], (first, end))
         part = slice(int(low), int(high))
         return self._at[part], self._values[:, part], self._states[part]
@@ -176,15 +176,15 @@ class History:
 def columns(at: Positions, values: Floats, first: int, count: int, ticks: int) -> Floats:
     """Return the smallest and the largest value of each pixel column.
 
-    Column c holds the positions from c * ticks on, so that the same rows fall into the same column
-    whenever they are drawn, and no curve trembles while it moves.
+    Column c starts at position c * ticks, so that the same rows are always in the same column and a
+    moving curve does not flicker.
 
     Args:
-        at: positions, shape (n,), rising, within the columns.
-        values: shape (channels, n); nan is no value.
+        at: positions, shape (n,), increasing, within the columns.
+        values: shape (channels, n); nan means no value.
         first: the first column.
-        count: columns.
-        ticks: positions of a column.
+        count: number of columns.
+        ticks: positions per column.
 
     Returns:
         shape (channels, count, 2); nan where a column has no value.
@@ -200,13 +200,13 @@ def columns(at: Positions, values: Floats, first: int, count: int, ticks: int) -
 
 
 def loop_points(at: Positions, values: Floats, cells: int, most: int) -> NDArray[np.float32]:
-    """Return the force-displacement curve without the points that stay in the pixel before.
+    """Return the force-displacement curve without points in the same pixel as the previous one.
 
     Args:
         at: positions, shape (n,).
         values: shape (channels, n).
-        cells: pixels across the curve in either direction.
-        most: points; where there would be more, the pixels are made coarser.
+        cells: number of pixels across the curve in either direction.
+        most: largest number of points; if exceeded, coarser pixels are used.
 
     Returns:
         position after the first one, displacement in mm, force in kN; shape (points, 3).
@@ -216,7 +216,7 @@ def loop_points(at: Positions, values: Floats, cells: int, most: int) -> NDArray
     points = np.column_stack([(at - at[:1])[good], x[good], f[good]]).astype(np.float32)
     while len(points) > 1:
         span = np.maximum(np.ptp(points[:, 1:], axis=0), np.finfo(np.float32).tiny)
-        # In double: the quotient of a tiny span would overflow.
+        # In double precision: the quotient of a tiny span would overflow.
         pixel = np.floor(points[:, 1:] * (cells / span.astype(np.float64)))
         moved = np.ones(len(points), dtype=np.bool_)
         moved[1:] = np.any(np.diff(pixel, axis=0) != 0.0, axis=1)
@@ -228,10 +228,10 @@ def loop_points(at: Positions, values: Floats, cells: int, most: int) -> NDArray
 
 
 class Tally:
-    """What becomes of the ticks of a test, and how late they were awake."""
+    """Counts of a test's ticks, and a histogram of their wake-up latency."""
 
     EDGES_US: Final = np.logspace(0.0, 5.0, 61)
-    """Bounds of the histogram's bars; the first one takes what is earlier, the last one later."""
+    """Bounds of the histogram's bars; the first and last ones include everything beyond."""
 
     def __init__(self) -> None:
         self.rows = self.skipped = self.longest_ns = 0
@@ -244,11 +244,11 @@ class Tally:
         blind = (flags & FLAGS["blind"]) != 0
         self.rows += samples.size
         self.skipped += int(np.count_nonzero(blind))
-        # After a trip nothing is sent, and nothing need come.
+        # After a trip nothing is sent, and no reply is expected.
         at_work = flags[samples["state"] != STATES.index("TRIPPED")]
         for name in self.flags:
             self.flags[name] += int(np.count_nonzero(at_work & FLAGS[name]))
-        # A blind row was nobody's waking.
+        # No thread woke for a skipped row.
         late_ns = samples["wake_late_ns"][~blind]
         if late_ns.size:
             bar = np.searchsorted(self.EDGES_US, late_ns * 1e-3, side="right") - 1
@@ -257,11 +257,11 @@ class Tally:
             self.longest_ns = max(self.longest_ns, int(late_ns.max()))
 
     def forget_waking(self) -> None:
-        """Leave the histogram empty: for rows of virtual time."""
+        """Clear the histogram, for rows in virtual time."""
         self.counts[:], self.longest_ns = 0, 0
 
     def percentile_us(self, percent: float) -> float:
-        """Return the upper edge of the bar in which a percentile lies, 0 without any tick."""
+        """Return the upper edge of the bar that contains a percentile, 0 without any tick."""
         whole = int(self.counts.sum())
         if not whole:
             return 0.0

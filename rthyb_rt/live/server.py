@@ -1,4 +1,4 @@
-"""The live view's server: one process, one port of the loopback."""
+"""The live view's server: one process, one port on the loopback."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 LOOPBACK: Final = "127.0.0.1"
 _CONNECTIONS: Final = 64
 _WAITING: Final = 32
-"""How many of these may be without a request; if there is one more, the oldest is closed."""
+"""Largest number of connections without a request; beyond it, the oldest is closed."""
 _REQUEST_S: Final = 5.0
-"""For a request to come, from its connection's beginning or the answer before."""
+"""Time limit for a complete request, from the connection or the previous response."""
 
 
 class _Impatient(H11Protocol):
-    """Hangs up on who brings no whole request: his place is wanted.
+    """Closes connections without a complete request.
 
-    A token is in the request alone, so that anybody on this PC may connect.
+    The token is part of the request, so anybody on this PC can connect.
     """
 
     _deadline: asyncio.TimerHandle | None = None
@@ -67,7 +67,7 @@ class _Impatient(H11Protocol):
         super().handle_websocket_upgrade(event)
 
     def on_response_complete(self) -> None:
-        # Before what has come behind it is looked at.
+        # Before any data that follow it are processed.
         self._await_request()
         super().on_response_complete()
 
@@ -77,7 +77,7 @@ class _Impatient(H11Protocol):
 
 
 class _Server(uvicorn.Server):
-    """Leaves the signals to the command line."""
+    """Leaves signal handling to the command line."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -85,19 +85,19 @@ class _Server(uvicorn.Server):
 
 
 class LiveServer:
-    """Serves the page of a source until it is told to end.
+    """Serves the page of a source until it is stopped.
 
     Args:
-        source: what is looked at; stays the caller's.
-        tokens: let in.
-        port: of the loopback; 0 takes a free one.
+        source: the source, which remains the caller's.
+        tokens: accepted tokens.
+        port: port on the loopback; 0 selects a free one.
         ready: called once the page can be opened.
 
     Attributes:
-        port: that is listened at.
+        port: port in use.
 
     Raises:
-        RthybError: the port is taken, or not for this user.
+        RthybError: the port is in use, or not permitted for this user.
     """
 
     def __init__(
@@ -118,9 +118,9 @@ class LiveServer:
                 http=_Impatient,
                 ws="websockets-sansio",
                 ws_max_size=MESSAGE_BYTES,
-                # On the loopback, bytes cost less than squeezing them.
+                # On the loopback, sending bytes is cheaper than compressing them.
                 ws_per_message_deflate=False,
-                # A log of requests would have the token in it.
+                # A log of requests would contain the token.
                 log_config=None,
                 access_log=False,
                 log_level="error",
@@ -137,15 +137,15 @@ class LiveServer:
 
     @property
     def operator_url(self) -> str | None:
-        """Address of the operator's page, if there is one."""
+        """Address of the operator's page, or None."""
         token = self._tokens.operate
         return None if token is None else f"http://{LOOPBACK}:{self.port}/{token}/"
 
     def run(self) -> None:
-        """Serve until `stop`.
+        """Serve until `stop` is called.
 
         Raises:
-            BaseException: what ended the reading of the source.
+            BaseException: the exception that ended the reading of the source.
         """
         try:
             self._server.run(sockets=[self._listener])
@@ -155,7 +155,7 @@ class LiveServer:
             raise self._error
 
     def stop(self) -> None:
-        """Have `run` return; from any thread, and from a signal."""
+        """Make `run` return; may be called from any thread, and from a signal handler."""
         self._server.should_exit = True
 
     def _fail(self, error: BaseException) -> None:

@@ -1,4 +1,4 @@
-"""Where the live view has its rows from: a service, the ring of a test, or a recording."""
+"""Sources of the live view's rows: a service, the ring of a test, or a recording."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from rthyb_rt.service.control import SOCKET, Client, Refusal, UnreachableError
 from rthyb_rt.service.peers import Peer, Rights, Role
 
 KEPT_ROWS: Final = 2 * ring.CAPACITY
-"""128 s: the test that has just ended is still there to be looked at."""
+"""128 s: a test that has just ended remains visible."""
 
 _CHUNK: Final = 2048
 _TRIPPED: Final = STATES.index("TRIPPED")
 _OFF_COURSE: Final = ("HOLD", "RAMP_OUT", "TRIPPED")
 _STILL_S: Final = 1.0
-"""No machine that is fit for a test stalls as long."""
+"""Longest delay of a process on a machine that is suitable for a test."""
 _ANSWER_S: Final = 2.0
 
 
 class Source(Protocol):
-    """What a page can look at.
+    """A source for a page.
 
     Attributes:
-        history: the rows at hand.
+        history: the available rows.
         zero: position of time zero: the first RUNNING row.
-        fs_hz: rows a second.
-        state: of the newest row, "" without one.
-        socket: of the service that can be told to hold and to stop, or None.
-        past: nothing more will come.
+        fs_hz: rows per second.
+        state: state of the newest row, "" without one.
+        socket: control socket of the service that accepts HOLD and STOP, or None.
+        past: whether no further rows will come.
     """
 
     history: History
@@ -62,32 +62,32 @@ class Source(Protocol):
         """Name of the newest row's state."""
 
     def poll(self) -> None:
-        """Take the rows that are new."""
+        """Read new rows."""
 
     def look(self) -> None:
-        """Find out what takes its time; in any thread."""
+        """Do slow look-ups; may be called from any thread."""
 
     def status(self) -> dict[str, Any]:
-        """Return what there is to say besides the rows."""
+        """Return everything to display besides the rows."""
 
     def close(self) -> None:
-        """Let go of files and sockets."""
+        """Close files and sockets."""
 
 
 def open_source(where: Path | None, service: Path) -> Source:
-    """Return what a user means.
+    """Return the source that a user specified.
 
     Args:
-        where: a recording or the folder of a run, a ring, a folder of rings, a control socket; None
-            takes the service, or the newest ring of this user.
-        service: the control socket that is taken then.
+        where: a recording or the folder of a run, a ring, a folder of rings, a control socket;
+            None: the service, or the newest ring of this user.
+        service: the control socket to use then.
 
     Raises:
-        InputError: there is nothing of the kind.
+        InputError: no such source exists.
     """
     if where is None:
         return _of_user(service)
-    # The service may come later.
+    # The service may be started later.
     if where.is_socket() or where.name == SOCKET.name:
         return LiveSource(where.parent, where)
     if where.is_dir():
@@ -120,10 +120,10 @@ def _of_folder(folder: Path) -> Source:
     return PastSource(open_run(folder))
 
 
-# ---- a test that runs ---------------------------------------------------------------------------
+# ---- a running test -----------------------------------------------------------------------------
 
 _Identity = tuple[int, int]
-"""Of a file, whatever its name: the next ring takes the lowest number that is free."""
+"""Device and inode of a ring: a new one may get the same name, the lowest free number."""
 
 
 def _identity(path: Path) -> _Identity | None:
@@ -135,17 +135,17 @@ def _identity(path: Path) -> _Identity | None:
 
 
 class _Jury(Protocol):
-    """Judges the test that runs, of one axis or of several."""
+    """Evaluates the running test, with one axis or several."""
 
     def add(self, rows: NDArray[np.void], reference: NDArray[np.float64] | None) -> None:
-        """Take rows of the test proper, in order, with the reference simulation there."""
+        """Add rows of the test proper, in order, with the reference simulation at these rows."""
 
     def in_words(self, *, over: bool) -> list[str]:
-        """Return what is wrong so far, in sentences."""
+        """Return the problems found so far, in sentences."""
 
 
 class _OfOne:
-    """Judges a test of one axis."""
+    """Evaluates a test with one axis."""
 
     def __init__(self, given: summary.Setup, fs_hz: float) -> None:
         self._given, self._judge = given, Judge(summary.subject(given, fs_hz))
@@ -157,7 +157,7 @@ class _OfOne:
 
 
 class _OfSeveral:
-    """Judges a test of several axes."""
+    """Evaluates a test with several axes."""
 
     def __init__(self, judge: AxesJudge, controller: str) -> None:
         self._judge, self._controller = judge, controller
@@ -170,15 +170,15 @@ class _OfSeveral:
 
 @dataclass(frozen=True)
 class _Session:
-    """What a ring's test is judged by.
+    """Data for the evaluation of a ring's test.
 
     Attributes:
-        identity: of the ring.
-        jury: makes what judges it.
+        identity: identity of the ring.
+        jury: creates the evaluation.
         reference: the reference simulation, empty without one: shape (n,), or (n, axes).
-        extras: what the rig measures beside displacement and force.
-        axes: names of several axes.
-        tie: what leads from the interface to them.
+        extras: extra channels of the rig.
+        axes: names of the axes, if several.
+        tie: kinematics from the interface to the axes.
     """
 
     identity: _Identity
@@ -190,7 +190,7 @@ class _Session:
 
     @classmethod
     def of(cls, rec: Recording, identity: _Identity) -> _Session:
-        """Return it from the session beside the ring."""
+        """Return the data from the session file beside the ring."""
         if rec.axis_names:
             rig, test = several.files(rec)
             reference = several.reference(rec, rig, test)
@@ -209,11 +209,11 @@ class _Session:
 
 
 class LiveSource:
-    """Rows of a ring as they come, and of the rings that follow it.
+    """Rows of a ring as they arrive, and of the rings that follow it.
 
     Args:
-        place: the ring, or the folder in which the newest one counts.
-        socket: the service's, or None.
+        place: the ring, or the folder in which the newest one is used.
+        socket: the service's control socket, or None.
     """
 
     past = False
@@ -227,7 +227,7 @@ class LiveSource:
         self._wanted: Path | None = None
         self._seen: _Identity | None = None
         self._reader: ring.Reader | None = None
-        # While it is mapped no other file can be given the same.
+        # While this file is mapped, no other file can have the same identity.
         self._held: _Identity | None = None
         self._at_rest = False
         self._offset: int | None = None
@@ -247,7 +247,7 @@ class LiveSource:
     # ---- rows -----------------------------------------------------------------------------------
 
     def poll(self) -> None:
-        """Take the rows that are new; turn to another ring where there is one."""
+        """Read new rows; change to another ring if there is one."""
         self._drain()
         if self._wanted is not None and (self._reader is None or self._replaced()):
             self._turn_to(self._wanted, self._seen)
@@ -257,7 +257,7 @@ class LiveSource:
             self._came_s = self._polled_s
 
     def _due(self) -> bool:
-        """Whether rows should come: of a process that has a test, of a service also at rest."""
+        """Whether rows are expected: from a process with a test, from a service also at rest."""
         reader = self._reader
         if reader is not None and reader.frozen and not self._replaced():
             return False
@@ -266,18 +266,18 @@ class LiveSource:
         return reader is not None and reader.alive and reader.pushed > 0
 
     def _replaced(self) -> bool:
-        """Whether the ring that is wanted is there, and another one than that which is read."""
+        """Whether the desired ring exists and differs from the one being read."""
         return self._seen is not None and self._seen != self._held
 
     def _turn_to(self, path: Path, seen: _Identity | None) -> None:
         try:
             reader = ring.Reader(path)
         except (InputError, OSError) as error:
-            # It may have gone again by now; the next look tells.
+            # It may have disappeared again; the next look-up shows.
             self._shut = str(error)
             return
         if _identity(path) != seen:
-            # What was found out with the last look is of another ring.
+            # The result of the last look-up belongs to another ring.
             reader.close()
             return
         if self._reader is not None:
@@ -292,11 +292,11 @@ class LiveSource:
             self._jury = None
             if session is not None and session.identity == seen:
                 self._jury = session.jury()
-            # From the first row on, or nobody knows which row of the reference belongs to which.
+            # From the first row on; otherwise the rows of the reference could not be assigned.
             self._whole, self._judged = reader.next == 0, 0
             self._attended = (-WINDOW_S, [])
         elif self.history.size:
-            # Rest of long ago lies before the test that has ended.
+            # Only the most recent rest before the finished test is relevant.
             while reader.read(_CHUNK).samples.size:
                 pass
 
@@ -308,7 +308,7 @@ class LiveSource:
             self._came_s = time.monotonic()
             self._newest = rows[-1:].copy()
             if self._at_rest:
-                # A trip stays on the screen until somebody resets it.
+                # A trip remains on the screen until it is reset.
                 rows = rows[rows["state"] != _TRIPPED]
             else:
                 self._tally.add(rows)
@@ -316,7 +316,7 @@ class LiveSource:
             self._take(rows)
 
     def _weigh(self, rows: NDArray[np.void]) -> None:
-        """Judge the rows of the test proper; with its reference, unless rows have been missed."""
+        """Evaluate the rows of the test proper, with its reference unless rows were missed."""
         jury, session, reader = self._jury, self._session, self._reader
         if jury is None or session is None or reader is None:
             return
@@ -327,7 +327,7 @@ class LiveSource:
         self._judged += running.size
 
     def _take(self, rows: NDArray[np.void]) -> None:
-        """Put rows behind those that are there; another station counts its ticks anew."""
+        """Append rows; another station counts its ticks from zero."""
         tick = rows["tick"].astype(np.int64)
         for part in np.split(np.arange(tick.size), np.flatnonzero(np.diff(tick) <= 0) + 1):
             if part.size:
@@ -347,15 +347,16 @@ class LiveSource:
         tie = session.tie if session is not None and session.identity == self._held else None
         self.history.append(at, channels(rows, tie), rows["state"])
 
-    # ---- what takes its time --------------------------------------------------------------------
+    # ---- slow look-ups
+    # ------------------------------------------------------------------------------
 
     def look(self) -> None:
-        """Ask the service, find the newest ring, and the cause of a test that left its course."""
+        """Query the service, find the newest ring, and the cause of an interrupted test."""
         self._service = self._ask() if self.socket is not None else None
         if self._service is not None:
             self._wanted = Path(self._service["ring"])
         elif self._place.is_dir():
-            # A ring may go while it is looked at.
+            # A ring may disappear meanwhile.
             with contextlib.suppress(OSError, InputError):
                 self._wanted = _newest(self._place, self._wanted, self._held)
         else:
@@ -384,23 +385,23 @@ class LiveSource:
             client.close()
 
     def _find_session(self, path: Path, seen: _Identity | None) -> None:
-        """Read what a ring's test is to be judged by."""
+        """Read the data for evaluating a ring's test."""
         if seen is None or (self._session is not None and self._session.identity == seen):
             return
-        # It may not be for everybody to read, or gone by now: then nothing is judged.
+        # It may not be readable, or may have disappeared: then nothing is evaluated.
         with contextlib.suppress(RthybError, OSError):
             rec = recording.read(ring.session_path(path), rows=False)
             self._session = _Session.of(rec, seen)
             self.fs_hz = rec.fs_hz
 
     def _find_cause(self) -> None:
-        """Compute what no row says: which limit it was."""
+        """Determine what the rows do not contain: which limit was the cause."""
         path, held, (known, cause) = self._wanted, self._held, self._cause
         if path is None or self.state not in _OFF_COURSE or (known == held and cause):
             return
         if self._seen != held:
             return
-        # Its process may be writing beside it; what is not there now comes later.
+        # Its process may still be writing the file; the next look-up will find it.
         with contextlib.suppress(RthybError):
             told = realtime.first_cause_in_words(ring.recover(path).recording)
             self._cause = (held, told)
@@ -413,9 +414,9 @@ class LiveSource:
     # ---- words ----------------------------------------------------------------------------------
 
     def status(self) -> dict[str, Any]:
-        """Return what there is to say besides the rows."""
+        """Return everything to display besides the rows."""
         service = self._service
-        # What has come since the last poll nobody knows yet.
+        # Rows that arrived since the last poll have not been read yet.
         still_s = max(self._polled_s - self._came_s, 0.0)
         told = _nothing() if service is None else _of_service(service)
         if self.socket is None:
@@ -443,7 +444,7 @@ class LiveSource:
         }
 
     def _axes(self) -> tuple[str, ...]:
-        """Return the names of several axes, of the ring that is read."""
+        """Return the names of the axes of the ring that is read, if several."""
         session = self._session
         return session.axes if session is not None and session.identity == self._held else ()
 
@@ -461,11 +462,11 @@ class LiveSource:
         return _readings(session.extras, self._newest)
 
     def _attention(self) -> list[str]:
-        """Return what is wrong with the test so far, in sentences."""
+        """Return the problems found in the test so far, in sentences."""
         jury = self._jury
         if jury is None:
             return []
-        # Figures that change four times a second nobody can read, or have read out.
+        # Figures that change four times a second are unreadable, also for screen readers.
         now, (since, told) = time.monotonic(), self._attended
         if now - since >= WINDOW_S:
             told = jury.in_words(over=self.state in ("IDLE", "TRIPPED"))
@@ -479,22 +480,22 @@ class LiveSource:
         return "the test is over" if reader.closed else "its process ended early"
 
     def close(self) -> None:
-        """Let go of ring and socket."""
+        """Close ring and socket."""
         self._hang_up()
         if self._reader is not None:
             self._reader.close()
 
 
 def _newest(folder: Path, present: Path | None, held: _Identity | None) -> Path | None:
-    """Return the newest ring that a process fills, else the newest; ``present`` if none is newer.
+    """Return the newest ring in use, else the newest; ``present`` if none is newer.
 
     Args:
-        folder: of the rings.
-        present: the ring that was wanted so far.
-        held: the file that is read; another one of the name of ``present`` is newer.
+        folder: folder of the rings.
+        present: the ring used so far.
+        held: the ring being read; another one under the name of ``present`` is newer.
 
     Raises:
-        OSError, InputError: a ring went, or is not whole yet.
+        OSError, InputError: a ring disappeared, or is incomplete.
     """
     rings = ring.find(folder)
     if not rings or (rings[-1] == present and _identity(present) == held):
@@ -561,9 +562,9 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
 
 
 def _now_of(found: dict[str, Any]) -> list[float | None]:
-    """Return the channels of the newest record, of one axis after the other, as the service says.
+    """Return the channels of the newest record, axis by axis, as reported by the service.
 
-    The tangent stiffness is that of one axis; of several it is a matrix of directions.
+    The tangent stiffness exists for one axis only; with several it is a matrix of directions.
     """
     newest = found["newest"]
     axes = (found.get("axes") or {}).values()
@@ -572,7 +573,7 @@ def _now_of(found: dict[str, Any]) -> list[float | None]:
 
 
 def _now(newest: dict[str, Any]) -> list[float | None]:
-    """Return the channels of what the service says of one axis."""
+    """Return the channels that the service reports for one axis."""
     names = {c.field for c in CHANNELS} | {c.less for c in CHANNELS if c.less is not None}
     row = np.zeros(1, dtype=[(name, np.float64) for name in sorted(names)])
     for name in names:
@@ -636,7 +637,7 @@ def _wake(tally: Tally) -> dict[str, Any]:
 
 
 def _role(socket: Path) -> str:
-    """Return what this process may do there, for the page; the service decides by itself."""
+    """Return what this process may do, for the page; the service makes its own decision."""
     try:
         owner = socket.stat().st_uid
     except OSError:
@@ -649,7 +650,7 @@ def _role(socket: Path) -> str:
 MAY_HOLD: Final = tuple(role.name.lower() for role in (Role.LOOK, Role.OPERATE))
 
 
-# ---- a test of the past -------------------------------------------------------------------------
+# ---- a recorded test ----------------------------------------------------------------------------
 
 
 class PastSource:
@@ -659,7 +660,7 @@ class PastSource:
         rec: the recording.
 
     Raises:
-        InputError: it has no row.
+        InputError: it has no rows.
     """
 
     past = True
@@ -678,11 +679,11 @@ class PastSource:
         self._tally = Tally()
         self._tally.add(samples)
         if not isinstance(rec.meta.get("real_time"), dict):
-            # Nobody woke for these ticks: they were computed.
+            # No thread woke for these ticks: they were computed.
             self._tally.forget_waking()
         self._rec = rec
         self._cause, self._alarms = "", list[str]()
-        # Of several axes the reason of the end has the cause.
+        # For several axes the cause is part of the end reason.
         if rec.axis_names:
             if rec.running().any():
                 told = several.notices(several.summarize(rec))
@@ -694,13 +695,13 @@ class PastSource:
             self._alarms = [n.text for n in summary.notices(found) if n.level == "alarm"]
 
     def poll(self) -> None:
-        """Nothing comes."""
+        """Do nothing: no rows arrive."""
 
     def look(self) -> None:
-        """There is nothing to be found out."""
+        """Do nothing: no look-ups are needed."""
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: no resources are open."""
 
     @property
     def state(self) -> str:
@@ -708,7 +709,7 @@ class PastSource:
         return _state_of(self.history)
 
     def status(self) -> dict[str, Any]:
-        """Return what there is to say besides the rows."""
+        """Return everything to display besides the rows."""
         meta = self._rec.meta
         told = _nothing() | {
             "state": self.state,
@@ -736,7 +737,7 @@ class PastSource:
 
 
 def _positions(tick: NDArray[np.uint64]) -> NDArray[np.int64]:
-    """Return the ticks as positions; where they do not rise, the numbers of the rows."""
+    """Return the ticks as positions; if they do not increase, the row numbers."""
     if tick.size and int(tick.max()) < 2**52:
         at = tick.astype(np.int64)
         if np.all(np.diff(at) > 0):

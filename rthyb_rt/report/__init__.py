@@ -1,4 +1,4 @@
-"""The report of a hybrid test: one HTML file that needs nothing else and prints well on A4."""
+"""The report of a hybrid test: one self-contained HTML file, suitable for printing on A4."""
 
 from __future__ import annotations
 
@@ -94,13 +94,13 @@ def _pairs(s: Summary) -> list[tuple[str, str, str]]:
 
 
 def _rest(s: Summary) -> list[tuple[str, str, str]]:
-    """Return the rows of the result table that the pairs do not show."""
+    """Return the rows of the result table that the pairs do not contain."""
     told = ("Tracking,", "Response", "Loops at")
     return [row for row in table(s) if not row.label.startswith(told)]
 
 
 def _steps(s: Summary) -> list[tuple[str, ...]]:
-    """Return what each amplitude of a prescribed history has shown."""
+    """Return the results for each amplitude of a prescribed history."""
     return [
         (
             quantity(one.amplitude_m, "mm", 1e3),
@@ -117,7 +117,7 @@ def _steps(s: Summary) -> list[tuple[str, ...]]:
 
 
 def _named(values: dict[str, Any], names: dict[str, str]) -> list[tuple[str, str]]:
-    """Return values with their names for people, the known ones first, empty ones left out."""
+    """Return values with display names, known ones first, without empty ones."""
     known = [(name, values[key]) for key, name in names.items() if key in values]
     more = [
         (key, value)
@@ -128,7 +128,7 @@ def _named(values: dict[str, Any], names: dict[str, str]) -> list[tuple[str, str
 
 
 def _commissioned(meta: dict[str, Any]) -> dict[str, str]:
-    """Return when the rig was commissioned, step by step, for a test in real time."""
+    """Return when each commissioning step of the rig was done, for a test in real time."""
     facts = meta.get("commissioning")
     if not isinstance(facts, dict):
         return {}
@@ -139,7 +139,7 @@ def _commissioned(meta: dict[str, Any]) -> dict[str, str]:
 
 
 def _shown(value: Any) -> str:
-    """Return a value with no more digits than a reader wants, also where it was kept as text."""
+    """Return a value with a suitable number of digits, also if it was stored as text."""
     if isinstance(value, str) and re.fullmatch(r"-?\d+\.\d{7,}", value):
         value = float(value)
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""The Bode plot of an identified rig: what its sines showed, and the model made of them."""
+"""The Bode plot of an identified rig: results of the sine waves, and the fitted model."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rthyb_rt.report import drawing as draw
 
 
 class Tone(Protocol):
-    """What one sine showed, as `rig.identify.Tone` has it."""
+    """The result for one sine wave, like `rig.identify.Tone`."""
 
     @property
     def frequency_hz(self) -> float:
-        """Of the sine, Hz."""
+        """Frequency of the sine wave, Hz."""
 
     @property
     def gain(self) -> float:
@@ -32,12 +32,12 @@ class Tone(Protocol):
 
 
 def bode(rig: RigFile, tones: Sequence[Tone], rate: Rate = STANDARD) -> draw.Plate:
-    """Draw gain, phase and delay from command to measured displacement by frequency.
+    """Draw gain, phase and delay from command to measured displacement over frequency.
 
     Args:
-        rig: with what was identified filled in.
-        tones: of the sweep, from slow to fast.
-        rate: of the sweep.
+        rig: the rig with its identified values.
+        tones: tones of the sweep, by increasing frequency.
+        rate: rate of the sweep.
     """
     f = np.array([tone.frequency_hz for tone in tones])
     gain = np.array([tone.gain for tone in tones])
@@ -51,7 +51,7 @@ def bode(rig: RigFile, tones: Sequence[Tone], rate: Rate = STANDARD) -> draw.Pla
         if fitted is not None:
             g = fitted.response(fine, rate.period_s, response.hold_of(rig))
             angle = np.unwrap(np.angle(g))
-            # The model's phase is known up to whole turns; the slowest sine says which.
+            # The model's phase is known up to whole turns; the slowest sine determines them.
             turns = (angle[0] + 2.0 * np.pi * f[0] * delay[0]) / (2.0 * np.pi)
             angle -= 2.0 * np.pi * np.round(turns)
             for axes, y in (

@@ -17,7 +17,7 @@ from rthyb_rt.report import drawing as draw
 Floats = NDArray[np.float64]
 
 SHOWN_LOOPS = 8
-"""More would hide one another; the rest is in the table."""
+"""Largest number of loops in the figure, as more would overlap; the table has all."""
 
 
 def plates(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> list[draw.Plate]:
@@ -31,7 +31,7 @@ def plates(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> list[draw.Plate
 
 
 def loops(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
-    """Return the last loop of each amplitude, one over the other."""
+    """Return the last loop of each amplitude, superimposed."""
     paper = draw.Paper("loops", draw.FULL_WIDTH_IN, (2.6,), bottom_in=draw.LEGEND_IN)
     (axes,) = paper.axes
     run = rec.samples[rec.samples["state"] == RUNNING]
@@ -40,7 +40,7 @@ def loops(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
     shades = colormaps["viridis"](np.linspace(0.0, 0.85, picked.size))
     axes.axhline(0.0, color=draw.GREY, linewidth=0.4)
     axes.axvline(0.0, color=draw.GREY, linewidth=0.4)
-    # The largest below, so that each smaller one is seen.
+    # The largest is drawn first, so that smaller ones remain visible.
     for shade, number in reversed(list(zip(shades, picked, strict=True))):
         one = amplitudes[number]
         rows = slice(*one.last.rows)
@@ -61,7 +61,7 @@ def loops(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
 
 
 def backbone(amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
-    """Return the peaks of the first cycle of each amplitude, joined."""
+    """Return the peaks of the first and the last cycle of each amplitude."""
     paper = draw.Paper("backbone", draw.HALF_WIDTH_IN, (1.9,), bottom_in=draw.LEGEND_IN)
     (axes,) = paper.axes
     lower = [one.first.lower for one in reversed(amplitudes)]

@@ -11,12 +11,12 @@ Floats = NDArray[np.float64]
 def envelope(x: Floats, y: Floats, columns: int) -> tuple[Floats, Floats]:
     """Return the smallest and largest point of each pixel column, in their order.
 
-    No peak is lost, as it would be by taking every k-th point.
+    In contrast to taking every k-th point, no peak is lost.
 
     Args:
-        x: abscissa, rising and evenly spaced, shape (n,).
-        y: ordinate, shape (n,); nan makes a gap when it fills a column.
-        columns: pixel columns that the curve is drawn over.
+        x: abscissa, increasing and evenly spaced, shape (n,).
+        y: ordinate, shape (n,); nan makes a gap if it fills a column.
+        columns: number of pixel columns.
 
     Returns:
         Both coordinates, at most ``2 * columns`` points; unchanged if there are no more than that.
@@ -25,7 +25,7 @@ def envelope(x: Floats, y: Floats, columns: int) -> tuple[Floats, Floats]:
         return x, y
     width = -(-y.size // columns)
     missing = -y.size % width
-    # A repeated last value changes neither the smallest nor the largest of its column.
+    # Repeating the last value changes neither the smallest nor the largest of its column.
     grid = np.concatenate([y, np.full(missing, y[-1])]).reshape(-1, width)
     gap = np.isnan(grid)
     low = np.argmin(np.where(gap, np.inf, grid), axis=1)
@@ -38,17 +38,17 @@ def envelope(x: Floats, y: Floats, columns: int) -> tuple[Floats, Floats]:
 def trace(
     x: Floats, y: Floats, x_range: float, y_range: float, cells: int
 ) -> tuple[Floats, Floats]:
-    """Return a curve in the plane without the points that stay in the pixel of the one before.
+    """Return a curve in the plane without points in the same pixel as the previous one.
 
     Args:
         x: abscissa, any order, shape (n,).
         y: ordinate, shape (n,); nan makes a gap.
         x_range: width of the picture in the unit of x, > 0.
         y_range: height of the picture in the unit of y, > 0.
-        cells: pixels across the picture in either direction.
+        cells: number of pixels across the picture in either direction.
 
     Returns:
-        Both coordinates; what is left out lies within one pixel of what is kept.
+        Both coordinates; omitted points are within one pixel of those returned.
     """
     pixel_x = np.floor(x * (cells / x_range))
     pixel_y = np.floor(y * (cells / y_range))
@@ -59,14 +59,14 @@ def trace(
 
 
 def robust_limit(*signals: Floats, anchor: float | None = None) -> float:
-    """Return the half range of an axis that a diverged tail or a spike does not blow up.
+    """Return the half range of an axis that is insensitive to a diverged tail or a spike.
 
-    The largest value, unless that is more than 20 times what the signals usually are (the 97 %
+    The largest value, unless it is more than 20 times the usual size of the signals (the 97 %
     quantile of their moving part) or more than 5 times the anchor; then twice the smaller of the
-    two, so that the part that can be judged stays readable.
+    two, so that the relevant part remains readable.
 
     Args:
-        signals: what is drawn on the axis; values that are not finite do not count.
+        signals: signals on the axis; values that are not finite are ignored.
         anchor: size that is known to be right, e.g. the peak of the reference simulation.
 
     Returns:
@@ -76,7 +76,7 @@ def robust_limit(*signals: Floats, anchor: float | None = None) -> float:
     largest = float(sizes.max()) if sizes.size else 0.0
     if largest == 0.0:
         return 1.0
-    # Of the moving part only: long rest would make a short motion look like a spike.
+    # Only of the moving part: with long rest, a short motion would look like a spike.
     moving = sizes[sizes > 1e-3 * np.quantile(sizes, 0.99)]
     usual = float(np.quantile(moving, 0.97)) if moving.size else largest
     far = 20.0 * usual

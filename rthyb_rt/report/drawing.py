@@ -1,6 +1,6 @@
-"""How figures are drawn: paper, curves, axes, and inline SVG by matplotlib without pyplot.
+"""Drawing of figures: paper, curves, axes, and inline SVG by matplotlib without pyplot.
 
-Curves are thinned to what their pixels can show; the texts stay text, in the fonts of the page.
+Curves are thinned to what their pixels can show; text remains text, in the fonts of the page.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-# Okabe & Ito (2008): told apart with any kind of colour vision; dashes help in black and white.
+# Okabe & Ito (2008): distinguishable with any colour vision; dashes help in black and white.
 BLACK, ORANGE, GREEN, BLUE, RED, PURPLE = (
     "#1a1a1a",
     "#e69f00",
@@ -41,7 +41,7 @@ LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.46, 0.12, 0.24, 0.34
 LEGEND_IN = 0.52
 COLUMNS_PER_IN = 150.0
 LOOP_CELLS = 700
-"""Pixels across a loop in either direction."""
+"""Number of pixels across a loop in either direction."""
 
 STYLE: Any = {
     "svg.fonttype": "none",
@@ -83,15 +83,15 @@ STYLE: Any = {
 
 @dataclass(frozen=True)
 class Plate:
-    """A finished figure as a page shows it.
+    """A finished figure for a page.
 
     Attributes:
         key: name in links and ids.
-        title: what it shows.
-        svg: the drawing; empty when there is nothing to draw, and ``note`` says why.
-        note: what to know when reading it.
-        half: two of these stand side by side.
-        figure: of matplotlib, None where there is nothing to draw.
+        title: title of the figure.
+        svg: the drawing; empty if there is nothing to draw, which ``note`` then explains.
+        note: explanation for the reader.
+        half: whether two such figures are placed side by side.
+        figure: the matplotlib figure, or None if there is nothing to draw.
     """
 
     key: str
@@ -103,7 +103,7 @@ class Plate:
 
 
 class Paper:
-    """A sheet with axes below one another, placed in inches."""
+    """A sheet with axes arranged from top to bottom, in inches."""
 
     def __init__(
         self, key: str, width_in: float, heights_in: tuple[float, ...], *,
@@ -140,7 +140,7 @@ def curve(
     axes: Axes, x: Floats, y: Floats, colour: str, width: float, label: str = "",
     dashes: tuple[float, float] | None = None,
 ) -> None:  # fmt: skip
-    """Draw a curve over time, thinned to what the paper shows."""
+    """Draw a curve over time, thinned to the resolution of the paper."""
     width_in = axes.get_position().width * axes.figure.get_figwidth()  # type: ignore[union-attr]
     x, y = envelope(x, np.where(np.isfinite(y), y, np.nan), int(width_in * COLUMNS_PER_IN))
     # A curve far beyond the frame would overflow the coordinates of the drawing.
@@ -158,20 +158,20 @@ def loop(
     x_limit: float, y_limit: float, cells: int = LOOP_CELLS,
     dashes: tuple[float, float] | None = None,
 ) -> None:  # fmt: skip
-    """Draw a curve that turns back on itself, in a frame of ``limit`` either side of zero."""
+    """Draw a closed curve, in a frame of ``limit`` on either side of zero."""
     x, y = trace(clip(x, x_limit), clip(y, y_limit), 2 * x_limit, 2 * y_limit, cells)
     kind: dict[str, Any] = {"dashes": dashes} if dashes else {}
     axes.plot(x, y, color=colour, linewidth=width, label=label, **kind)
 
 
 def tiles(axes: Axes, xs: Floats, ys: Floats, kind: NDArray[np.int_], colours: list[str]) -> None:
-    """Fill cells of a grid, of each colour all at once: a hundredth of the text of a mesh.
+    """Fill cells of a grid, all of one colour at once: a hundredth of the size of a mesh.
 
     Args:
-        axes: where.
+        axes: the axes.
         xs, ys: edges of the cells, (nx + 1,), (ny + 1,).
-        kind: number of the colour of each cell, (nx, ny); negative for none.
-        colours: by that number.
+        kind: colour number of each cell, (nx, ny); negative for none.
+        colours: colours by number.
     """
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
@@ -192,23 +192,23 @@ def tiles(axes: Axes, xs: Floats, ys: Floats, kind: NDArray[np.int_], colours: l
 
 
 def clip(y: Floats, limit: float) -> Floats:
-    """Keep a signal within what a picture of ``limit`` either side can hold."""
+    """Limit a signal to values that a picture with ``limit`` on either side can represent."""
     return np.clip(y, -1.5 * limit, 1.5 * limit)
 
 
 def largest(x: Floats) -> float:
-    """Return the largest size of the finite values; 0 where there is none."""
+    """Return the largest magnitude of the finite values; 0 if there are none."""
     finite = np.abs(x[np.isfinite(x)])
     return float(finite.max()) if finite.size else 0.0
 
 
 def symmetric(axes: Axes, limit: float, margin: float = 1.06, ticks: int = 5) -> None:
-    """Set the range of the ordinate to ``limit`` either side of zero, and a margin."""
+    """Set the range of the ordinate to ``limit`` on either side of zero, plus a margin."""
     set_range(axes, -margin * limit, margin * limit, ticks)
 
 
 def set_range(axes: Axes, low: float, high: float, ticks: int = 5) -> None:
-    """Set the range of the ordinate with plain numbers, powers of ten only where there must be."""
+    """Set the range of the ordinate, with plain numbers and powers of ten only if necessary."""
     axes.set_ylim(low, high)
     axes.yaxis.set_major_locator(MaxNLocator(ticks, min_n_ticks=3))
     if not 1e-3 <= max(abs(low), abs(high)) < 1e5:
@@ -216,7 +216,7 @@ def set_range(axes: Axes, low: float, high: float, ticks: int = 5) -> None:
 
 
 def fit_range(axes: Axes, *signals: Floats, limit: float, ticks: int = 6) -> None:
-    """Fit the ordinate to the signals, but not beyond ``limit`` either side."""
+    """Fit the ordinate to the signals, but not beyond ``limit`` on either side."""
     values = np.concatenate(signals)
     values = values[np.isfinite(values)]
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
@@ -228,14 +228,14 @@ def fit_range(axes: Axes, *signals: Floats, limit: float, ticks: int = 6) -> Non
 
 
 def span(first: float, last: float) -> tuple[float, float]:
-    """Return a range of time that is never empty."""
+    """Return a time range that is never empty."""
     if not (np.isfinite(first) and np.isfinite(last)):
         return 0.0, 1.0
     return (float(first), float(last)) if last > first else (float(first), float(first) + 1e-3)
 
 
 def level(axes: Axes, y: float, text: str, colour: str, *, above: bool = True) -> None:
-    """Draw a dashed level and write its name on it."""
+    """Draw a dashed level with its name."""
     axes.axhline(y, color=colour, linewidth=0.7, dashes=(5, 2))
     axes.annotate(
         text, (1.0, y), xycoords=axes.get_yaxis_transform(), xytext=(-2, 2 if above else -2),
@@ -249,7 +249,7 @@ def head(
     axes: Axes, label: str, *, order: tuple[int, ...] | None = None, below: bool = False,
     right: str = "",
 ) -> None:  # fmt: skip
-    """Write what the ordinate is, upright above the axis, and the legend at its right."""
+    """Write the label of the ordinate above the axis, and the legend to its right."""
     axes.annotate(
         label, (0.0, 1.0), xycoords=("figure points", "axes fraction"), xytext=(0, 5),
         textcoords="offset points", ha="left", va="bottom", color=BLACK,
@@ -263,7 +263,7 @@ def head(
     if order:
         handles, labels = [handles[i] for i in order], [labels[i] for i in order]
     if handles:
-        # Beside the label where there is room, else in the line of the abscissa's label.
+        # Beside the label if there is space, else in line with the label of the abscissa.
         corner, y, shift = (0.0, 0.0, -27.0) if below else (1.0, 1.0, 6.0)
         axes.legend(
             handles, labels, ncols=len(handles), loc="upper left" if below else "lower right",
@@ -275,16 +275,16 @@ def head(
 
 
 LINE_IN = 0.16
-"""Height of a line of a legend."""
+"""Height of one line of a legend."""
 
 
 def room_below(entries: int, columns: int) -> float:
-    """Return the height below axes, inches, that a legend of so many entries needs there."""
+    """Return the height below axes, inches, that a legend with this many entries needs."""
     return 0.46 + LINE_IN * -(-entries // columns)
 
 
 def legend_below(axes: Axes, columns: int) -> None:
-    """Write the legend below the label of the abscissa, where no curve is."""
+    """Draw the legend below the label of the abscissa, clear of the curves."""
     axes.legend(
         ncols=columns, loc="upper left", bbox_to_anchor=(0.0, 0.0),
         bbox_transform=offset_copy(axes.transAxes, axes.get_figure(root=True), 0, -27, "points"),
@@ -292,7 +292,7 @@ def legend_below(axes: Axes, columns: int) -> None:
 
 
 def x_label(axes: Axes, text: str) -> None:
-    """Write what the abscissa is, at the right below it."""
+    """Write the label of the abscissa below it at the right."""
     axes.annotate(
         text, (1.0, 0.0), xycoords="axes fraction", xytext=(0, -15), textcoords="offset points",
         ha="right", va="top", color=BLACK,
@@ -309,7 +309,7 @@ _UPRIGHT = re.compile(r' transform="rotate\(-0 [^"]*"')
 
 
 def to_svg(figure: Figure, key: str, title: str) -> str:
-    """Return the figure as an element to put into a page: own ids, the page's fonts, no header."""
+    """Return the figure as an element for a page: own ids, the page's fonts, no header."""
     FigureCanvasSVG(figure)
     out = io.StringIO()
     empty = dict.fromkeys(("Creator", "Date", "Format", "Type"))
@@ -329,5 +329,5 @@ def to_svg(figure: Figure, key: str, title: str) -> str:
 
 
 def _shorten(match: re.Match[str]) -> str:
-    """Cut coordinates to a hundredth of a point."""
+    """Round coordinates to a hundredth of a point."""
     return _DECIMALS.sub(r"\1", match.group().replace("\n", ""))

@@ -16,7 +16,7 @@ TITLE = "Energy balance"
 
 
 def balance(rec: Recording, summary: Summary) -> draw.Plate:
-    """Draw where the energy of the ground motion has gone, layer on layer."""
+    """Draw how the input energy is stored and dissipated, as stacked layers."""
     found = of.of_recording(rec, summary.setup)
     if found is None:
         why = (
@@ -28,7 +28,7 @@ def balance(rec: Recording, summary: Summary) -> draw.Plate:
 
 
 def drawn(found: of.EnergyBalance) -> draw.Plate:
-    """Draw a balance, layer on layer."""
+    """Draw a balance as stacked layers."""
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         paper = draw.Paper("balance", draw.FULL_WIDTH_IN, (1.6,), bottom_in=draw.LEGEND_IN)
         (axes,) = paper.axes
@@ -40,7 +40,7 @@ def drawn(found: of.EnergyBalance) -> draw.Plate:
             ("kinetic", found.kinetic_j, draw.BLUE),
         )
         limit = max(robust_limit(found.input_j, found.input_j + found.fed_j), 1e-9)
-        # Thinned alike, so that the layers lie on one another.
+        # All layers are thinned at the same rows, so that they remain stacked.
         columns = int(60.0 * draw.FULL_WIDTH_IN)
         rows = np.unique(
             np.linspace(0, found.t_s.size - 1, min(found.t_s.size, columns)).astype(int)

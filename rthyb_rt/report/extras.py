@@ -1,4 +1,4 @@
-"""The figures of what a rig measures beside displacement and force."""
+"""The figures of a rig's extra channels."""
 
 from __future__ import annotations
 

@@ -63,14 +63,14 @@ def draw_all(rec: Recording, summary: Summary) -> list[draw.Plate]:
 
 
 def draw_one(rec: Recording, summary: Summary, key: str) -> draw.Plate | None:
-    """Return one figure of the report by its key; None where the recording has nothing for it."""
+    """Return one figure of the report by its key; None if the recording has no data for it."""
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         plate: draw.Plate | None = getattr(_Figures(rec, summary), _METHODS.get(key, key))()
     return plate
 
 
 _METHODS = {"tracking": "tracking_error", "accumulated": "accumulated_error"}
-"""Figures whose key is shorter than what draws them."""
+"""Keys of figures that differ from the names of their methods."""
 
 
 def peak_window(summary: Summary, t: Floats) -> tuple[float, float]:
@@ -98,11 +98,11 @@ class _Figures:
         self.x_meas = samples["x_meas_m"] * 1e3
         self.force_kn = samples["f_meas_n"] * 1e-3
         self.pair = reference_pair(rec)
-        # On all rows, with a gap where the reference simulation has nothing to say.
+        # For all rows, NaN where the reference simulation has no value.
         self.x_ref = np.full(self.t.shape, np.nan)
         if self.pair is not None:
             self.x_ref[self.pair[0]] = self.pair[1] * 1e3
-        # Below a micrometre nothing is measured that could set the range of an axis.
+        # Values below a micrometre are not significant and must not determine the range of an axis.
         self.x_anchor = max(draw.largest(self.x_ref), 1e-3) if self.pair is not None else None
         self.x_limit = max(
             robust_limit(self.x_num, self.x_meas, self.x_ref, anchor=self.x_anchor), 1e-3
@@ -121,7 +121,8 @@ class _Figures:
         compensated = self.s.setup.plc_enabled
         if compensated:
             draw.curve(axes, self.t, self.x_cmd, draw.ORANGE, 0.6, "compensated command")
-        # What was wanted is a fine line on a broader one of what came: both show everywhere.
+        # The command is a thin line on a broad line of the measurement: both are visible
+        # everywhere.
         draw.curve(axes, self.t, self.x_meas, draw.BLUE, 1.2, "measured")
         draw.curve(axes, self.t, self.x_num, draw.BLACK, 0.5, "command")
         lead = min(draw.largest(self.x_cmd), 1.5 * self.x_limit) if compensated else 0.0
@@ -168,7 +169,7 @@ class _Figures:
         axes.axvline(0.0, color=draw.GREY, linewidth=0.4)
         note = "Measured force over measured displacement"
         if k_e is not None:
-            # The elastic line ends where it leaves the frame.
+            # The elastic line ends at the frame.
             slope = k_e * 1e-6
             reach = min(x_limit, f_limit / slope) * 1.05
             axes.plot(
@@ -304,7 +305,7 @@ class _Figures:
         axes.axhline(0.0, color=draw.GREY, linewidth=0.4)
         draw.curve(axes, t, error, draw.RED, 0.9, "energy error")
         draw.curve(other, t, indicator, draw.BLUE, 0.9, dashes=(4, 1.5))
-        # Drawn on the other axis, named in the one legend.
+        # Drawn on the other axis, listed in the common legend.
         axes.plot(
             [], [], color=draw.BLUE, linewidth=0.9, dashes=(4, 1.5), label="tracking indicator"
         )
@@ -335,7 +336,7 @@ class _Figures:
         draw.curve(axes, self.t, alpha, draw.BLUE, 1.0)
         low, high = _alpha_range(alpha, given.alpha_identified)
         bounds = [b for b in (given.alpha_min, given.alpha_max) if b is not None]
-        # A bound is drawn when it is near; one far away would flatten the curve.
+        # A bound is drawn if it is near; a distant one would flatten the curve.
         near = [b for b in bounds if low - 0.6 * (high - low) <= b <= high + 0.6 * (high - low)]
         low, high = min([low, *near]), max([high, *near])
         margin = 0.08 * (high - low)
@@ -373,7 +374,7 @@ class _Figures:
         return paper.plate(title, note)
 
     def _reported(self, name: str) -> str:
-        """Return label and unit of what the control law reports by a name."""
+        """Return label and unit of a value that the control law reports."""
         value = law_value(self.s.setup.controller, name)
         return name if value is None else f"{value.label}, {value.unit}"
 
@@ -387,7 +388,8 @@ class _Figures:
         k_e = given.k_e_n_per_m
         paper = draw.Paper("stiffness", draw.FULL_WIDTH_IN, (0.6, 1.0), one_abscissa=False)
         band, axes = paper.axes
-        # It jumps between its bounds within milliseconds: over the whole test only shares show.
+        # It alternates between its bounds within milliseconds, so only shares are shown for the
+        # whole test.
         edges, shares = stiffness_shares(k, None if k_e is None else k_e * 1e-3, self.rec.fs_hz)
         start = self.t[0] if self.t.size else 0.0
         foot = np.zeros(edges.size)
@@ -422,20 +424,20 @@ class _Figures:
     # --- parts --------------------------------------------------------------------------------
 
     def _ground(self, axes: Axes) -> None:
-        # What a slow test has in its laboratory is less, by the square of its time scale.
+        # On a slow time scale, the laboratory's ground acceleration is smaller by its square.
         g = self.rec.samples["ag_mps2"] / 9.80665 * self.s.setup.time_scale**2
         draw.curve(axes, self.t, g, draw.GREY, 0.6)
         draw.symmetric(axes, robust_limit(g), margin=1.1, ticks=2)
         draw.head(axes, "ground acceleration, g")
 
     def _time_axis(self, axes: Axes) -> None:
-        """Give the axis of time its range and label."""
+        """Set range and label of the time axis."""
         last = self.t[-1] + 1.0 / self.rec.fs_hz if self.t.size else 0.0
         axes.set_xlim(*(draw.span(self.t[0], last) if self.t.size else (0.0, 1.0)))
         draw.x_label(axes, "time, s")
 
     def _states(self, axes: Axes) -> None:
-        """Shade and name the stretches outside the test proper."""
+        """Shade and label the intervals outside the test proper."""
         state = self.rec.samples["state"]
         if not np.any(state == RUNNING):
             return
@@ -453,7 +455,7 @@ class _Figures:
                 )  # fmt: skip
 
     def _flag_marks(self, axes: Axes) -> str:
-        """Mark the flagged samples along the foot of the axes and say what the marks mean."""
+        """Mark the flagged samples at the bottom of the axes and explain the marks."""
         flags = self.rec.samples["flags"]
         said = []
         for level, (name, colour, word) in enumerate(
@@ -485,7 +487,7 @@ def _alpha_range(alpha: Floats, identified: float | None) -> tuple[float, float]
     low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
     if identified is not None:
         low, high = min(low, identified), max(high, identified)
-    # At least four samples, lest noise in the third decimal fills the picture.
+    # At least four samples, so that noise in the third decimal does not fill the picture.
     spare = max(0.0, 4.0 - (high - low)) / 2.0
     return low - spare, high + spare
 

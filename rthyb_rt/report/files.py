@@ -1,4 +1,4 @@
-"""What a paper takes from a report: figures as SVG and PDF files, the table as LaTeX and CSV."""
+"""Files for publications: figures as SVG and PDF, the table as LaTeX and CSV."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rthyb_rt.report.html import extra_needed
 
 KINDS: Final = ("svg", "pdf")
 _UNDATED: Final = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
-"""Two sets of one recording are the same bytes."""
+"""Without a date, files from the same recording are identical."""
 _LATEX: Final = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_",
     "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}",
@@ -36,7 +36,7 @@ def write_files(rec: Recording, folder: Path) -> list[Path]:
 
     Args:
         rec: the recording.
-        folder: of the files; older ones of the same names are replaced.
+        folder: output folder; existing files of the same names are replaced.
 
     Returns:
         The files: ``displacement.svg``, ``displacement.pdf`` and so on by the figures' keys,
@@ -75,7 +75,7 @@ def write_files(rec: Recording, folder: Path) -> list[Path]:
 
 
 def save(figure: Any, path: Path, kind: str) -> None:
-    """Write a figure as a file that stands alone.
+    """Write a figure as a standalone file.
 
     Raises:
         RthybError: the file cannot be written.
@@ -84,20 +84,20 @@ def save(figure: Any, path: Path, kind: str) -> None:
 
     from rthyb_rt.report.drawing import STYLE
 
-    # Type 42: letters stay letters in a PDF that a publisher takes apart.
+    # Type 42: text in the PDF remains text, as publishers require.
     with replacing(path) as temporary, rc_context({**STYLE, "pdf.fonttype": 42}):
         figure.savefig(temporary, format=kind, metadata=_UNDATED.get(kind))
 
 
 def latex(rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as a ``tabular`` of the package booktabs, without the definitions."""
+    """Return a table as a ``tabular`` for the package booktabs, without the definitions."""
     lines = [r"% \usepackage{booktabs}", r"\begin{tabular}{ll}", r"\toprule"]
     lines += [rf"{escaped(label)} & {escaped(value)} \\" for label, value, *_ in rows]
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""])
 
 
 def escaped(text: str) -> str:
-    """Return a text with what LaTeX reads otherwise written out."""
+    """Return a text with LaTeX's special characters escaped."""
     whole = "".join(_LATEX.get(letter, letter) for letter in text)
     return _RAISED.sub(lambda m: rf"\textsuperscript{{{m[0].translate(_POWERS)}}}", whole)
 

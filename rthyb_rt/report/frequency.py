@@ -26,7 +26,7 @@ _G = 9.80665
 
 
 def answer(rec: Recording, given: str, got: str = "x_meas_m") -> FrequencyResponse | None:
-    """Return how one signal of the test proper answers another."""
+    """Return the frequency response between two signals of the test proper."""
     run = rec.samples[rec.running()]
     return frequency_response(run[given], run[got], rec.fs_hz)
 
@@ -86,7 +86,7 @@ def spectra(rec: Recording) -> draw.Plate:
         paper = draw.Paper("spectra", draw.HALF_WIDTH_IN, (1.9,), bottom_in=draw.LEGEND_IN)
         (axes,) = paper.axes
         f = found.frequency_hz
-        # Amplitude densities: their decades are those of the motion.
+        # Amplitude spectral densities, whose decades are those of the motion.
         amplitudes = [1e3 * np.sqrt(psd) for psd in (found.output_psd, found.input_psd)]
         for y, colour, width, label in zip(
             amplitudes, (draw.BLUE, draw.BLACK), (1.1, 0.5), ("measured", "command"), strict=True
@@ -104,7 +104,7 @@ def spectra(rec: Recording) -> draw.Plate:
 
 
 def response_spectrum(rec: Recording) -> draw.Plate:
-    """Draw the response spectra of the ground, and of the floor by command and as measured."""
+    """Draw the response spectra of the ground, and of the floor, commanded and measured."""
     title = "Response spectra"
     run = rec.samples[rec.running()]
     ag = run["ag_mps2"]
@@ -145,7 +145,7 @@ def response_spectrum(rec: Recording) -> draw.Plate:
 
 
 def _by_octave(f: Floats, y: Floats, per_octave: int = 24) -> tuple[Floats, Floats]:
-    """Average lines that lie closer than a logarithmic axis shows, in the mean square."""
+    """Average lines that are closer than a logarithmic axis resolves, in the mean square."""
     bins = np.unique(np.round(per_octave * np.log2(f)), return_inverse=True)[1]
     count = np.bincount(bins)
     return np.bincount(bins, f) / count, np.sqrt(np.bincount(bins, y**2) / count)

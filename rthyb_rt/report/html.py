@@ -1,4 +1,4 @@
-"""What the pages of this program share: templates, style, figures side by side."""
+"""Common parts of this program's pages: templates, style, figures side by side."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _HERE = Path(__file__).parent
 
 @contextmanager
 def extra_needed(what: str) -> Iterator[None]:
-    """Name the remedy when a package of the extra ``report`` is missing inside the block.
+    """Explain how to install a package of the extra ``report`` that is missing in the block.
 
     Raises:
-        InputError: instead of ImportError.
+        InputError: replaces ImportError.
     """
     log = logging.getLogger("matplotlib")
     level = log.level
-    # That its cache goes to a temporary folder, where no home can be written, changes no figure.
+    # If no home folder is writable, its cache goes to a temporary folder, which changes no figure.
     log.setLevel(logging.ERROR)
     try:
         yield
@@ -41,7 +41,7 @@ def extra_needed(what: str) -> Iterator[None]:
 
 
 def environment(*folders: Path) -> jinja2.Environment:
-    """Return the template engine for the templates beside this file and in further folders.
+    """Return the template engine for the templates in this folder and in further folders.
 
     Style sheets of those folders follow the report's own in the global ``style``.
     """
@@ -71,7 +71,7 @@ def tied(text: str) -> str:
 
 
 def sheets(plates: list[Plate], first: int = 1) -> list[list[tuple[int, Plate]]]:
-    """Number the figures and put those of half width two to a row."""
+    """Number the figures and arrange those of half width in pairs."""
     rows: list[list[tuple[int, Plate]]] = []
     for number, plate in enumerate(plates, start=first):
         last = rows[-1] if rows else []

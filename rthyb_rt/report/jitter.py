@@ -19,13 +19,13 @@ if TYPE_CHECKING:
     from rthyb_rt.report.drawing import Plate
 
 BAR = 4
-"""Buckets of 3 % that one step of the figures joins: eight steps to a doubling."""
+"""Number of buckets of 3 % in one step of the figures: eight steps per factor of two."""
 
 
 def write_page(
     results: Sequence[Result], facts: Mapping[str, Any], verdict: Verdict, path: Path
 ) -> None:
-    """Write verdict, histograms and facts of the machine as one HTML file.
+    """Write verdict, histograms and the properties of the machine as one HTML file.
 
     Raises:
         InputError: matplotlib or jinja2 is not installed.
@@ -72,14 +72,14 @@ def _us(ns: float) -> str:
 
 
 def obtained(results: Sequence[Result]) -> tuple[str, str]:
-    """Return the privileges of every run in words, as a row."""
+    """Return a row with the privileges of every run in words."""
     return "privileges obtained", _said(
         [name.replace("_", " ") for name in PRIVILEGES if name in privileges_of_all(results)]
     )
 
 
 def fact_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the facts of the machine in words."""
+    """Return the properties of the machine in words."""
     return [(key.replace("_", " "), _said(value)) for key, value in facts.items()]
 
 
@@ -139,9 +139,9 @@ def _histogram(result: Result, key: str) -> Plate:
 
 
 def shares(latency: Latency) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the edges of the steps, µs, (m + 1,), and the per cent of the times in each, (m,).
+    """Return the edges of the steps, µs, (m + 1,), and the percentage of times in each, (m,).
 
-    The last step holds what is longer than the histogram reaches.
+    The last step includes all times beyond the range of the histogram.
     """
     counts = latency.buckets().astype(float)
     edges_us = Latency.edges_ns().astype(float) / 1e3

@@ -1,4 +1,4 @@
-"""The report of a test on a rig of several axes: figures of each axis and direction by name."""
+"""The report of a test on a rig with several axes, with the axes and directions by name."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 def render(rec: Recording) -> str:
-    """Return the report of a recording of several axes as HTML.
+    """Return the report of a recording with several axes as HTML.
 
     Raises:
         InputError: matplotlib or jinja2 is not installed, or the test never ran.
@@ -47,7 +47,7 @@ def render(rec: Recording) -> str:
 
 
 def draw_all(rec: Recording, s: AxesSummary) -> list[Plate]:
-    """Return the figures of every direction and every axis, and the energy of them all."""
+    """Return the figures of every direction and every axis, and the total energy."""
     from matplotlib import rc_context
 
     from rthyb_rt.report import drawing as draw
@@ -66,7 +66,7 @@ def draw_all(rec: Recording, s: AxesSummary) -> list[Plate]:
 
 
 def draw_balance(rec: Recording, s: AxesSummary | None) -> Plate:
-    """Draw `balance` by itself, as the report has it."""
+    """Draw the figure `balance` alone, as in the report."""
     from matplotlib import rc_context
 
     from rthyb_rt.report import drawing as draw
@@ -76,11 +76,11 @@ def draw_balance(rec: Recording, s: AxesSummary | None) -> Plate:
 
 
 def balance(rec: Recording, s: AxesSummary | None) -> Plate:
-    """Draw where the energy of the ground motion has gone, in all directions together.
+    """Draw the energy balance of all directions together.
 
     Args:
         rec: the recording.
-        s: its summary; None of a test that never ran.
+        s: its summary; None if the test never ran.
     """
     from rthyb_rt.analysis import structure_balance
     from rthyb_rt.report import drawing as draw

@@ -1,4 +1,4 @@
-"""The figures of a structure of many degrees of freedom: mode shapes, storeys, what is recorded."""
+"""The figures of a structure of many degrees of freedom: modes, storeys, recorded quantities."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def plates(rec: Recording, structure: Structure | SparseStructure) -> list[draw.
 
 
 def modes(structure: Structure | SparseStructure) -> draw.Plate:
-    """Return the shapes of the lowest modes beside one another."""
+    """Return the shapes of the lowest modes side by side."""
     shown = structure.modes()[:SHOWN_MODES]
     heights: Floats
     if isinstance(structure, SparseStructure) and structure.heights_m:
         heights, what = np.array(structure.heights_m), "height, m"
         at = np.arange(heights.size)
     else:
-        # Without coordinates: in their order, those that the ground motion moves.
+        # Without coordinates: the degrees of freedom that the ground motion excites, in order.
         influence = getattr(structure, "influence", np.ones(len(structure.labels)))
         at = np.flatnonzero(influence) if np.any(influence) else np.arange(len(structure.labels))
         heights, what = np.asarray(at + 1.0, np.float64), "degree of freedom, in order"
@@ -71,12 +71,12 @@ def modes(structure: Structure | SparseStructure) -> draw.Plate:
 
 
 def _share(mass: float) -> str:
-    """Return a share of the mass; of a mode that the ground hardly moves only that it is small."""
+    """Return a share of the mass in words; very small ones as a bound."""
     return percent(mass, 2) if mass >= 1e-4 else "< 0.01 %"
 
 
 def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
-    """Return the peaks of drifts and of shears over the storeys, those that were recorded."""
+    """Return the recorded peaks of storey drifts and shears over the storeys."""
     found = []
     running = rec.running()
     for what, title in (("drift", "Peak storey drifts"), ("shear", "Peak storey shears")):
@@ -109,7 +109,7 @@ def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
 
 
 def curves(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
-    """Return what was recorded by name over time: of each unit what moved most."""
+    """Return recorded quantities over time: those with the largest motion for each unit."""
     found = []
     t, running = rec.time_s(), rec.running()
     for unit, (shown_unit, factor) in _UNITS.items():
@@ -138,7 +138,7 @@ def curves(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
 
 
 def _finite(values: Floats) -> Floats:
-    """Return what is known: of a tick that was slept through nobody knows the channels."""
+    """Return the finite values: the channels of a skipped tick are unknown."""
     return np.asarray(values[np.isfinite(values)])
 
 

@@ -1,7 +1,7 @@
-"""The first figure as a chart that can be enlarged in the browser, by uPlot, without a network.
+"""The first figure as an interactive chart by uPlot, without a network connection.
 
-The drawing stays in the page for paper and for browsers without scripts; on the screen the chart
-takes its place.
+The static figure remains in the page for printing and for browsers without scripts; on the screen
+the chart replaces it.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from rthyb_rt.report.decimate import robust_limit
 Floats = NDArray[np.float64]
 
 KEY: Final = "displacement"
-"""Of the figure that the chart stands for."""
+"""Key of the figure that the chart replaces."""
 MOST_ROWS: Final = 16384
-"""Rows of the chart: 40 s at 341 Hz, in a fifth of a megabyte."""
+"""Largest number of rows of the chart: 40 s at 341 Hz, in a fifth of a megabyte."""
 _GAP: Final = -32768
 _HERE: Final = Path(__file__).parent
 _UPLOT: Final = _HERE.parent / "live" / "static"
-"""The live view's copy, with its licence beside it."""
+"""The live view's copy, together with its licence."""
 
 
 def parts(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> dict[str, str] | None:
-    """Return style, script and data of the chart; None for a test that is too short for one."""
+    """Return style, script and data of the chart; None if the test is too short for one."""
     if len(rec.samples) < 16:
         return None
     script = "\n".join(
@@ -49,19 +49,19 @@ def parts(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> di
 
 
 def chart(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> dict[str, Any]:
-    """Return the signals of the chart: 16 bits a value, scaled, of every n-th row.
+    """Return the signals of the chart: 16 bits per value, scaled, of every n-th row.
 
     Args:
         rec: the recording.
         summary: its figures.
-        window_s: what the next figure shows, s; shaded.
+        window_s: range of the next figure, s; shaded.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         every = math.ceil(len(rec.samples) / MOST_ROWS)
         samples = rec.samples[::every]
         ground = _panel("ground acceleration, g", [(samples["ag_mps2"] / 9.80665, draw.GREY, 1.0,
                                                     "ground")])  # fmt: skip
-        # What was wanted is a fine line on a broader one of what came, as in the drawing.
+        # The command is a thin line on a broad line of the measurement, as in the static figure.
         signals = [
             (samples["x_meas_m"] * 1e3, draw.BLUE, 2.5, "measured"),
             (samples["x_num_m"] * 1e3, draw.BLACK, 1.0, "command"),

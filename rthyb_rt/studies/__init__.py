@@ -13,7 +13,7 @@ Which = Literal["2.1", "4.1", "4.2", "5", "all"]
 SECTIONS: Final[tuple[Which, ...]] = ("2.1", "4.1", "4.2", "5")
 
 Progress = Callable[[int, int, str], None]
-"""Called with sections done, sections in all, and what comes next."""
+"""Called with sections done, total sections, and the next one."""
 
 
 def run(
@@ -23,9 +23,9 @@ def run(
 
     Args:
         which: section as numbered in the paper.
-        record: file of the ground motion TCU068 EW for Section 4.2; None takes it from the
-            package pyslammer, and does without where that is missing.
-        progress: told before each section and at the end.
+        record: file of the ground motion TCU068 EW for Section 4.2; None: it is taken from the
+            package pyslammer, or omitted if that is not installed.
+        progress: called before each section and at the end.
 
     Returns:
         The studies in the order of the paper.

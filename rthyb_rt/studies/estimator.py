@@ -10,7 +10,7 @@ from rthyb_rt import core
 from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, grouped, rms
 
 PLANT = core.ServoConfig("first-order", roll_off_hz=31.42 / (2 * math.pi))
-"""The paper's 31.42/(s + 31.42) behind a zero-order hold: 0.03022/(z - 0.96978)."""
+"""The paper's 31.42/(s + 31.42) with a zero-order hold: 0.03022/(z - 0.96978)."""
 
 PLANT_AND_ONE = core.ServoConfig("first-order", roll_off_hz=PLANT.roll_off_hz, delay_samples=1)
 DURATION_S = 120.0
@@ -18,7 +18,7 @@ AMPLITUDE_M = 1e-3
 
 
 def printed(gain: float, alpha_max: float = 60.0) -> core.LawConfig:
-    """Return the paper's law from alpha = 0."""
+    """Return the paper's law, starting at alpha = 0."""
     bound, key = "delay_estimator.alpha_max", "delay_estimator.gain_per_mm2_per_sample"
     return core.LawConfig("paper", {"alpha0": 0.0, bound: alpha_max, key: gain})
 
@@ -56,7 +56,7 @@ def track(
     lead_enabled: bool = True,
     noise_std_m: float = 0.0,
 ) -> core.RecordArray:
-    """Return the records of following a command through the adaptive compensator."""
+    """Return the records for a command through the adaptive compensator."""
     controller = core.Controller(
         core.ControllerConfig(
             law=law,
@@ -72,7 +72,7 @@ def track(
 
 
 def settling_s(alpha: Floats, final: float, band: float = 0.02) -> float:
-    """Return when alpha enters a band around its final value for good, s."""
+    """Return the time after which alpha stays in a band around its final value, s."""
     outside = np.nonzero(np.abs(alpha / final - 1.0) > band)[0]
     return float((outside[-1] + 1) / core.FS_HZ) if outside.size else 0.0
 

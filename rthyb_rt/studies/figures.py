@@ -49,7 +49,7 @@ def _plate(panel: Panel) -> draw.Plate:
             axes.fill(curve.x, curve.y, facecolor=colour, alpha=0.15, linewidth=0)
         if np.all(np.diff(curve.x) > 0.0):
             dashes = (4, 1.5) if curve.dashed else None
-            # Cut before it is thinned, or a short window shows what a long test left of it.
+            # Truncated before thinning: a short window needs the full resolution.
             first, last = panel.x_range or (-np.inf, np.inf)
             shown = (curve.x >= first) & (curve.x <= last)
             draw.curve(

@@ -28,9 +28,9 @@ ELASTIC = core.element("stiffness", k_n_per_m=K_N_PER_M)
 
 
 def tcu068(record: str | Path | None = None) -> GroundMotion | None:
-    """Return the first 50 s of Chi-Chi TCU068 EW, or None where it is not available.
+    """Return the first 50 s of Chi-Chi TCU068 EW, or None if it is not available.
 
-    The record may not be shipped: it is taken from ``record`` or from the package pyslammer.
+    The record must not be redistributed: it is taken from ``record`` or from the package pyslammer.
 
     Raises:
         InputError: ``record`` cannot be read.
@@ -47,7 +47,7 @@ def tcu068(record: str | Path | None = None) -> GroundMotion | None:
 
 
 def excitation(motion: GroundMotion) -> Floats:
-    """Return the motion at 0.2 g, then at rest, at 1024 Hz, m/s^2; joined by straight lines."""
+    """Return the motion at 0.2 g, followed by rest, at 1024 Hz, m/s^2; interpolated linearly."""
     return ground_motion.resample(
         motion.scaled(pga_g=PGA_G), core.FS_HZ, method="linear", duration_s=MOTION_S + FREE_S
     )
@@ -65,7 +65,7 @@ def motion_config(integrator: core.Integrator) -> core.MotionConfig:
 
 @dataclass(frozen=True)
 class Case:
-    """One way of running the test; ``law`` None: nothing leads the command."""
+    """A way of running the test; ``law`` None: the command is not compensated."""
 
     law: core.LawConfig | None
     rfc: bool = False
@@ -78,13 +78,13 @@ class Case:
 
 
 def adaptive(gain: float = GAIN, alpha0: float = 0.0) -> core.LawConfig:
-    """Return the paper's law from alpha = ``alpha0``."""
+    """Return the paper's law, starting at alpha = ``alpha0``."""
     key = "delay_estimator.gain_per_mm2_per_sample"
     return core.LawConfig("paper", {"alpha0": alpha0, key: gain})
 
 
 def fixed(alpha: float) -> core.LawConfig:
-    """Return the paper's phase lead for a delay that stays."""
+    """Return the paper's phase lead for a fixed delay."""
     return core.LawConfig("paper", {"alpha0": alpha}, adapts=False)
 
 
@@ -119,7 +119,7 @@ def simulate(case: Case, ag: Floats) -> core.RecordArray:
 
 
 def exact(ag: Floats, integrator: core.Integrator = "forward-euler") -> tuple[Floats, Floats]:
-    """Return displacement and force without delay: the paper's Exact."""
+    """Return displacement and force without delay: the paper's "exact" solution."""
     x, _, force = core.Motion(motion_config(integrator)).reference([BOUC_WEN], ag)
     return x, force
 
@@ -128,7 +128,7 @@ def free_decay_ratio(integrator: core.Integrator) -> float:
     """Return the damping ratio of the elastic structure's free vibration by log decrement."""
     ag = np.zeros(round(20 * core.FS_HZ))
     motion = core.Motion(motion_config(integrator), 0.0)
-    ag[0] = 1.0  # a push of one sample
+    ag[0] = 1.0  # an impulse of one sample
     x, _, _ = motion.reference([ELASTIC], ag)
     inner = np.nonzero((x[1:-1] > x[:-2]) & (x[1:-1] >= x[2:]))[0] + 1
     # Height of each peak from the parabola through its three samples.
@@ -141,7 +141,7 @@ def free_decay_ratio(integrator: core.Integrator) -> float:
 def largest_stable_delay(
     integrator: core.Integrator, compensated: bool, search: range = range(61)
 ) -> int:
-    """Return the longest pure delay, samples, at which the elastic structure does not grow."""
+    """Return the longest pure delay, samples, at which the elastic structure is stable."""
     push = np.zeros(round(40 * core.FS_HZ))
     push[:20] = 1.0
     last = -1
@@ -173,10 +173,10 @@ INTEGRATORS: tuple[core.Integrator, ...] = (
 
 
 def study(record: str | Path | None = None) -> Study:
-    """Reproduce Section 4.2 with TCU068, or show it with El Centro where TCU068 is missing.
+    """Reproduce Section 4.2 with TCU068, or with El Centro if TCU068 is not available.
 
     Args:
-        record: file of TCU068 EW; None takes it from the package pyslammer.
+        record: file of TCU068 EW; None: it is taken from the package pyslammer.
 
     Raises:
         InputError: ``record`` cannot be read.
@@ -194,7 +194,7 @@ def study(record: str | Path | None = None) -> Study:
         _controller_rows(ag),
     )
     if motion is None:
-        # The bands hold for TCU068.
+        # The bands apply to TCU068.
         rows = [replace(row, low=None, high=None) for row in rows]
     rows += grouped("Elastic structure without ground motion, for each integrator", _own_rows())
     return Study(

@@ -1,4 +1,4 @@
-"""The studies as one page for people and as one document for programs."""
+"""The studies as a page and as a machine-readable document."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _HERE = Path(__file__).parent
 
 
 def write_page(studies: Sequence[Study], folder: str | Path) -> None:
-    """Write ``results.json``, then ``index.html``, one file that needs nothing else.
+    """Write ``results.json``, then ``index.html``, a self-contained file.
 
     Args:
-        studies: as `rthyb_rt.studies.run` returns them.
-        folder: where to; it is made if need be.
+        studies: as returned by `rthyb_rt.studies.run`.
+        folder: output folder, created if necessary.
 
     Raises:
-        InputError: matplotlib or jinja2 is not installed; ``results.json`` is there all the same.
+        InputError: matplotlib or jinja2 is not installed; ``results.json`` is written nevertheless.
         RthybError: a file cannot be written.
     """
     with replacing(Path(folder) / RESULTS) as temporary:
@@ -39,7 +39,7 @@ def write_page(studies: Sequence[Study], folder: str | Path) -> None:
 
 
 def document(studies: Sequence[Study]) -> dict[str, Any]:
-    """Return the rows for programs; a value that is not finite is None."""
+    """Return the rows as a document; a value that is not finite is None."""
     return {
         "schema": SCHEMA,
         "created_utc": _now(),

@@ -1,4 +1,4 @@
-"""What a study gives back: rows with accepted bands, and panels of curves to draw."""
+"""Results of a study: rows with accepted bands, and panels of curves to draw."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class Row:
     """One figure of a study.
 
     Attributes:
-        quantity: what it is, in words.
+        quantity: description of the figure.
         value: as computed here.
-        unit: of value and band; "" for a plain number.
-        low, high: accepted band, both None where none is stated.
-        paper: what Chen & Tsai (2012) say about it; "" where they are silent.
-        stated: the same as a range where it is one; a value outside it is shown as such, which is
-            no fault of a method that is reproduced on another rig.
-        group: rows of one group make one table, under this heading.
-        case: which of several side by side it belongs to: a column of the group's table; "" where
+        unit: of value and band; "" for a dimensionless number.
+        low, high: accepted band, both None if there is none.
+        paper: statement of Chen & Tsai (2012) about it; "" if there is none.
+        stated: the same as a range, if it is one; a value outside it is marked, which is not an
+            error of a method that is reproduced on another rig.
+        group: rows of one group form one table, under this heading.
+        case: which of several compared cases it belongs to: a column of the group's table; "" if
             nothing is compared.
     """
 
@@ -44,14 +44,14 @@ class Row:
 
     @property
     def as_stated(self) -> bool | None:
-        """Whether the value lies in the range that the paper states; None where it states none."""
+        """Whether the value is in the range that the paper states; None if it states none."""
         if self.stated is None:
             return None
         return bool(self.stated[0] <= self.value <= self.stated[1])
 
     @property
     def inside(self) -> bool | None:
-        """Whether the value lies in its band; None without a band. NaN never does."""
+        """Whether the value is in its band; None without a band. NaN never is."""
         if self.low is None and self.high is None:
             return None
         low = -np.inf if self.low is None else self.low
@@ -61,7 +61,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Curve:
-    """A line of a panel; ``filled`` shades what it goes around, alone where the width is 0."""
+    """A line of a panel; ``filled`` shades the enclosed area, without an outline if width is 0."""
 
     label: str
     x: Floats
@@ -74,7 +74,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Panel:
-    """One picture: curves over a common abscissa, one figure of the paper or a part of it."""
+    """One picture: curves over a common abscissa, a figure of the paper or part of it."""
 
     key: str
     title: str
@@ -97,8 +97,8 @@ class Study:
         title, text: what is studied and how.
         rows: figures with their bands.
         panels: pictures.
-        ambiguities: what the paper leaves open, and what was assumed.
-        notice: what to know before reading any figure; "" mostly.
+        ambiguities: details that the paper leaves open, and the assumptions made.
+        notice: remark on all figures; usually "".
     """
 
     key: str
@@ -116,7 +116,7 @@ class Study:
 
     @property
     def missed(self) -> list[Row]:
-        """Rows whose value lies outside its band."""
+        """Rows whose value is outside its band."""
         return [row for row in self.rows if row.inside is False]
 
 
@@ -125,7 +125,7 @@ class Study:
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a table: one quantity, one cell a case; None where a case has no such figure."""
+    """A row of a table: one quantity, one cell per case; None if a case lacks this figure."""
 
     quantity: str
     unit: str
@@ -135,7 +135,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Table:
-    """The rows of one group; ``cases`` heads the cells, (), where nothing is compared."""
+    """The rows of one group; ``cases`` are the headings of the cells, () if nothing is compared."""
 
     title: str
     cases: tuple[str, ...]
@@ -143,22 +143,22 @@ class Table:
 
     @property
     def has_units(self) -> bool:
-        """Whether any line has a unit."""
+        """Whether any row has a unit."""
         return any(line.unit for line in self.lines)
 
     @property
     def has_statements(self) -> bool:
-        """Whether the paper says anything about any line."""
+        """Whether the paper states anything about any row."""
         return any(line.paper for line in self.lines)
 
 
 def grouped(group: str, rows: Iterable[Row], case: str = "") -> list[Row]:
-    """Return the rows as part of a group, and of a case where one is given."""
+    """Return the rows as part of a group, and of a case if one is given."""
     return [replace(row, group=group, case=case or row.case) for row in rows]
 
 
 def tables(study: Study) -> list[Table]:
-    """Return the rows of a study as one table a group, cases side by side."""
+    """Return the rows of a study as one table per group, with cases side by side."""
     groups: dict[str, list[Row]] = {}
     for row in study.rows:
         groups.setdefault(row.group, []).append(row)

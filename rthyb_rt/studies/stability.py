@@ -31,7 +31,7 @@ def study() -> Study:
         [[core.plc_is_stable(float(a), float(b)) for b in axis] for a in axis], dtype=bool
     )
     radius = largest_pole(w1, w2)
-    clear = np.abs(radius - 1.0) > 1e-9  # on the border itself rounding decides
+    clear = np.abs(radius - 1.0) > 1e-9  # exactly on the boundary, rounding decides
     disagree = int(np.count_nonzero(clear & (decided != (radius < 1.0))))
     rows = [
         Row("Grid points where decision and root finding differ", disagree, "", 0, 0),

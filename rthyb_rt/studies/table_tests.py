@@ -16,7 +16,7 @@ from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, g
 
 RIG = "shaking-table-portal-frame"
 WINDOWS = (0.2, 0.1, 0.05)
-"""T0 dt over T, the three that the paper tried."""
+"""Ratios of T0 dt to T: the three windows of the paper."""
 
 NOISE_M, NOISE_N = 10e-6, 20.0
 SEEDS = range(5)
@@ -35,7 +35,7 @@ LOUD = {
 
 @dataclass(frozen=True)
 class Structure:
-    """One of the two structures of Table 5.1, with what the paper and we expect of it."""
+    """One of the two structures of Table 5.1, with the paper's statements and expected values."""
 
     period_s: float
     mass_kg: float
@@ -57,10 +57,10 @@ STRUCTURES = (
 
 
 def setup(structure: Structure, changes: dict[str, str]) -> experiment.Setup:
-    """Return the hybrid test of one structure, the built-in test with changes as of ``--set``.
+    """Return the hybrid test of one structure: the built-in test with changes as for ``--set``.
 
     Raises:
-        InputError: a change that does not fit.
+        InputError: a change is invalid.
     """
     base = {
         "test.name": f"section5-t{structure.period_s:g}",
@@ -77,7 +77,7 @@ def setup(structure: Structure, changes: dict[str, str]) -> experiment.Setup:
 
 @dataclass(frozen=True)
 class Outcome:
-    """A finished test beside both benchmarks."""
+    """A completed test with both benchmarks."""
 
     setup: experiment.Setup
     rec: Recording
@@ -222,7 +222,7 @@ def _rows(
 
 
 def _measures(outcome: Outcome, structure: Structure, *, banded: bool) -> list[Row]:
-    """Return the errors of a test; of one without compensation, when a limit ended it."""
+    """Return the errors of a test; without compensation, the time at which a limit ended it."""
     if outcome.setup.test.controller.type == "none":
         ended = math.nan if outcome.completed else outcome.x_meas.size / core.FS_HZ
         return [
@@ -355,7 +355,7 @@ def _at_peak(structure: Structure, t: Floats, x: Floats) -> tuple[float, float]:
 
 
 def _shares(outcome: Outcome) -> tuple[Curve, ...]:
-    """Return the shares of the tangent stiffness at its bounds as areas on top of one another."""
+    """Return the fractions of the tangent stiffness at its bounds as stacked areas."""
     k_t = outcome.rows["k_t_n_per_m"]
     edges, shares = stiffness_shares(k_t, outcome.setup.derived.k_e_n_per_m, core.FS_HZ)
     x = np.repeat(edges, 2)[1:-1]
