@@ -388,7 +388,7 @@ class LiveSource:
         """Read the data for evaluating a ring's test."""
         if seen is None or (self._session is not None and self._session.identity == seen):
             return
-        # It may not be readable, or may have disappeared: then nothing is evaluated.
+        # It may be unreadable, or may have disappeared: then nothing is evaluated.
         with contextlib.suppress(RthybError, OSError):
             rec = recording.read(ring.session_path(path), rows=False)
             self._session = _Session.of(rec, seen)
