@@ -130,8 +130,8 @@ def lead_of(law: LawConfig, period_s: float = PERIOD_S) -> Lead | SampledLead:
     pulse = np.zeros(_LONGEST_LEAD)
     pulse[0] = 1.0
     response = Law(law, period_s=period_s).run(pulse)
-    heard = np.flatnonzero(np.abs(response) > _SILENT * np.abs(response).max())
-    return SampledLead(response[: heard[-1] + 1])
+    significant = np.flatnonzero(np.abs(response) > _SILENT * np.abs(response).max())
+    return SampledLead(response[: significant[-1] + 1])
 
 
 # ---- stability of a structure with delay --------------------------------------------------------

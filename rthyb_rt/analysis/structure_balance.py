@@ -183,7 +183,7 @@ class _Run:
             self.parts = [DensePart(self.config, float(x[0, 0]))]
         else:
             self.config = config
-            self.parts = [SparsePart(one) for one in _telling(config)]
+            self.parts = [SparsePart(one) for one in _with_responses(config)]
         at_rest = self.parts[0].displacements()
         rows = _interface_rows(config)
         self.begins = bool(np.abs(rows @ at_rest - x[0]).max() <= 1e-9 + 1e-6 * np.abs(x).max())
@@ -251,13 +251,13 @@ class _Run:
             part.answer_all(ag, forces)
             if self.joints:
                 begin = i * RESPONSES_MAX
-                told = part.reported(RESPONSES_MAX)
-                self._forces[n, begin : begin + told.size] = told
+                reported = part.reported(RESPONSES_MAX)
+                self._forces[n, begin : begin + reported.size] = reported
             part.advance()
         return self.parts[0].displacements()
 
 
-def _telling(config: SparseConfig) -> list[SparseConfig]:
+def _with_responses(config: SparseConfig) -> list[SparseConfig]:
     """Return copies of the part that together report the force of every element."""
     names = [Response(f"element_{i}", "N", joints=((i, 1.0),)) for i in range(len(config.joints))]
     groups: Sequence[Sequence[Response]] = [

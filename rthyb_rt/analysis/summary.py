@@ -348,7 +348,7 @@ def live(rec: Recording) -> Live | None:
 
     wake, sent = facts["wake"], facts["sent"]
     moving = rec.samples[_motion(rec)]
-    unheard = FLAGS["fresh"] | FLAGS["blind"]
+    accounted = FLAGS["fresh"] | FLAGS["blind"]
     return Live(
         in_real_time=bool(facts["in_real_time"]),
         cause=str(facts["cause"]),
@@ -358,7 +358,7 @@ def live(rec: Recording) -> Live | None:
         wake_max_ns=int(wake["max_ns"]),
         sent_p99_ns=int(sent["p99_ns"]),
         skipped_ticks=int(facts["ticks"]["skipped"]),
-        lost_pairs=int(np.count_nonzero((moving["flags"] & unheard) == 0)),
+        lost_pairs=int(np.count_nonzero((moving["flags"] & accounted) == 0)),
         slips=int(np.count_nonzero(moving["flags"] & FLAGS["slip"])),
         link_delay_samples=(samples := int(facts["link_delay_samples"])),
         link_delay_ms=None if samples < 0 else 1e3 * samples / rec.fs_hz,
@@ -731,8 +731,8 @@ def notices(s: Summary) -> list[Notice]:
         found.append(
             Notice("alarm", f"The delay estimate was at one of its bounds for {share} of the test.")
         )
-    told = any(one.kind == "stiffness" for one in s.attention)
-    if s.setup.rfc_enabled and s.k_t_at_zero > 0.01 and not told:
+    reported = any(one.kind == "stiffness" for one in s.attention)
+    if s.setup.rfc_enabled and s.k_t_at_zero > 0.01 and not reported:
         share = percent(s.k_t_at_zero)
         found.append(
             Notice(
@@ -924,8 +924,8 @@ def _loop_rows(loops: tuple[Amplitude, ...]) -> list[Row]:
 
 
 def _limit_rows(met: Met | None) -> list[Row]:
-    told = "" if met is None else trips.figures(met.cause, met.value, met.limit)
-    return [Row("Limit reached", told, "first cause")] if told else []
+    text = "" if met is None else trips.figures(met.cause, met.value, met.limit)
+    return [Row("Limit reached", text, "first cause")] if text else []
 
 
 def live_rows(found: Live | None) -> list[Row]:

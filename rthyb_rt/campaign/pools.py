@@ -219,13 +219,13 @@ def _require_same_program(client: Any, ours: str, address: str) -> None:
     found = client.run(program, on_error="return")
     others = {worker: has for worker, has in found.items() if has != ours}
     if others:
-        told = "; ".join(
+        differing = "; ".join(
             f"{worker}: {has if isinstance(has, str) else type(has).__name__ + f': {has}'}"
             for worker, has in sorted(others.items())
         )
         raise InputError(
             "not every worker has the same rthyb_rt and the same control laws as this process "
-            f"(here: {ours}; workers that differ: {told}); install the same sources on every "
+            f"(here: {ours}; workers that differ: {differing}); install the same sources on every "
             "machine",
             address,
         )

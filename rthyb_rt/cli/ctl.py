@@ -81,7 +81,7 @@ def _client(socket: Path | None) -> Iterator[Client]:
         yield client
 
 
-def _say(command: str, text: str, as_json: bool, **more: Any) -> None:
+def _print_done(command: str, text: str, as_json: bool, **more: Any) -> None:
     print(text, file=terminal.people(as_json))
     if as_json:
         terminal.print_json({"schema": SCHEMA, "command": command, "ok": True, **more})
@@ -205,12 +205,12 @@ def _measured(found: dict[str, Any], newest: dict[str, Any]) -> list[tuple[str, 
     ]
     for name, one in axes.items():
         values = f"{_number(one['x_meas_m'], 1e3, 'mm')}, {_number(one['f_meas_n'], 1e-3, 'kN')}"
-        told = [_command(one)]
+        parts = [_command(one)]
         if one["link_down"] != "up":
-            told.append(f"link down: {one['link_down']}")
+            parts.append(f"link down: {one['link_down']}")
         if one["drive_stopped"]:
-            told.append("its drive has stopped")
-        rows.append((f"Axis {name}", values, ", ".join(told)))
+            parts.append("its drive has stopped")
+        rows.append((f"Axis {name}", values, ", ".join(parts)))
     return rows
 
 
@@ -259,8 +259,8 @@ def line(found: dict[str, Any]) -> str:
         f"{_number(one.get('f_meas_n'), 1e-3, 'kN')}".lstrip()
         for name, one in axes.items()
     ]
-    told = [*values, f"{found['ticks']['skipped']} skipped"]
-    return f"{found['state']} {done:.1f} s, {', '.join(told)}"
+    parts = [*values, f"{found['ticks']['skipped']} skipped"]
+    return f"{found['state']} {done:.1f} s, {', '.join(parts)}"
 
 
 @ctl.command()
@@ -310,7 +310,7 @@ def load(
         terminal.tell(f"note: {note}")
     digest = found["digest"]
     text = f"Loaded {test_file.test.name}, {digest[:12]}; next: rthyb ctl zero"
-    _say("load", text, as_json, digest=digest, notes=found["notes"])
+    _print_done("load", text, as_json, digest=digest, notes=found["notes"])
 
 
 def _check_size(motion: GroundMotion, record: dict[str, Any]) -> None:
@@ -344,8 +344,8 @@ def zero(
     with _client(socket) as client:
         client.call("Zero")
         found = {"state": "IDLE"} if no_wait else _await_zeroed(client)
-    _say("zero", "Zeroing" if no_wait else f"Zeroed, {_tare(found)}; next: rthyb ctl arm", as_json,
-         state=found["state"], tare=found.get("tare"))  # fmt: skip
+    text = "Zeroing" if no_wait else f"Zeroed, {_tare(found)}; next: rthyb ctl arm"
+    _print_done("zero", text, as_json, state=found["state"], tare=found.get("tare"))
 
 
 def _tare(found: dict[str, Any]) -> str:
@@ -403,7 +403,7 @@ def arm(
     _keep_token(place(socket), found["token"])
     seconds = found["timeout_s"]
     text = f"Armed {test.get('name')}, for {seconds:g} s; next: rthyb ctl start"
-    _say("arm", text, as_json, token=found["token"], timeout_s=seconds)
+    _print_done("arm", text, as_json, token=found["token"], timeout_s=seconds)
 
 
 @ctl.command()
@@ -419,7 +419,7 @@ def start(
     with _client(socket) as client:
         kept = _kept_token(place(socket)) if token is None else token
         client.call("Start", token=kept)
-    _say("start", "Started; to watch it: rthyb ctl status --watch", as_json)
+    _print_done("start", "Started; to watch it: rthyb ctl status --watch", as_json)
 
 
 @ctl.command()
@@ -427,7 +427,7 @@ def hold(socket: SocketOption = None, as_json: JsonOption = False) -> None:
     """Bring the specimen to rest; `resume` continues the test."""
     with _client(socket) as client:
         client.call("Hold")
-    _say("hold", "Held", as_json)
+    _print_done("hold", "Held", as_json)
 
 
 @ctl.command()
@@ -435,7 +435,7 @@ def resume(socket: SocketOption = None, as_json: JsonOption = False) -> None:
     """Continue a test that is held."""
     with _client(socket) as client:
         client.call("Resume")
-    _say("resume", "Resumed", as_json)
+    _print_done("resume", "Resumed", as_json)
 
 
 @ctl.command()
@@ -461,7 +461,7 @@ def stop(
         # The stop has been given: it is no failure if the service ends meanwhile.
         with contextlib.suppress(RthybError):
             rests = client.call("GetStatus")["status"]["state"] == "IDLE"
-    _say("stop", "Tripped" if now else "At rest" if rests else "Stopping", as_json)
+    _print_done("stop", "Tripped" if now else "At rest" if rests else "Stopping", as_json)
 
 
 @ctl.command()
@@ -469,7 +469,7 @@ def reset(socket: SocketOption = None, as_json: JsonOption = False) -> None:
     """Leave TRIPPED, and make a stopped drive follow again."""
     with _client(socket) as client:
         client.call("Reset")
-    _say("reset", "Reset", as_json)
+    _print_done("reset", "Reset", as_json)
 
 
 @ctl.command()
@@ -481,7 +481,7 @@ def reload(socket: SocketOption = None, as_json: JsonOption = False) -> None:
     """
     with _client(socket) as client:
         generation = client.call("Reload")["generation"]
-    _say("reload", "Limits reloaded", as_json, generation=generation)
+    _print_done("reload", "Limits reloaded", as_json, generation=generation)
 
 
 # ---- the token ----------------------------------------------------------------------------------

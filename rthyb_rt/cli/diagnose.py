@@ -197,7 +197,7 @@ def diagnose(
         interrupts.wrote(out)
     if report is not None:
         _write_report(report, done, model_path)
-    _tell_all(done, why=why, as_json=as_json)
+    _print_all(done, why=why, as_json=as_json)
     if any(one.found.verdict != "none" for one in done):
         raise typer.Exit(MISMATCH)
 
@@ -215,13 +215,13 @@ def _asked(
 
     own = reading.read_model(model) if of is None else of.model
     case = reading.read_case(recording, own, wishes=wishes, of=of)
-    _say(case.notes)
+    _print_assumptions(case.notes)
     second = _judge(heldout, case, wishes, of) if heldout else None
     wanted = _second(predict, case, wishes, of) if predict else None
     return _Asked(case, second, wanted)
 
 
-def _tell_all(done: list[_Answered], *, why: bool, as_json: bool) -> None:
+def _print_all(done: list[_Answered], *, why: bool, as_json: bool) -> None:
     """Print every answer; as JSON, a single answer, or those of all axes by name."""
     from rthyb_rt.diagnose.page import AXES_SCHEMA
 
@@ -234,7 +234,7 @@ def _tell_all(done: list[_Answered], *, why: bool, as_json: bool) -> None:
         axis = one.found.case.axis
         if len(done) > 1:
             print(("\n" if number else "") + f"Axis {axis}", file=file)
-        _tell(one.found, answer, file, one.outcome)
+        _print_answer(one.found, answer, file, one.outcome)
         answers[axis] = answer
     if as_json:
         whole = {"schema": AXES_SCHEMA, "axes": answers}
@@ -281,11 +281,11 @@ def _second(path: Path, case: Case, wishes: list[Wish], of: OfAxis | None) -> Ca
     from rthyb_rt.diagnose.reading import read_case
 
     second = read_case(path, case.model, judged=False, wishes=wishes, beside=case, of=of)
-    _say([f"{path}: {note}" for note in second.notes])
+    _print_assumptions([f"{path}: {note}" for note in second.notes])
     return second
 
 
-def _say(notes: list[str]) -> None:
+def _print_assumptions(notes: list[str]) -> None:
     """Report on stderr, before the work, what the file does not state and is assumed."""
     for note in notes:
         if "read as" in note or "assumed to be" in note:
@@ -332,7 +332,7 @@ def _reasons(found: Diagnosis, step: Any) -> dict[str, Any]:
     return why.to_json(found)
 
 
-def _tell(found: Diagnosis, answer: dict[str, Any], file: Any, outcome: Outcome) -> None:
+def _print_answer(found: Diagnosis, answer: dict[str, Any], file: Any, outcome: Outcome) -> None:
     from rthyb_rt.diagnose import words
     from rthyb_rt.diagnose.why import lines
 
@@ -358,11 +358,11 @@ def _tell(found: Diagnosis, answer: dict[str, Any], file: Any, outcome: Outcome)
     elif "self_check" in answer:
         print("Nothing can be hidden in a recording without a measured force.", file=file)
     limits = words.unheld(found, outcome) + words.loop_notes(found, answer)
-    told = words.heldout_lines(found) + [f"Note: {note}" for note in (*found.notes, *limits)]
+    closing = words.heldout_lines(found) + [f"Note: {note}" for note in (*found.notes, *limits)]
     following = words.next_text(found)
     if following:
-        told.append(f"Next experiment: {following}")
-    for line in ([""] if told and (rows or checks) else []) + told:
+        closing.append(f"Next experiment: {following}")
+    for line in ([""] if closing and (rows or checks) else []) + closing:
         print(line, file=file)
     if "why" in answer:
         print("", file=file)

@@ -45,10 +45,10 @@ def effects(
     if name is None:
         terminal.print_table([(e.name, e.plain, e.place) for e in known.values()], file)
     else:
-        _tell(known[name], known, file)
+        _print_effect(known[name], known, file)
 
 
-def _tell(entry: Entry, known: dict[str, Entry], file: Any) -> None:
+def _print_effect(entry: Entry, known: dict[str, Entry], file: Any) -> None:
     from rthyb_rt.diagnose.words import KINDS
 
     kind, why = entry.shown_by

@@ -126,9 +126,9 @@ def identify(
         print(f"{name.capitalize():10}{kept}", file=file)
     print(f"Next      rthyb run TEST.toml --rig {path}", file=file)
     if as_json:
-        told = {"rig": str(path)} | {name: str(kept) for name, kept in paths.items()}
+        written = {"rig": str(path)} | {name: str(kept) for name, kept in paths.items()}
         terminal.print_json(
-            {"schema": SCHEMA, "rig_name": given.rig.name, **result.as_json(), "paths": told}
+            {"schema": SCHEMA, "rig_name": given.rig.name, **result.as_json(), "paths": written}
         )
 
 

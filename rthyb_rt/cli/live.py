@@ -84,7 +84,7 @@ def live(
     tokens = Tokens(operate=secrets.token_urlsafe(24) if operator else None)
 
     def ready() -> None:
-        _tell(server, url_file, as_json)
+        _print_address(server, url_file, as_json)
         systemd.notify("READY=1")
 
     try:
@@ -99,7 +99,7 @@ def _there(module: str) -> bool:
     return importlib.util.find_spec(module) is not None
 
 
-def _tell(server: LiveServer, url_file: Path | None, as_json: bool) -> None:
+def _print_address(server: LiveServer, url_file: Path | None, as_json: bool) -> None:
     """Print the address of the page, or write it to a file that not everyone can read."""
     from rthyb_rt.record.recording import replacing
 

@@ -45,17 +45,17 @@ def recorder(
     from rthyb_rt.service import recorder as recording
     from rthyb_rt.service import systemd
 
-    told: list[bool] = []
+    stops: list[bool] = []
     ready: list[bool] = []
 
     def done(working: Recorder) -> bool:
         if not ready:
             ready.append(systemd.notify("READY=1"))
-        if told:
+        if stops:
             return True
         return parent and not working.busy and _orphaned()
 
-    with systemd.logging_to_stderr(), interrupts.on_interrupt(lambda: told.append(True)):
+    with systemd.logging_to_stderr(), interrupts.on_interrupt(lambda: stops.append(True)):
         recording.run(rings or ring.default_folder(), runs, done)
 
 

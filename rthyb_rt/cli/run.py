@@ -226,8 +226,8 @@ def _run_live(
             facts=facts,
             # No other operator could be in charge of a separate virtual rig.
             resets=link is None,
-            answered=_tell_ring,
-            zeroed=_tell_tare,
+            answered=_print_ring,
+            zeroed=_print_tare,
         )
     return rec, kept[0]
 
@@ -265,12 +265,12 @@ def _run_faulty(
     return rec, kept[0]
 
 
-def _tell_ring(session: Session) -> None:
+def _print_ring(session: Session) -> None:
     path = session.run.ring.path
     terminal.tell(f"telemetry ring {path}; if this process dies: rthyb recover {path}")
 
 
-def _tell_tare(session: Session) -> None:
+def _print_tare(session: Session) -> None:
     terminal.tell(f"zeroed: {session.tare_in_words()}")
 
 

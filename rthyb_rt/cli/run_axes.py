@@ -60,7 +60,7 @@ def run(
                 rec = virtual_time.run(setup, progress)
         if conduct is None:
             folder = keep(rec)
-    _tell(setup, rec, folder, report=report, as_json=as_json)
+    _print_outcome(setup, rec, folder, report=report, as_json=as_json)
     status = _status(rec)
     if status:
         raise typer.Exit(status)
@@ -81,7 +81,9 @@ def _status(rec: Recording) -> int:
     return LIMIT_TRIP
 
 
-def _tell(setup: Setup, rec: Recording, folder: Path, *, report: bool, as_json: bool) -> None:
+def _print_outcome(
+    setup: Setup, rec: Recording, folder: Path, *, report: bool, as_json: bool
+) -> None:
     from rthyb_rt.analysis import several as measured
 
     file = terminal.people(as_json)

@@ -277,8 +277,8 @@ def table(path: Path, wishes: Sequence[Wish]) -> Course:
     measures: dict[str, float | None] = dict.fromkeys(MEASURES)
     measures["peak_measured_m"] = _largest(x)
     measures["peak_force_n"] = None if f is None else _largest(f)
-    told = tuple(f"{path.name}: {note}" for note in notes)
-    return Course(path.stem, "table", _rate(step), x, f, "", measures, told)
+    labelled = tuple(f"{path.name}: {note}" for note in notes)
+    return Course(path.stem, "table", _rate(step), x, f, "", measures, labelled)
 
 
 def _rate(step_s: float) -> float:

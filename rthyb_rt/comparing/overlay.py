@@ -187,12 +187,12 @@ def _notes(courses: Sequence[Course], fs_hz: float, shared: int) -> list[str]:
     notes = [note for course in courses for note in course.notes]
     other = [course for course in courses if course.fs_hz != fs_hz]
     if other:
-        told = _who_has([(c.label, c.fs_hz) for c in other], "has", "have", "Hz")
-        notes.append(f"{told}; compared at {fs_hz:g} Hz, the rate of the slowest")
+        text = _who_has([(c.label, c.fs_hz) for c in other], "has", "have", "Hz")
+        notes.append(f"{text}; compared at {fs_hz:g} Hz, the rate of the slowest")
     longer = [c for c in courses if c.duration_s > (shared + 1) / fs_hz]
     if longer:
-        told = _who_has([(c.label, c.duration_s) for c in longer], "lasts", "last", "s")
-        notes.append(f"{told}; compared over the {shared / fs_hz:.4g} s that they have in common")
+        text = _who_has([(c.label, c.duration_s) for c in longer], "lasts", "last", "s")
+        notes.append(f"{text}; compared over the {shared / fs_hz:.4g} s that they have in common")
     notes += [f"{c.label} contains no force" for c in courses if c.f_n is None]
     return notes
 

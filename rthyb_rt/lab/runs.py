@@ -185,8 +185,8 @@ class Run:
         self, met: tuple[str, float, float], axis: int | None, interface: int | None
     ) -> str:
         turns = interface is not None and self._turns(interface)
-        told, whose = trips.figures(*met, turns=turns), self._of(axis, interface)
-        return f"{whose}: {told}" if told and whose else told
+        text, whose = trips.figures(*met, turns=turns), self._of(axis, interface)
+        return f"{whose}: {text}" if text and whose else text
 
     def _turns(self, interface: int) -> bool:
         """Return whether a direction is a rotation, whose limits are in rad and N m."""
@@ -195,18 +195,18 @@ class Run:
 
     def note_cause(self) -> None:
         """Store the cause of a trip before a reset clears it in the station."""
-        told = self.cause_in_figures
-        self.caused, self.caused_by, self.caused_in_figures = self.causing, self.whose, told
+        text = self.cause_in_figures
+        self.caused, self.caused_by, self.caused_in_figures = self.causing, self.whose, text
 
     @property
     def ended_by(self) -> str:
         """The limit that interrupted or ended the test, with its figures and time; "" if none."""
-        cause, told = self.causing[0], self.cause_in_figures
+        cause, text = self.causing[0], self.cause_in_figures
         if self.caused is not None:
-            cause, told = self.caused[0], self.caused_in_figures
-        if cause in trips.NONE or not told:
+            cause, text = self.caused[0], self.caused_in_figures
+        if cause in trips.NONE or not text:
             return ""
-        return f"{told} at {self.running / self.setup.rate.hz:.1f} s"
+        return f"{text} at {self.running / self.setup.rate.hz:.1f} s"
 
     def ending(self, state: str) -> dict[str, Any]:
         """Return the entries about the end for ``meta`` of the recording.

@@ -95,7 +95,7 @@ def prepare(
     reference["f_ref_n"] = force[:, 0]
     controller = controller_config(ordered, rig, derived, end_tick)
     first = replace(derived.axis[0], structure=derived.structure)
-    told = () if baseline.ok else (f"ground motion: {baseline.message}",)
+    baseline_note = () if baseline.ok else (f"ground motion: {baseline.message}",)
     setup = Setup(
         test=resolved,
         rig=rig.of_axis(rig.names[0]),
@@ -106,7 +106,7 @@ def prepare(
         virtual_rig=experiment.rig_config(rig.of_axis(rig.names[0]), derived.fs_hz),
         notes=(
             *derived.notes,
-            *told,
+            *baseline_note,
             *_range_notes(group),
             *(_derived_notes(group) if real_time else ()),
         ),

@@ -119,8 +119,8 @@ def figures(cause: str, value: float, limit: float, *, turns: bool = False) -> s
         return ""
     met = abs(value) * watched.factor
     counted = watched.unit in ("samples", "ticks")
-    told = f"{f'{met:.0f}' if counted else number(met)} {watched.unit}"
-    return f"{watched.name} {told} (limit {limit * watched.factor:g} {watched.unit})"
+    text = f"{f'{met:.0f}' if counted else number(met)} {watched.unit}"
+    return f"{watched.name} {text} (limit {limit * watched.factor:g} {watched.unit})"
 
 
 def found(rec: Recording, given: Setup) -> Met | None:
@@ -190,13 +190,13 @@ def sentence(met: Met, given: Setup) -> str:
         stable up to a delay of 3.3 samples (3.2 ms); the rig has 17 samples (16.6 ms)"; "" without
         figures.
     """
-    told = figures(met.cause, met.value, met.limit)
-    if not told:
+    text = figures(met.cause, met.value, met.limit)
+    if not text:
         return ""
     if np.isfinite(met.time_s):
-        told += f" at {met.time_s:.1f} s"
+        text += f" at {met.time_s:.1f} s"
     known = _known(met, given) if met.cause in _OF_MOTION else ""
-    return f"{told}; {known}" if known else told
+    return f"{text}; {known}" if known else text
 
 
 def _known(met: Met, given: Setup) -> str:

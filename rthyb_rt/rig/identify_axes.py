@@ -153,8 +153,8 @@ def result_of_runs(rig: AxesRig, runs: Sequence[Run], parts: list[Part]) -> Axes
         noise += run.x_m[resting][run.read[resting]].var(axis=0, ddof=1) / axes
     for k, part in enumerate(parts):
         # If the others are commanded to hold still, the commands are a diagonal matrix.
-        told, read = (_phasors(part, runs, name) for name in ("command_m", "x_m"))
-        matrices[k] = read @ np.linalg.inv(told)
+        commanded, read = (_phasors(part, runs, name) for name in ("command_m", "x_m"))
+        matrices[k] = read @ np.linalg.inv(commanded)
     frequencies = np.array([part.frequency_hz for part in parts])
     stiffness, asymmetry = _stiffness(rig, parts, runs)
     matrix = MatrixResponse(frequencies, matrices, np.sqrt(noise))
@@ -218,9 +218,9 @@ def response_of(
     for column, readings in enumerate(moved):
         noise += readings[rest].var(axis=0, ddof=1) / axes
         for k, part in enumerate(parts):
-            told, _ = phasor(part, command, read)
+            commanded, _ = phasor(part, command, read)
             for row in range(axes):
-                found[k, row, column] = phasor(part, readings[:, row], read)[0] / told
+                found[k, row, column] = phasor(part, readings[:, row], read)[0] / commanded
     return MatrixResponse(np.array([p.frequency_hz for p in parts]), found, np.sqrt(noise))
 
 

@@ -64,11 +64,11 @@ def identify_axes_live(
     runs, total = list[Run](), len(rig.names) * command.size
     for k, name in enumerate(rig.names):
 
-        def tell(done: int, _: int, before: int = k * command.size) -> None:
+        def report(done: int, _: int, before: int = k * command.size) -> None:
             if progress is not None:
                 progress(before + done, total)
 
-        rec = _swept(connection, k, command, tell)
+        rec = _swept(connection, k, command, report)
         runs.append(_run_of(rec, rig, name, parts))
     return result_of_runs(rig, runs, parts)
 

@@ -633,8 +633,8 @@ def _in_words(name: str, parameters: dict[str, Any]) -> str:
     reason = parameters.get("reason")
     if isinstance(reason, str):
         return reason
-    told = ", ".join(f"{key} {value}" for key, value in parameters.items())
-    return f"{name.rpartition('.')[2]}: {told}" if told else name
+    listed = ", ".join(f"{key} {value}" for key, value in parameters.items())
+    return f"{name.rpartition('.')[2]}: {listed}" if listed else name
 
 
 class Client:

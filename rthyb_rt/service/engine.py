@@ -190,14 +190,14 @@ class Engine(Conductor):
         self.loaded: Loaded | None = None
         self.last: dict[str, Any] | None = None
         self.not_zeroed = ""
-        self._facts_given, self._tell = dict(facts or {}), tell
+        self._facts_given, self._on_event = dict(facts or {}), tell
         self._token: tuple[str, str] | None = None
         self._newest: np.void | None = None
         self._state = "IDLE"
         self._rest = self._make_rest(clock, [one.codec for one in opened.all])
         super().__init__(opened, clock, before_tick, self._rest)
 
-    def _put_away(self) -> None:
+    def _close_run(self) -> None:
         """Leave the ring of an unfinished test to the recorder, and delete the ring at rest."""
         self._drain()
         if self.run is not self._rest:
@@ -274,7 +274,7 @@ class Engine(Conductor):
         tare_over = self.state == "IDLE" and self.now_s > run.given_up_s
         if self.zeroing_failed or tare_over:
             self.not_zeroed = self.why_not_zeroed()
-            self._say("error", f"not zeroed: {self.not_zeroed}")
+            self._report("error", f"not zeroed: {self.not_zeroed}")
             return True
         return False
 
@@ -283,7 +283,7 @@ class Engine(Conductor):
     def _drain(self) -> None:
         run = self.run
         for samples in run.news():
-            self._tell_transitions(samples)
+            self._report_transitions(samples)
         # A frozen ring provides only its newest record.
         newest = run.reader.newest()
         if newest is not None:
@@ -292,7 +292,7 @@ class Engine(Conductor):
             run.note_cause()
         self._forget_token()
 
-    def _tell_transitions(self, samples: NDArray[np.void]) -> None:
+    def _report_transitions(self, samples: NDArray[np.void]) -> None:
         changes = np.flatnonzero(np.diff(samples["state"])) + 1
         for row in (0, *changes.tolist()):
             self._entered(STATES[samples["state"][row]], int(samples["tick"][row]))
@@ -312,7 +312,7 @@ class Engine(Conductor):
         if (before, state) == ("IDLE", "ZEROED"):
             why = f", {self.tare_in_words()}"
         name = f" ({self.run.setup.test.test.name})" if self.run is not self._rest else ""
-        self._say(levels.get(state, "info"), f"{before} -> {state} at tick {tick}{name}{why}")
+        self._report(levels.get(state, "info"), f"{before} -> {state} at tick {tick}{name}{why}")
 
     @property
     def cause_in_figures(self) -> str:
@@ -329,8 +329,8 @@ class Engine(Conductor):
         """The cause with its figures, or with its axis."""
         return shown(self.loop.cause, self.cause_of, self.cause_in_figures)
 
-    def _say(self, level: str, text: str) -> None:
-        self._tell(Event(level, text))
+    def _report(self, level: str, text: str) -> None:
+        self._on_event(Event(level, text))
 
     # ---- the operator's commands ----------------------------------------------------------------
 
@@ -383,7 +383,7 @@ class Engine(Conductor):
         self.check_load()
         self.loaded = loaded
         name = loaded.setup.test.test.name
-        self._say("info", f"loaded {name}, {loaded.digest[:12]}")
+        self._report("info", f"loaded {name}, {loaded.digest[:12]}")
 
     def check_zero(self) -> Loaded:
         """Return the test to be zeroed.
@@ -494,7 +494,7 @@ class Engine(Conductor):
         run = self.run
         if name == "stop" and run is not self._rest and not run.begun:
             self.not_zeroed = "zeroing was stopped by an operator"
-            self._say("info", self.not_zeroed)
+            self._report("info", self.not_zeroed)
             self._finish()
         if name == "reset" and self.run is self._rest:
             self._put_rest()
@@ -537,7 +537,7 @@ class Engine(Conductor):
         self.rig, self.loaded = rig, loaded
         if self.run is self._rest and self.state == "IDLE":
             self._put_rest()
-        self._say("info", f"limits reloaded, generation {generation}: {changes}")
+        self._report("info", f"limits reloaded, generation {generation}: {changes}")
         return generation
 
     def check_reload(self) -> None:
@@ -627,7 +627,7 @@ class Engine(Conductor):
     def _end_run(self, run: ServiceRun) -> None:
         name = run.setup.test.test.name
         if not run.moved and not run.tripped_rows:
-            self._say("info", f"{name}: nothing moved, so no recording is kept")
+            self._report("info", f"{name}: nothing moved, so no recording is kept")
             run.remove()
             return
         run.bare.meta |= self.ending(run)
@@ -642,7 +642,7 @@ class Engine(Conductor):
             "ending": ending,
         }
         how = f", {ending}" if ending else ""
-        self._say("info" if reason == "completed" else "warning", f"{name} ended: {reason}{how}")
+        self._report("info" if reason == "completed" else "warning", f"{name} ended: {reason}{how}")
 
 
 def _rest_station(setup: Setup) -> core.StationConfig:

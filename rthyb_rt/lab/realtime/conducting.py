@@ -15,7 +15,7 @@ from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S
 from rthyb_rt.lab.realtime.conductor import FEEDBACK_S
 from rthyb_rt.lab.realtime.session import Session
-from rthyb_rt.lab.realtime.telling import Teller
+from rthyb_rt.lab.realtime.telling import Messenger
 from rthyb_rt.lab.sequence import Operator, Sequence
 from rthyb_rt.record.recording import Recording
 
@@ -90,18 +90,22 @@ def run(
             session.start()
             hint = "run rthyb jitter to see how to obtain them"
             session.check_privileges(warn, required=require_realtime, hint=hint)
-            teller = Teller(progress or _no_progress, warn, at_once=clock == "stepped")
+            messenger = Messenger(progress or _no_progress, warn, at_once=clock == "stepped")
             try:
                 sequence = Sequence(
-                    session, operator, hold_s=hold_s, progress=teller.progress, warn=teller.warn
+                    session,
+                    operator,
+                    hold_s=hold_s,
+                    progress=messenger.progress,
+                    warn=messenger.warn,
                 )
                 session.attended()
-                _hear(session, sequence, resets)
+                _await_drive(session, sequence, resets)
                 answered(session)
                 sequence.conduct(lambda: _judge(session, zeroed))
                 session.close()
             finally:
-                teller.close()
+                messenger.close()
             rec = session.recording()
             if operator is not None and operator.stops and session.loop.cause == "none":
                 rec.meta["end_reason"] = "stopped by the operator before it began"
@@ -137,7 +141,7 @@ def _say_where(session: Session, error: BaseException) -> None:
     )
 
 
-def _hear(session: Session, sequence: Sequence, resets: bool) -> None:
+def _await_drive(session: Session, sequence: Sequence, resets: bool) -> None:
     sequence.until(session.follows, _STANDS_RESET_S if resets else _STANDS_S)
     if session.stays_stopped() and not sequence.stopped:
         if not resets:

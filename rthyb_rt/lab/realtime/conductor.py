@@ -214,14 +214,14 @@ class Conductor:
                 ):
                     one.left = last
             with self._owned:
-                self._put_away()
+                self._close_run()
 
     def fall_silent(self) -> None:
         """End the tick thread as in a crash of this PC: without informing the drive."""
         self._farewell = False
         self.loop.stop()
 
-    def _put_away(self) -> None:
+    def _close_run(self) -> None:
         """Read the last rows and close the run; the tick thread has ended."""
         raise NotImplementedError
 
@@ -373,8 +373,8 @@ class Conductor:
         before, now = self._at_zero, self._count()
         if before is None or now.ticks.elapsed - before.ticks.elapsed < self.rate.ticks(_RATE_S):
             return
-        if told := self.other_rate(before):
-            raise InputError(told, self.opened.name)
+        if why := self.other_rate(before):
+            raise InputError(why, self.opened.name)
         watch = self.config.watches.get("skips")
         if self.rate.hz <= STANDARD_HZ or (watch is not None and watch.reaction == "none"):
             return
@@ -419,10 +419,12 @@ class Conductor:
     def _why_refused(self, name: str, state: str) -> str:
         if self.run.station.refusal[0] == "apart":
             return self._why_not_one_clock()
-        if told := self.run.refusal_in_figures:
+        if figures := self.run.refusal_in_figures:
             if name in ("resume", "reset"):
-                return f"{told}; unload the specimen first, or check the load cell"
-            return f"{told}; bring the specimen back within the limit, or unload it, and zero again"
+                return f"{figures}; unload the specimen first, or check the load cell"
+            return (
+                f"{figures}; bring the specimen back within the limit, or unload it, and zero again"
+            )
         if name == "resume":
             return "the specimen is not at rest yet; try again"
         if name == "reset" and state == "IDLE" and not self.stays_stopped():
@@ -589,10 +591,10 @@ class Conductor:
             return _no_more(flags)
         if counters["frames"] or pieces:
             bad = {k: n for k, n in counters.items() if n and k not in ("sent", "frames", "stale")}
-            told = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in bad.items())
+            details = ", ".join(f"{n} {name.replace('_', ' ')}" for name, n in bad.items())
             return (
                 f"{counters['frames']} frames arrived in {FEEDBACK_S:g} s, but no pair of "
-                f"displacement and force ({told or 'none was complete'}); check the DBC, or the "
+                f"displacement and force ({details or 'none was complete'}); check the DBC, or the "
                 "drive's frames"
             )
         return (

@@ -36,8 +36,8 @@ def follows(flags: NDArray[np.uint32]) -> bool:
 
 def stays_stopped(flags: NDArray[np.uint32]) -> bool:
     """Return whether pairs arrive from a drive that has stopped by itself, by the newest flags."""
-    heard = flags[(flags & FLAGS["lost"]) == 0]
-    return bool(heard.size >= GOOD_PAIRS and (heard & FLAGS["stopped"]).all())
+    received = flags[(flags & FLAGS["lost"]) == 0]
+    return bool(received.size >= GOOD_PAIRS and (received & FLAGS["stopped"]).all())
 
 
 @dataclass(frozen=True)

@@ -68,8 +68,8 @@ def first_cause_in_words(rec: Recording) -> str:
         rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
         turns = isinstance(rig, AxesRig) and rig.kinematics.turns()[direction]
     met = station.cause, station.cause_value, station.cause_limit
-    told = trips.figures(*met, turns=turns) or in_words(station.cause)
-    return f"{whose}: {told}" if whose else told
+    text = trips.figures(*met, turns=turns) or in_words(station.cause)
+    return f"{whose}: {text}" if whose else text
 
 
 def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:

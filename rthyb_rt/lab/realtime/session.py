@@ -90,7 +90,7 @@ class Session(Conductor):
         if self.clock != "stepped":
             self._collector.start()
 
-    def _put_away(self) -> None:
+    def _close_run(self) -> None:
         self._collector.stop()
         self.run.close()
 

@@ -16,7 +16,7 @@ _PERIOD_S = 0.05
 _LAST_WORDS_S = 1.0
 
 
-class Teller:
+class Messenger:
     """Accepts messages without waiting, and delivers them when possible.
 
     Args:
@@ -31,7 +31,7 @@ class Teller:
         self._reached: tuple[int, int] | None = None
         self._failure: BaseException | None = None
         self._done = threading.Event()
-        self._thread = threading.Thread(target=self._tell, name="teller", daemon=True)
+        self._thread = threading.Thread(target=self._deliver, name="messenger", daemon=True)
         if not at_once:
             self._thread.start()
 
@@ -60,16 +60,16 @@ class Teller:
         if not self._at_once:
             self._thread.join(_LAST_WORDS_S)
 
-    def _tell(self) -> None:
-        told: tuple[int, int] | None = None
+    def _deliver(self) -> None:
+        delivered: tuple[int, int] | None = None
         try:
             while not (last := self._done.wait(_PERIOD_S)) or self._sentences:
                 while self._sentences:
                     self._warn(self._sentences.popleft())
                 reached = self._reached
-                if reached is not None and reached != told:
+                if reached is not None and reached != delivered:
                     self._progress(*reached)
-                    told = reached
+                    delivered = reached
                 if last and not self._sentences:
                     return
         except BaseException as error:

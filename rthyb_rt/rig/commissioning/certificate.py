@@ -409,9 +409,9 @@ def _why_not(
     remedy = f"run `{command}`"
     if holds is not None:
         names = ",".join(name for name in STEPS if not holds.date_of(name))
-        told = ", ".join(holds.lacking)
+        reasons = ", ".join(holds.lacking)
         return (
-            f"not every commissioning check of this rig has passed: {told}; run `{command} "
+            f"not every commissioning check of this rig has passed: {reasons}; run `{command} "
             f"--steps {names}`"
         )
     if older is not None and older.sample_rate_hz != rig.rate.whole_hz:

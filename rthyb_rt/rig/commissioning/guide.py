@@ -101,14 +101,14 @@ def commission(
             continue
         certificate = certificate.with_step(step)
         keep(certificate)
-        _tell(plan, step)
+        _print_step(plan, step)
         if not step.passed and name in ("link", "polarity"):
             plan.tell("the following steps depend on this one: correct the fault, then start again")
             break
     return certificate
 
 
-def _tell(plan: Plan, step: Step) -> None:
+def _print_step(plan: Plan, step: Step) -> None:
     words = {True: "passed", False: "FAILED", None: "could not be checked"}[step.passed]
     plan.tell(f"{step.name}: {words}")
     for fault in step.faults:
@@ -163,30 +163,30 @@ def rest_figures(moved: Moved) -> dict[str, Any]:
     """Return what a motion that stays at rest reveals about the link and the sensors."""
     rows = moved.running
     executed = rows[(rows["flags"] & FLAGS["blind"]) == 0]
-    heard = executed[fresh(executed)]
+    received = executed[fresh(executed)]
     delay = moved.facts["link_delay_samples"]
     return {
         "link": moved.facts["link"],
-        "fresh_share": heard.size / max(executed.size, 1),
-        "rate_hz": _rate(heard),
+        "fresh_share": received.size / max(executed.size, 1),
+        "rate_hz": _rate(received),
         "link_delay_samples": None if delay < 0 else delay,
         "slips": int(np.count_nonzero(rows["flags"] & FLAGS["slip"])),
         "displacement_m": moved.start_m,
         "jump_m": moved.start_m - float(moved.rows[fresh(moved.rows)]["x_meas_m"][0]),
         "force_n": moved.start_n,
-        "noise_m": float(heard["x_meas_m"].std()) if heard.size else None,
-        "noise_n": float(heard["f_meas_n"].std()) if heard.size else None,
+        "noise_m": float(received["x_meas_m"].std()) if received.size else None,
+        "noise_n": float(received["f_meas_n"].std()) if received.size else None,
         "skipped_ticks": int(rows.size - executed.size),
     }
 
 
-def _rate(heard: Rows) -> float | None:
+def _rate(received: Rows) -> float | None:
     """Return the drive's samples per second of this PC's clock, by the drive's own counter."""
-    if heard.size < 2:
+    if received.size < 2:
         return None
-    counts: NDArray[np.int64] = heard["count"].astype(np.int64)
+    counts: NDArray[np.int64] = received["count"].astype(np.int64)
     steps = (counts[1:] - counts[:-1]) % 256
-    lasted_s = (int(heard["due_ns"][-1]) - int(heard["due_ns"][0])) * 1e-9
+    lasted_s = (int(received["due_ns"][-1]) - int(received["due_ns"][0])) * 1e-9
     return float(steps.sum() / lasted_s)
 
 

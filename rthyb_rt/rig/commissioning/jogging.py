@@ -94,7 +94,7 @@ def jog(
     moved = carry_out(connection, Motion("jog", path), operator=operator, progress=progress)
     verdict = polarity.judge(connection.rig, moved)
     # A motion that had barely begun reveals nothing about signs.
-    told = abs(moved.commanded_m) > moved.certain("x_meas_m")
+    conclusive = abs(moved.commanded_m) > moved.certain("x_meas_m")
     return Jogged(
         asked_m=distance_m,
         speed_m_per_s=speed_m_per_s,
@@ -106,6 +106,6 @@ def jog(
         state=moved.state,
         cause=moved.cause,
         end_reason=moved.end_reason,
-        faults=verdict.faults if told else (),
-        reversed=told and verdict.reversed,
+        faults=verdict.faults if conclusive else (),
+        reversed=conclusive and verdict.reversed,
     )

@@ -255,27 +255,29 @@ def after_trip(rows: Rows, before: int = 0) -> Stop:
 
     ``before``: as in `rthyb_rt.rig.commissioning.moving.command_numbers`.
     """
-    told = (rows["state"] == STATES.index("TRIPPED")) & ((rows["flags"] & FLAGS["not_sent"]) == 0)
+    tripped = (rows["state"] == STATES.index("TRIPPED")) & (
+        (rows["flags"] & FLAGS["not_sent"]) == 0
+    )
     numbers = command_numbers(rows, before)
     places = np.flatnonzero(fresh(rows))
-    heard = rows[places]
-    stopped = (heard["flags"] & FLAGS["stopped"]) != 0
+    received = rows[places]
+    stopped = (received["flags"] & FLAGS["stopped"]) != 0
     # It may report a stop before its first command; only what follows its first motion counts.
-    begun = int(np.flatnonzero(~stopped)[0]) if (~stopped).any() else heard.size
+    begun = int(np.flatnonzero(~stopped)[0]) if (~stopped).any() else received.size
     stops = np.flatnonzero(stopped[begun:]) + begun
-    if not stops.size or not told.any():
+    if not stops.size or not tripped.any():
         return Stop(False)
     at = int(stops[0])
-    told_at = int(np.flatnonzero(told)[0])
-    first = int(numbers[told_at]) + 1
+    tripped_at = int(np.flatnonzero(tripped)[0])
+    first = int(numbers[tripped_at]) + 1
     # What came before TRIPPED was sent cannot echo it: the counter repeats after 256 commands.
-    since = places[begun:] > told_at
-    applied = since & ((heard["echo"][begun:].astype(np.int64) - first) % _BYTE < _BYTE // 2)
-    if not heard["echo"].any():
+    since = places[begun:] > tripped_at
+    applied = since & ((received["echo"][begun:].astype(np.int64) - first) % _BYTE < _BYTE // 2)
+    if not received["echo"].any():
         return Stop(True)
     if not applied[: at - begun + 1].any():
         return Stop(True, None, gap=True)
     taken = begun + int(np.flatnonzero(applied)[0])
-    steps = int(heard["count"][at]) - int(heard["count"][taken])
-    gap = at > 0 and (int(heard["count"][at]) - int(heard["count"][at - 1])) % _BYTE > 1
+    steps = int(received["count"][at]) - int(received["count"][taken])
+    gap = at > 0 and (int(received["count"][at]) - int(received["count"][at - 1])) % _BYTE > 1
     return Stop(True, steps % _BYTE, gap)
