@@ -1,9 +1,8 @@
 """Signs that a test should not be relied on although it was completed, in figures.
 
 Everything is judged over windows of 2 s: long enough for the periods of structures, and short
-    enough
-that a quiet end does not dilute a strong beginning. Rows are summed up in eighths of a second as
-they arrive, so that a running test is judged exactly as a past one.
+enough that a quiet end does not dilute a strong beginning. Rows are summed up in eighths of a
+second as they arrive, so that a running test is judged exactly as a past one.
 """
 
 from __future__ import annotations
@@ -282,8 +281,7 @@ class AxesJudge:
 
 def _windows(values: Floats, size: int) -> Floats:
     """Return the sums of ``size`` neighbouring values, shape (n - size + 1,)."""
-    # Sums of neighbours, not differences of running sums, in which one huge block would swamp
-    # others.
+    # Not by differences of running sums, in which one huge block would swamp the others.
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, size).sum(axis=1))
 
 

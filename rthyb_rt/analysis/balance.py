@@ -81,8 +81,7 @@ def of_recording(rec: Recording, given: Setup) -> EnergyBalance | None:
     if not isinstance(numerical, dict) or numerical.keys() & {"library", "fmu", "python"}:
         return None
     if any(key in numerical for key in ("matrices", "storeys")):
-        # Imported here: it needs the packages for structures, which a test of one mass does
-        # without.
+        # Imported here: a test of one mass does not need the packages for structures.
         from rthyb_rt.analysis import structure_balance
 
         return structure_balance.of_recording(rec)

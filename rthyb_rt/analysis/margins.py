@@ -1,8 +1,7 @@
 """Stability margins of a test, known before it runs.
 
 Two instabilities can occur whatever the quality of the actuator: the delayed force feeds energy
-    into
-the structure until the motion diverges, or the delay estimator, whose loop contains the delay,
+into the structure until the motion diverges, or the delay estimator, whose loop contains the delay,
 oscillates. Delays and ``alpha`` are in samples, ``beta`` in samples squared; ``z`` is an advance by
 one sample.
 """
@@ -189,8 +188,7 @@ class DelayedStructure(Protocol):
     """A numerical part and an elastic specimen to which the command is applied with a delay.
 
     The specimen is a spring ``k_e_n_per_m``: f[n] = k_e x_p[n-D]. Restoring-force compensation is
-    not
-    included: with the exact k_e it removes the delay from the equation of motion altogether.
+    not included: with the exact k_e it removes the delay from the equation of motion altogether.
     """
 
     def is_stable(self, delay_samples: int, lead: Lead | SampledLead | None = None) -> bool:

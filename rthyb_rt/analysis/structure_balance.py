@@ -2,9 +2,8 @@
 
 A recording contains only the motion of the interfaces. Between two samples the numerical part is
 linear in the forces applied to it, so that these follow from its next position: driven by them and
-    by
-the recorded ground motion, the part repeats the test and every degree of freedom becomes known. The
-energies are those of `rthyb_rt.analysis.balance`, as sums over the degrees of freedom:
+by the recorded ground motion, the part repeats the test and every degree of freedom becomes known.
+The energies are those of `rthyb_rt.analysis.balance`, as sums over the degrees of freedom:
 
     E_input = -integral load' a_g dx        E_kinetic = v' M v / 2      E_damping = integral v' C dx
     E_strain = x' K x / 2 + sum of r^2 / (2 k) + F' K_e^-1 F / 2

@@ -20,7 +20,7 @@ SCHEMA: Final = "rthyb-campaign-plan/1"
 
 
 class Book:
-    """The rows of a campaign, one line of JSON each, in a folder of its own.
+    """The rows of a campaign, one line of JSON each, in a separate folder.
 
     Only the process that conducts the campaign writes, so that no row is written twice, whatever
     happens to the computing processes. A line that was cut off by a power failure is dropped.

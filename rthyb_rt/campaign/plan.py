@@ -271,7 +271,7 @@ def _plants(draws: Draws, base: dict[str, Any], path: Path) -> list[tuple[int, t
     own = {key: _number(base, key, path) for key in draws.spread}
     plants: list[tuple[int, tuple[str, ...]]] = [(0, ())] if draws.nominal else []
     for n in range(1, draws.count + 1):
-        # Each plant has a random stream of its own, so that further plants do not change the first.
+        # Each plant has its own random stream, so that further plants do not change the first.
         random = np.random.default_rng([draws.seed, n])
         settings = tuple(
             f"{key}={own[key] * _factor(spread, random)!r}" for key, spread in draws.spread.items()

@@ -1,7 +1,6 @@
 """The command line: ``rthyb COMMAND ...``.
 
-Imports nothing that Python has not already loaded, so that a Ctrl-C is handled from the first
-moment.
+Imports nothing that Python has not already loaded, so that a Ctrl-C is handled at any time.
 """
 
 from __future__ import annotations

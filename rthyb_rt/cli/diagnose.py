@@ -153,9 +153,9 @@ def diagnose(
     The recording is split at the recorded signals: command against measured displacement shows
     what the actuator does differently from the model, displacement against force what the specimen
     does. A recording of this program is also simulated again in closed loop, once with the given
-    model and once with the effects found. Of a recording of several axes each is judged by itself,
-    the measured motion of the others being known; --axis selects one. The exit code is 0 if nothing
-    is missing, 3 if the data do not allow an answer, and 8 otherwise.
+    model and once with the effects found. In a recording of several axes, each axis is diagnosed
+    separately, given the measured motion of the others; --axis selects one. The exit code is 0 if
+    nothing is missing, 3 if the data do not allow an answer, and 8 otherwise.
 
     \b
     Examples:

@@ -321,7 +321,7 @@ def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
             ("Elastic stiffness k_e", quantity(result.k_e_n_per_m, "kN/m", 1e-3, 4),
              "bound of the tangent stiffness"),
             ("First resonance", resonance, "of actuator and specimen; laws roll off below it"),
-            ("Moving mass", mass, "felt by the load cell beside the specimen"),
+            ("Moving mass", mass, "on the load cell, in addition to the specimen"),
             ("Noise at rest", f"{quantity(result.rest_noise_m, 'µm', 1e6)}, "
              f"{quantity(result.rest_noise_n, 'N')}", "standard deviation"),
             ("Offset at rest", f"{quantity(result.offset_m, 'µm', 1e6)}, "

@@ -77,7 +77,7 @@ def install_service(
         terminal.tell(f"warning: {root / installing.RIG} already exists and was left unchanged")
     if not uninstall:
         print(
-            "\nNext: put users into the groups (usermod -aG rthyb,rthyb-operator NAME), then "
+            "\nNext: add users to the groups (usermod -aG rthyb,rthyb-operator NAME), then "
             "systemctl enable --now rthyb-recorder rthyb",
             file=file,
         )

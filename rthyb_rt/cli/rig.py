@@ -105,12 +105,11 @@ def rig(
 ) -> None:
     """Run a virtual rig at a link, in real time.
 
-    The virtual drive takes commands and sends displacement and force as often as
-    link.sample_rate_hz says, 1024 times per second without it. It has its own clock and its own
-    watchdog: 19.5 ms after the last fresh command (20 ticks of 1/1024 s) it stops. Unless an
-    option names a link, the rig file's [link] is used. Controllers can connect and disconnect at
-    any time; Ctrl-C ends the virtual rig. A rig of several axes has a drive and a link for each,
-    and a fault names its axis.
+    The virtual drive receives commands and sends displacement and force at link.sample_rate_hz, by
+    default 1024 times per second. It has its own clock and its own watchdog: 19.5 ms after the
+    last new command (20 ticks of 1/1024 s) it stops. Unless an option names a link, the rig file's
+    [link] is used. Controllers can connect and disconnect at any time; Ctrl-C ends the virtual
+    rig. A rig of several axes has a drive and a link for each, and a fault names its axis.
 
     \b
     Faults, from second S of its clock, for S seconds or to the end, with a VALUE:
@@ -301,7 +300,7 @@ def _rows(result: Result, log: Path | None) -> list[tuple[str, str, str]]:
     rows = [
         ("Ticks", str(result.ticks), f"{result.skipped} more missed"),
         ("Commands", str(result.commands), "frames received"),
-        ("Stops", stops, "of its own"),
+        ("Stops", stops, "number of its own stops"),
         ("Phase", result.phase + (", power cut" if result.power_cut else ""), "at the end"),
     ]
     if log is not None:

@@ -50,8 +50,7 @@ codecs.register_error(ERRORS, _replaced)
 class Outlet(io.FileIO):
     """Destination of a stream's bytes; after a failed write the rest is dropped.
 
-    The remaining work of a command, such as its report, must not fail because nobody reads its
-    output.
+    The remaining work of a command, such as its report, must not fail for lack of a reader.
 
     Attributes:
         fault: why writing failed, if it did.

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 _COLOURS: Final = (draw.BLACK, draw.BLUE, draw.RED, draw.GREEN, draw.ORANGE)
 _DASHES: Final = (4.0, 1.5)
-"""Of the second five, which have the colours of the first."""
+"""Dashes of the sixth and later curves, whose colours repeat."""
 _WINDOW_S: Final = 1.5
 """Length of the window about the largest displacement: three periods of a stiff structure."""
 
@@ -63,7 +63,7 @@ def _beside(
             gap = y[: overlay.shared] - signals[0][: overlay.shared]
             if number:
                 gaps.append(gap)
-            # Of the first nothing is drawn below, but its name stands in the legend.
+            # The first has no difference from itself, but appears in the legend.
             shown = gap if number else np.full(gap.size, np.nan)
             _curve(below, number, t[: gap.size], shown, overlay.labels[number])
         below.axhline(0.0, color=draw.GREY, linewidth=0.4)

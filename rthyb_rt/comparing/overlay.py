@@ -130,7 +130,7 @@ def _at_rate(
 
 
 def at(y: Floats, fs_hz: float, at_s: Floats) -> Floats:
-    """Return a signal at other instants than those of its samples.
+    """Return a signal at instants other than those of its samples.
 
     At a sample, that sample; between two, the cubic through the four nearest (Lagrange), whose
     error is proportional to the fourth derivative: below 0.03 % of a sine with 20 samples per

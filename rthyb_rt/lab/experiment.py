@@ -132,8 +132,7 @@ def prepare(
         test, rig: the two files.
         real_time: whether the test will run over a link, where derived limits act as well; a note
             names them.
-        record: the ground motion if it has been read already, neither cut nor scaled; None: read
-            it.
+        record: the ground motion, neither cut nor scaled, if already read; None: read it.
 
     Raises:
         InputError: everything that is wrong in the files, in the record, or between them.
@@ -684,8 +683,7 @@ def axis_station_config(setup: Setup, *, real: bool = False) -> core.StationConf
                 limit.action,
             )
             for cause, limit in given.items()
-            # Disabled is not the same as omitted: the station has its own default for skipped
-            # ticks.
+            # Disabled, not omitted: the station has its own default for skipped ticks.
             if limit is not None and (limit.acts or cause == "skips")
         },
         path_velocity_m_per_s=resolved.path_velocity_m_per_s,

@@ -1,8 +1,7 @@
 """Is this PC punctual enough? Timing of a thread, facts about the machine, and a verdict.
 
 Every figure is shown beside that of a bare reference thread of the same priority, half a period
-apart within the same seconds: what both have in common is due to the machine, the rest to the
-program.
+apart within the same seconds: common delays are due to the machine, the rest to the program.
 """
 
 from __future__ import annotations

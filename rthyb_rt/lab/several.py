@@ -58,8 +58,7 @@ def prepare(
     Args:
         test, rig: the two files.
         real_time: as for `experiment.prepare`.
-        record: the ground motion if it has been read already, neither cut nor scaled; None: read
-            it.
+        record: the ground motion, neither cut nor scaled, if already read; None: read it.
 
     Raises:
         InputError: everything that is wrong in the files, in the record, or between them.

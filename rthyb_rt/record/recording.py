@@ -133,8 +133,8 @@ VERSIONS: dict[int, Version] = {
         },
     ),
 }
-"""Every version of the record: the last one is written, all of them are read. A field more is a row
-here, with what recordings of before have for it, and one in the core's rthyb_record."""
+"""Every version of the record: the last is written, all are read. To add a field, add a row here,
+with its value for older recordings, and a member of the core's rthyb_record."""
 
 VERSION = max(VERSIONS)
 OLDEST_REPLAYED = 2
@@ -565,17 +565,17 @@ def _load(file: Any, where: str, rows: bool) -> Recording:
 
 
 def _texts(samples: Any, name: str) -> tuple[str, ...]:
-    told = plain(samples.attrs.get(name))
-    return tuple(map(str, told)) if isinstance(told, list) else ()
+    texts = plain(samples.attrs.get(name))
+    return tuple(map(str, texts)) if isinstance(texts, list) else ()
 
 
 def _channels(samples: Any) -> tuple[Channel, ...]:
     """Return the channels that an open file describes."""
-    told = plain(samples.attrs.get("channels"))
+    described = plain(samples.attrs.get("channels"))
     names = samples.dtype.names or ()
     return tuple(
         Channel(one["name"], str(one.get("unit", "")), float(one.get("scale", 1.0)))
-        for one in (told if isinstance(told, list) else ())
+        for one in (described if isinstance(described, list) else ())
         if isinstance(one, dict) and one.get("name") in names
     )
 

@@ -117,7 +117,7 @@ def trusted(folder: Path) -> Path:
     """Return a folder of rings, unless another user may have created it or may write to it.
 
     Where everybody may create files, as in ``/dev/shm``, the folder must belong to this user and
-    give no rights to anybody else: another user could otherwise redirect this user's files or
+    give no rights to others: another user could otherwise redirect this user's files or
     impersonate the service. A missing folder is accepted.
 
     Raises:
@@ -497,7 +497,7 @@ def _open(path: Path) -> int:
 
 
 def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any], np.dtype[np.void]]:
-    """Return the description and what it makes a row of, or refuse the ring in words."""
+    """Return the description and the type of a row, or refuse the ring with the reason."""
     if refused and refused != lib.RTHYB_RING_OTHER_LAYOUT:
         other = refused == lib.RTHYB_RING_OTHER_RECORD
         raise (OtherVersionError if other else InputError)(_REFUSED[refused], str(path))
@@ -569,7 +569,7 @@ class Sight:
     fault: str = ""
 
     def as_json(self) -> dict[str, Any]:
-        """Return all of it by name."""
+        """Return all values by name."""
         return {**self.__dict__, "path": str(self.path)}
 
 

@@ -1,1 +1,1 @@
-"""What moves the specimen: links, the virtual rig, commissioning, identification."""
+"""Rigs: links, the virtual rig, commissioning, identification."""

@@ -54,8 +54,7 @@ class AxesResult:
         response: the matrix of frequency responses, and the noise of each reading at rest.
         axes: each axis alone, as for a rig of one axis, while the others hold still.
         stiffness: of the specimen along the interface, from the slow sines, symmetric, (n, n).
-        asymmetry: greatest difference of two elements that should be equal, over the greatest
-            element.
+        asymmetry: greatest difference of elements that should be equal, over the greatest element.
     """
 
     response: MatrixResponse
@@ -109,8 +108,7 @@ def identify_rig(
         progress: called with (ticks done, ticks of all sweeps) after each.
 
     Raises:
-        InputError: invalid sweep, a limit or range that is reached, or an axis that does not
-            follow.
+        InputError: invalid sweep, a limit or range was reached, or an axis did not follow.
     """
     sweep = sweep or sweep_of()
     check(sweep)

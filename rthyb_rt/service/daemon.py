@@ -472,7 +472,7 @@ class Daemon:
                 try:
                     run = await asyncio.shield(making)
                 except asyncio.CancelledError:
-                    # The service is shutting down: nobody needs the ring that is still created.
+                    # The service is shutting down: the ring being created is no longer needed.
                     (await making).remove()
                     raise
                 self.engine.zero(run)
@@ -643,8 +643,8 @@ class Daemon:
     def _recorder_status(self) -> dict[str, Any]:
         found = self._recorder
         alive = found is not None and found.alive
-        told = {} if found is None else asdict(found)
-        return {**told, "alive": alive, "wanted": self.options.recorder != "none"}
+        status = {} if found is None else asdict(found)
+        return {**status, "alive": alive, "wanted": self.options.recorder != "none"}
 
 
 def _clear_rests(folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 The tick thread runs from the daemon's start to its end. Between two tests a station at rest holds
 the drive at its position; `zero` replaces it by the station of the loaded test, between two ticks,
-with a ring of its own. The drive's watchdog therefore does not respond, and a test's ring and
+with its own ring. The drive's watchdog therefore does not respond, and a test's ring and
 recording begin with its own first tick and can be replayed.
 """
 

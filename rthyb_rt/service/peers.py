@@ -76,7 +76,7 @@ class Rights:
 
     Attributes:
         lookers, operators: group numbers; None if the group does not exist.
-        owner: the user as whom the service runs, who could end it anyway.
+        owner: the user that runs the service, and could end it anyway.
     """
 
     lookers: int | None

@@ -119,7 +119,7 @@ def _write_status(folder: Path, status: Status) -> None:
 
 
 class _Patience:
-    """Reports that the disk is slow, from a thread of its own, while it is and a little longer.
+    """Reports a slow disk, from a separate thread, while it is slow and a little longer.
 
     Args:
         folder: folder for `STATUS_NAME`.

@@ -1,4 +1,4 @@
-"""What has been checked on a rig, when, and for which content of its rig file.
+"""Record of the checks of a rig, with their dates and the rig file to which they apply.
 
 The file is stored beside the rig file, and a test in real time requires it. It remains valid until
 a key of the rig file changes that could reverse a sign or move a limit.
@@ -137,8 +137,7 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
     content = {key: value for key, value in rig.model_dump().items() if key in _MATTERS}
     for table, first in _FIRST_KEYS.items():
         given = content[table] or {}
-        # A key introduced by a later version must not change the hash of a file that does not set
-        # it.
+        # A key of a later version must not change the hash of a file that does not set it.
         for key in [key for key in given if key not in first and given[key] in (None, [], ())]:
             del given[key]
     # Rigs commissioned before other rates existed keep their hash.
@@ -166,7 +165,7 @@ def _digest(path: Path) -> str:
 
 def place(rig_path: Path, axis: str = "") -> Path:
     """Return the path of a rig file's certificate: beside the rig file, unless that is shipped with
-    the program or its folder is not writable. Each of several axes has a certificate of its own.
+    the program or its folder is not writable. Each of several axes has its own certificate.
     """
     name = _file_name(rig_path, axis)
     if _shipped(rig_path) or not os.access(rig_path.parent, os.W_OK):

@@ -84,8 +84,7 @@ def commission(
     check_limits(connection.rig)
     check_distance(connection.rig, plan.distance_m)
     rig = connection.rig
-    # The operator confirms each motion and knows why the drive stopped: usually one of these
-    # checks.
+    # The operator confirms each motion and knows why the drive stopped: most often by a check.
     connection = replace(connection, resets=True)
     certificate = known or Certificate(
         rig_name=rig.rig.name,

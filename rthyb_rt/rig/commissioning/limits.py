@@ -123,8 +123,7 @@ def check_all(
     Args:
         connection: the rig.
         distance_m: amplitude of the small motion.
-        allowed: asks the operator before each motion; if it returns False, the limit is not
-            checked.
+        allowed: asks the operator before each motion; on False the limit is not checked.
 
     Raises:
         RthybError: a motion failed for a reason other than the limit being checked.

@@ -100,8 +100,7 @@ class Motion:
     Attributes:
         name: for messages.
         path_m: displacement at every tick, (n,), beginning near 0.
-        watches: replace the rig's own limits of these names; they count from where the motion
-            begins.
+        watches: replace the rig's limits of these names; they count from the motion's start.
         velocity_limit_m_per_s, acceleration_limit_m_per_s2: of the command, instead of the rig's.
         stay: a motion that is interrupted ends where it comes to rest, not where it began.
         whole_force: the force limit counts from zero load, not from the load at the beginning.
@@ -292,8 +291,7 @@ def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
         watches={**watches, **motion.watches},
         tare_most_m=0.0,
         tare_most_n=0.0,
-        # A command that does not begin at the specimen's position approaches it at no more than
-        # this.
+        # Also limits how fast a command approaches the specimen's position if it begins elsewhere.
         path_velocity_m_per_s=min(base.path_velocity_m_per_s, GENTLE_M_PER_S),
         ramp_in_ticks=setup.rate.ticks(_RAMP_IN_TICKS / core.FS_HZ),
         stay=motion.stay,

@@ -1,8 +1,8 @@
 """All other CAN interfaces of python-can, connected to the core by threads in Python.
 
 The core has a SEQPACKET socket that carries CAN frames, as from `sockets.socket_pair`. Its buffers
-are the bounded queues of both directions; frames that do not fit are dropped and counted. Not real
-time.
+are the bounded queues of both directions; frames that do not fit are dropped and counted. It is not
+real time.
 """
 
 from __future__ import annotations
@@ -136,8 +136,7 @@ class Exchange:
         accepted: identifiers that are forwarded to the core.
 
     Attributes:
-        counters: frames to the core and to the bus, and frames lost in each direction; kept
-            current.
+        counters: frames to the core and to the bus, and frames lost in each direction.
         failure: why the threads gave up, or None.
     """
 

@@ -88,8 +88,7 @@ def _locked(path: Path) -> int:
         fd = _open(path)
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # The previous holder removes its file: the name may be free or refer to another file
-            # now.
+            # The previous holder removes its file: the name may be free, or another file's.
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(fd), os.stat(path)):
                     return fd

@@ -32,8 +32,7 @@ class Opened:
         name: for messages, such as "can0, CAN 1 Mbit/s".
         facts: properties of the link, for the recording; numbers, strings, lists of strings.
         left: the last command of the previous session, from which the next one continues.
-        further: for a rig of several axes, the links of all axes after the first, which is this
-            one.
+        further: for a rig of several axes, the links of all axes but the first, which is this.
     """
 
     kind: Kind

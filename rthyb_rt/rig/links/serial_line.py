@@ -139,8 +139,7 @@ def _not_opened(path: str, number: object, why: str | None) -> str:
 def _lines_here() -> str:
     folder = SYSFS / "class" / "tty"
     with contextlib.suppress(OSError):
-        # ttyS0 and others exist on every machine, with or without hardware: only adapters are
-        # listed
+        # Only adapters: ttyS0 and others exist on every machine, with or without hardware.
         adapters = [p.name for p in folder.iterdir() if p.name.startswith(("ttyUSB", "ttyACM"))]
         if adapters:
             return f"serial adapters here: {', '.join(f'/dev/{name}' for name in sorted(adapters))}"

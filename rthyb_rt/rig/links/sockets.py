@@ -55,8 +55,7 @@ def listen_socket(
     Args:
         path: of the socket; a stale socket of a dead process is removed, anything else is not.
         codec: the frames.
-        timeout_s: how long to wait; ``None``: until a controller connects or a signal ends the
-            wait.
+        timeout_s: how long to wait; ``None``: until a controller connects or a signal arrives.
 
     Raises:
         InputError: the path is in use or cannot be created, or no controller connected in time.

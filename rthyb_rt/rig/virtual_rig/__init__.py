@@ -1,4 +1,4 @@
-"""The virtual rig as a process of its own: actuator controller and load cell at the wire.
+"""The virtual rig as a separate process: actuator controller and load cell at the wire.
 
 It exchanges real frames, has its own clock and watchdog, and keeps running while controllers
 connect and disconnect. `serve` runs one in this process; `Companion` starts one beside a

@@ -1,4 +1,4 @@
-"""A virtual rig in a process of its own, beside a controller."""
+"""A virtual rig in a separate process, started by a controller."""
 
 from __future__ import annotations
 

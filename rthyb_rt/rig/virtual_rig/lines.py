@@ -120,8 +120,7 @@ def _listen(path: Path) -> socket.socket:
         listener = undo.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         try:
             _remove_abandoned(path)
-            # Listen before the socket has its name, so that no other process can connect in
-            # between.
+            # Before the socket has its name, so that no other process can connect in between.
             os.fchmod(listener.fileno(), 0o600)
             listener.bind(str(path))
             listener.listen(1)

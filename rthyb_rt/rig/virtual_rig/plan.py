@@ -1,4 +1,4 @@
-"""What a virtual rig does besides following its commands."""
+"""Rate, faults and duration of a virtual rig."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _FAULT = re.compile(
 
 @dataclass(frozen=True)
 class Plan:
-    """What a virtual rig does besides following its commands.
+    """Rate, faults and duration of a virtual rig.
 
     Attributes:
         rate: sample rate; None: that of the rig file's link.

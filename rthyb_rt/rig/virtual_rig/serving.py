@@ -251,8 +251,7 @@ def _run(
 
     def tick() -> None:
         try:
-            # Locking the process's memory takes longer than many a tick, so the clock starts
-            # afterwards.
+            # The clock starts after the memory has been locked, which takes longer than a tick.
             obtained.extend(ticker.become_real_time())
             begins_ns = ticker.now_ns() + 20_000_000
             clocks.append(ticker.Ticker("host", begins_ns, drive.drives[0].rate_hz))
