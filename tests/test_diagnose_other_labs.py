@@ -1,4 +1,4 @@
-"""Recordings of labs whose noise, formulas and wiring differ from one's own."""
+"""Recordings of labs whose noise, formulas and wiring differ from ours."""
 
 from __future__ import annotations
 

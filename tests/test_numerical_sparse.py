@@ -101,7 +101,7 @@ def elastic(i: int, at: Floats) -> Floats:
 
 
 def worst(found: Floats, expected: Floats) -> float:
-    """Largest difference of any degree of freedom, of that one's own peak."""
+    """Largest difference of any degree of freedom, relative to its own peak."""
     return float((np.abs(found - expected).max(axis=0) / np.abs(expected).max(axis=0)).max())
 
 

@@ -121,7 +121,7 @@ class Loaded:
         """Prepare a test for a rig; this takes time, and may run in any thread.
 
         Raises:
-            InputError: with what is wrong in the test, or between test and rig.
+            InputError: all errors in the test, or between test and rig.
         """
         setup = any_rig.prepare(test, rig, record)
         text = "\0".join((config.dump(setup.test), config.dump(setup.rig_file)))
@@ -338,7 +338,7 @@ class Engine(Conductor):
         """Prepare a test for this rig; this takes time, and may run in any thread.
 
         Raises:
-            InputError: with what is wrong in the test, or between test and rig.
+            InputError: all errors in the test, or between test and rig.
         """
         return Loaded.of(test, self.rig, record)
 

@@ -168,7 +168,7 @@ exec {busybox} poweroff -f
 
 
 class GuestError(Exception):
-    """The guest machine cannot be had or has failed; the command is not to blame."""
+    """The guest machine is not available or has failed; the command is not to blame."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +219,7 @@ def fetch() -> None:
     """Have the kernel and its tools below ``build/vm``; nothing is done when they are there.
 
     Raises:
-        GuestError: they cannot be had on this machine; the text says what to do.
+        GuestError: they are not available on this machine; the text says what to do.
     """
     _require(("ip", "iproute2"))
     if UNPACKED.is_dir():
@@ -332,7 +332,7 @@ def run(
         preload: have `xstate.c` before the kernel even where the processor does not ask for it.
 
     Raises:
-        GuestError: the machine cannot be had, failed twice, or the command took too long; with the
+        GuestError: the machine is not available, failed twice, or the command took too long; with the
             end of the console's output.
     """
     fetch()
