@@ -332,8 +332,8 @@ def run(
         preload: have `xstate.c` before the kernel even where the processor does not ask for it.
 
     Raises:
-        GuestError: the machine is not available, failed twice, or the command took too long; with the
-            end of the console's output.
+        GuestError: the machine is not available, failed twice, or the command took too long; with
+            the end of the console's output.
     """
     fetch()
     if systemd:
