@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import random
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -238,34 +241,104 @@ def test_sweep_goes_on_where_it_was_and_is_not_mixed_with_another(
         rt.sweep(short, LAWS, out=tmp_path / "mine", jobs=1)
 
 
+LAWS_BY_A_SCRIPT = """
+import json, sys, rthyb_rt as rt
+print('top')
+short = rt.Test('section5-T0.5', ground_motion={'duration_s': 1})
+found = rt.sweep(short, {'controller.type': ['paper', 'robust']}, repeat_seeds=2, keep='all',
+                 out=sys.argv[1], jobs=2)
+print(json.dumps(found.rows))
+"""
+"""Without a guard by its name, as engineers write them."""
+
+
+def members(session: int) -> list[int]:
+    """Return the processes of a session that are alive; a zombie is not."""
+    alive = []
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, of = place.read_text().rpartition(")")[2].split()[:4]
+            if int(of) == session and state != "Z":
+                alive.append(int(place.parent.name))
+    return alive
+
+
+def lines(folder: Path) -> list[dict[str, Any]]:
+    path = folder / "rows.jsonl"
+    text = path.read_text() if path.exists() else ""
+    return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
+
+
+def kill(script: Path, folder: str, whom: str, further: int, after_s: float) -> None:
+    """Start the script and kill part of it once it has done some runs, unless it has ended."""
+    before, patience = len(lines(script.parent / folder)), time.monotonic() + 300.0
+    begun = subprocess.Popen(
+        [sys.executable, script, folder], cwd=script.parent, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    while begun.poll() is None and len(lines(script.parent / folder)) < before + further:
+        assert time.monotonic() < patience
+        time.sleep(0.01)
+    time.sleep(after_s)
+    if whom == "a process that computes":
+        for pid in members(begun.pid):
+            if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                os.kill(pid, signal.SIGKILL)
+                break
+        time.sleep(after_s)
+    if begun.poll() is None:
+        (os.killpg if whom == "all" else os.kill)(begun.pid, signal.SIGKILL)
+    begun.wait()
+    while members(begun.pid):  # those that compute end as well
+        assert time.monotonic() < patience
+        time.sleep(0.01)
+
+
+def never_lost_or_doubled(tmp_path: Path, kills: list[tuple[str, int, float]]) -> None:
+    script = tmp_path / "laws.py"
+    script.write_text(LAWS_BY_A_SCRIPT)
+    for whom, further, after_s in kills:
+        kill(script, "killed", whom, further, after_s)
+    told = []
+    for folder in ("killed", "whole"):
+        done = subprocess.run(
+            [sys.executable, script, folder],
+            cwd=tmp_path, check=True, capture_output=True, text=True,
+        )  # fmt: skip
+        # Its processes have not run it from its top.
+        top, rows = done.stdout.splitlines()
+        assert top == "top"
+        told.append(json.loads(rows))
+        assert [row["case"] for row in told[-1]] == list(range(4))
+        assert sorted(row["case"] for row in lines(tmp_path / folder)) == list(range(4))
+    assert told[0] == told[1]
+    for row in told[0]:
+        kept, whole = (
+            rt.open(tmp_path / folder / row["folder"] / "recording.h5")
+            for folder in ("killed", "whole")
+        )
+        assert kept["x_meas_m"].tobytes() == whole["x_meas_m"].tobytes()
+        assert not list((tmp_path / "killed" / row["folder"]).glob(".*"))
+
+
 def test_script_that_is_killed_at_any_moment_goes_on_without_a_lost_or_doubled_run(
     tmp_path: Path,
 ) -> None:
-    """A script without a guard by its name, as engineers write them, on two processes."""
-    script = tmp_path / "laws.py"
-    script.write_text(
-        "import rthyb_rt as rt\n"
-        "print('top')\n"
-        "short = rt.Test('section5-T0.5', ground_motion={'duration_s': 1})\n"
-        "found = rt.sweep(short, {'controller.type': ['paper', 'robust']}, repeat_seeds=4,\n"
-        "                 out='laws', jobs=2)\n"
-        "print(len(found), [row['case'] for row in found.rows])\n"
-    )
-    for seconds in (0.6, 1.5, 2.5):
-        begun = subprocess.Popen(
-            [sys.executable, script], cwd=tmp_path, start_new_session=True,
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        time.sleep(seconds)
-        os.killpg(begun.pid, signal.SIGKILL)
-        begun.wait()
-    done = subprocess.run(
-        [sys.executable, script], cwd=tmp_path, check=True, capture_output=True, text=True
-    )
-    # Its processes have not run it from its top.
-    assert done.stdout.splitlines() == ["top", "8 [0, 1, 2, 3, 4, 5, 6, 7]"]
-    lines = (tmp_path / "laws" / "rows.jsonl").read_text().splitlines()
-    assert sorted(json.loads(line)["case"] for line in lines) == list(range(8))
+    kills = [("all", 0, 0.6), ("the script", 1, 0.0), ("a process that computes", 1, 0.2)]
+    never_lost_or_doubled(tmp_path, kills)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(5))
+def test_script_that_is_killed_again_and_again_loses_and_doubles_no_run(
+    tmp_path: Path, seed: int
+) -> None:
+    drawn = random.Random(seed)
+    whom = ("all", "the script", "a process that computes")
+    kills = [
+        (drawn.choice(whom), drawn.choice((0, 0, 0, 1)), drawn.uniform(0.0, 2.0)) for _ in range(8)
+    ]
+    never_lost_or_doubled(tmp_path, kills)
 
 
 def test_sweep_is_computed_by_a_dask_client(short: rt.Test, tmp_path: Path) -> None:

@@ -268,6 +268,51 @@ def test_changed_rig_file_is_another_campaign(tmp_path: Path) -> None:
     assert campaign(tmp_path, text).fingerprint != first.fingerprint
 
 
+MOTION = "t [s],a [m/s2]\n" + "".join(f"{0.01 * n:.2f},{n % 7 - 3}\n" for n in range(200))
+LAW = """
+import rthyb_rt as rt
+class Held(rt.ControlLaw):
+    def lead(self, x_c_m, allowed_m):
+        return x_c_m
+"""
+
+
+def test_changed_ground_motion_or_control_law_is_another_campaign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows computed with the file as it was before do not meet rows with the file as it is now."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    motion, law = tmp_path / "motion.csv", tmp_path / "held_command.py"
+    text = (Path(__file__).parents[1] / "examples" / "section5-T0.5.toml").read_text()
+    (tmp_path / "mine.toml").write_text(
+        text.replace("elcentro-1940-ns", "motion.csv").replace("duration_s = 40", "duration_s = 1")
+    )
+    by_test = TWO_LAWS.replace('"two-laws"', '"two-laws"\ntest = "mine.toml"')
+    by_list = TWO_LAWS + '"ground_motion.record" = ["motion.csv"]\n'
+    by_class = TWO_LAWS + '"controller.python.class" = ["held_command:Held"]\n'
+    by_class = by_class.replace('"paper", "alpha-beta"', '"python"')
+    for file, before, texts in (
+        (motion, MOTION, (by_test, by_list)),
+        (law, LAW, (by_class,)),
+    ):
+        for text in texts:
+            file.write_text(before)
+            first = campaign(tmp_path, text).fingerprint
+            assert campaign(tmp_path, text).fingerprint == first
+            file.write_text(before + "\n")
+            assert campaign(tmp_path, text).fingerprint != first
+
+
+def test_campaign_that_was_killed_while_its_plan_was_written_goes_on(tmp_path: Path) -> None:
+    whole = campaign(tmp_path)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / f".{book.PLAN}.4711.part").write_text('{"schema": "rth')
+    with book.Book(out, whole) as kept:
+        assert kept.left == list(whole.cases)
+
+
 def test_row_that_comes_twice_is_kept_once(tmp_path: Path) -> None:
     with book.Book(tmp_path / "out", campaign(tmp_path)) as kept:
         kept.add(made_up(1))

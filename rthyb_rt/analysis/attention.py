@@ -181,7 +181,7 @@ class Judge:
         return (MOVES * peak_m) ** 2 * self._rows
 
     def _moving(self, squares: Floats, size: int) -> NDArray[np.bool_]:
-        """Return which windows contain motion in both halves, so that no quiet one is judged."""
+        """Return which windows contain motion in both halves, so that no quiet half is judged."""
         half = max(1, size // 2)
         moves = _windows(squares, half) > half * self._moves2
         both: NDArray[np.bool_] = moves[: squares.size - size + 1] & moves[size - half :]

@@ -82,7 +82,7 @@ class LinearPart:
 
 
 def of_sparse(config: SparseConfig) -> LinearPart:
-    """Return the step of KR-alpha in x and v; if weighted, also in the last q and force."""
+    """Return one step of KR-alpha in x and v, preceded by weights of the last q and force."""
     n, h, w = config.size, config.period_s, Weights.of(config.integrator, config.rho_inf)
     b = config.interface_rows()[0]
     k_e = config.k_e_n_per_m[0]

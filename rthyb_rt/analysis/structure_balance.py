@@ -226,7 +226,7 @@ class _Run:
         """Yield blocks of rows with one row before and one after: (number of the first row, x)."""
         rows = len(self.ag) - 1
         now = self.parts[0].displacements()
-        # The row before the first: at rest it equals the one after it, else it is extrapolated.
+        # The row before the first mirrors the one after it, since the part begins at rest.
         held, first = [now, now], 0
         for n in range(rows):
             held.append(self._step(n))

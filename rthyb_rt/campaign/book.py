@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import json
 import os
+import re
 from pathlib import Path
 from typing import Final, Self
 
@@ -17,6 +18,8 @@ PLAN: Final = "plan.json"
 GIVEN: Final = "given"
 """Folder of the input files of a sweep; it exists before the campaign does."""
 SCHEMA: Final = "rthyb-campaign-plan/1"
+_UNFINISHED_PLAN: Final = re.compile(rf"\.{re.escape(PLAN)}\.\d+\.part")
+"""What a process leaves that is killed while it writes the plan."""
 
 
 class Book:
@@ -72,7 +75,10 @@ class Book:
                     str(self.folder),
                 )
             return
-        if any(path.name != GIVEN for path in self.folder.iterdir()):
+        if any(
+            path.name != GIVEN and not _UNFINISHED_PLAN.fullmatch(path.name)
+            for path in self.folder.iterdir()
+        ):
             raise InputError(
                 "is not empty and does not hold a campaign; choose another folder with --out",
                 str(self.folder),

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import importlib.util
 import itertools
 import json
 import math
+import re
 import shlex
-from collections.abc import Iterator, Sequence
+import tomllib
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -37,6 +41,7 @@ COMPLETED, STOPPED, FAILED = "completed", "stopped", "failed"
 NOISE_SEED: Final = "rig.seed"
 FILES: Final = ("test", "rig")
 """Keys that name a file instead of one of its values."""
+_MODULE_AND_CLASS: Final = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_][\w.]*")
 _LEFT_OUT: Final = (
     "test_name",
     "end_reason",
@@ -325,10 +330,54 @@ def fingerprint(cases: Sequence[Case]) -> str:
     """Return the fingerprint of a campaign, including its files and the program."""
     digest = hashlib.sha256(json.dumps([asdict(case) for case in cases]).encode())
     digest.update(program().encode())
-    for name in sorted({name for case in cases for name in (case.test, case.rig) if name}):
-        if Path(name).is_file():
-            digest.update(Path(name).read_bytes())
+    named = {name for case in cases for name in (case.test, case.rig)}
+    named |= {setting.partition("=")[2] for case in cases for setting in case.settings}
+    for path in files_read(named):
+        digest.update(path.read_bytes())
     return digest.hexdigest()
+
+
+def files_read(named: Iterable[str]) -> list[Path]:
+    """Return the files that tests and rigs are read from, and those that these name, in order.
+
+    Ground motions, matrices, identified responses, libraries: every value that is the path of a
+    file. Modules with classes in Python count as well, but not what they import.
+
+    Args:
+        named: paths, names and other values, of which those count that are files.
+    """
+    found: set[Path] = set()
+    waiting = [(Path(), value) for value in named if value]
+    while waiting:
+        folder, value = waiting.pop()
+        path = _file(folder, value)
+        if path is None or path in found:
+            continue
+        found.add(path)
+        if path.suffix == ".toml":
+            with contextlib.suppress(tomllib.TOMLDecodeError, UnicodeDecodeError):
+                waiting += [(path.parent, one) for one in _texts(tomllib.loads(path.read_text()))]
+    return sorted(found)
+
+
+def _file(folder: Path, value: str) -> Path | None:
+    """Return the file that a value names, or None."""
+    try:
+        if _MODULE_AND_CLASS.fullmatch(value):
+            module = importlib.util.find_spec(value.partition(":")[0])
+            value = "" if module is None else module.origin or ""
+        path = (folder / value).resolve()
+        return path if path.is_file() else None
+    except Exception:  # a text that can be no path, or whatever a user's package raises
+        return None
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, (dict, list)):
+        for one in value.values() if isinstance(value, dict) else value:
+            yield from _texts(one)
 
 
 def _toml(value: Scalar) -> str:

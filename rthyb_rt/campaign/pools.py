@@ -6,10 +6,12 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, nullcontext
+from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any, Final
 
@@ -50,9 +52,22 @@ def single_threaded() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _leave_interrupts() -> None:
-    """Leave Ctrl-C to the conducting process, which ends the others."""
+def _begin() -> None:
+    """Leave Ctrl-C to the conducting process, and end with it, however it ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    conducting = multiprocessing.parent_process()
+    if conducting is not None:
+        threading.Thread(target=_end_after, args=(conducting,), daemon=True).start()
+
+
+def _end_after(conducting: BaseProcess) -> None:
+    """Wait until another process is no more, then end this one in the middle of what it does.
+
+    After SIGKILL or SIGTERM nobody tells the processes of a pool; they would wait for a next run
+    forever.
+    """
+    conducting.join()
+    os._exit(1)
 
 
 @contextmanager
@@ -76,7 +91,7 @@ def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
     # New processes inherit no open files and no locks held by threads of this one.
     context = multiprocessing.get_context("spawn")
     with single_threaded(), _no_main():
-        pool = ProcessPoolExecutor(jobs, context, initializer=_leave_interrupts)
+        pool = ProcessPoolExecutor(jobs, context, initializer=_begin)
         try:
             yield pool
         finally:

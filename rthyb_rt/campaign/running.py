@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from pathlib import Path
 from typing import Final
 
@@ -57,6 +58,7 @@ def carry_out(case: Case, keep: str = "nothing", folder: str = "", wanted: str =
 def _kept(case: Case, setup: Setup, rec: Recording, folder: Path) -> Row:
     """Store recording, settings and report of a run; return the links to them."""
     place = folder / FOLDERS / f"{case.number:06d}"
+    shutil.rmtree(place, ignore_errors=True)  # what a process began that was killed
     place.mkdir(parents=True, exist_ok=True)
     keeping.keep(place, setup, rec)
     found: Row = {"folder": str(place.relative_to(folder))}

@@ -41,7 +41,7 @@ SETTLE_CYCLES, SETTLE_S = 2, 1.2
 
 FIT_CYCLES = 4
 FIT_SECONDS = 2.0
-"""Each frequency is fitted over at least this many whole cycles and seconds."""
+"""Each frequency is fitted over whole cycles that last at least this long."""
 
 FREQUENCIES_HZ = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0)
 HIGHEST_HZ = 100.0

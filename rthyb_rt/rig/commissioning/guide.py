@@ -124,7 +124,7 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
         "sent. Send commands that hold the drive where it is?"
     ):
         return None
-    # Lost pairs only indicate here; they are reported below with the share that is needed.
+    # Lost pairs are counted and judged below, not tolerated silently.
     counted = {"lost_pairs": core.Watch(1.0 - FRESH_SHARE, "indicate")}
     rest = Motion("rest", np.zeros(connection.rig.rate.ticks(REST_S)), counted)
     try:

@@ -43,7 +43,7 @@ _NOT_PROVOKED: Final = {
     "skipped_ticks_warning_share": "needs a PC that is late",
 }
 _SHARE: Final = 0.5
-"""Lowered limits are set to this share of the small motion's peak, or of a smaller limit."""
+"""Lowered limits are set to this share of the peak of the small motion."""
 _SHARE_OF_ACCELERATION: Final = 0.9
 """The same for acceleration: a command with much less than its path needs overshoots far."""
 _BARELY: Final = 1.02

@@ -262,7 +262,7 @@ def after_trip(rows: Rows, before: int = 0) -> Stop:
     places = np.flatnonzero(fresh(rows))
     received = rows[places]
     stopped = (received["flags"] & FLAGS["stopped"]) != 0
-    # It may report a stop until its first command; only what comes after it followed counts.
+    # It may report a stop before its first command; only what follows its first motion counts.
     begun = int(np.flatnonzero(~stopped)[0]) if (~stopped).any() else received.size
     stops = np.flatnonzero(stopped[begun:]) + begun
     if not stops.size or not tripped.any():

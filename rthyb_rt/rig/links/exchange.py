@@ -38,7 +38,7 @@ up while Python stalls are sent as a burst of old ones. Readings: about 40 pairs
 WAIT_S: Final = 0.05
 SEND_TIMEOUT_S: Final = 0.01
 FAILED_SENDS_MOST: Final = 20
-"""Failed sends in a row after which the bus counts as lost, as the drive's watchdog does."""
+"""Failed sends in a row after which the bus counts as lost."""
 JOIN_S: Final = 2.0
 
 _HEADER: Final = struct.Struct("=IBB2x")
