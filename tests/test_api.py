@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import json
 import re
-import resource
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bench import interface
 
 import rthyb_rt as rt
 from rthyb_rt import config
@@ -38,17 +38,6 @@ def rec(short: rt.Test) -> rt.Recording:
 # ---- importing ----------------------------------------------------------------------------------
 
 
-def _cpu_s(code: str) -> float:
-    """Return the computing time of a new interpreter, the least of five."""
-    best = np.inf
-    for _ in range(5):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        subprocess.run([sys.executable, "-c", code], check=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        best = min(best, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
-    return float(best)
-
-
 def test_importing_the_package_loads_nothing_of_what_it_may_need() -> None:
     code = (
         "import sys, json; import rthyb_rt as rt; dir(rt); "
@@ -62,9 +51,9 @@ def test_importing_the_package_loads_nothing_of_what_it_may_need() -> None:
 
 @pytest.mark.speed
 def test_importing_the_package_costs_less_than_150_ms_of_processor() -> None:
-    empty, imported = _cpu_s("pass"), _cpu_s("import rthyb_rt")
-    print(f"import rthyb_rt: {1e3 * (imported - empty):.1f} ms of processor time")
-    assert imported - empty <= 0.15
+    cost_s = interface.import_cpu_s()
+    print(f"import rthyb_rt: {1e3 * cost_s:.1f} ms of processor time")
+    assert cost_s <= 0.15
 
 
 def test_a_test_is_run_without_the_packages_that_draw_and_tabulate() -> None:
@@ -418,21 +407,9 @@ def test_recording_is_saved_exported_and_reported(rec: rt.Recording, tmp_path: P
 
 
 @pytest.mark.speed
-def test_running_from_python_costs_what_the_command_costs(tmp_path: Path) -> None:
-    # Alternating, with the report: the least of each is what the machine has disturbed least.
-    python = (
-        "import rthyb_rt as rt; rec = rt.run(out=__import__('sys').argv[1]); rec.table, rec.notices"
-    )
-    times: dict[str, list[float]] = {"python": [], "command": []}
-    for number in range(5):
-        for name, command in (
-            ("python", [sys.executable, "-c", python, str(tmp_path / f"p{number}")]),
-            ("command", [*RTHYB, "run", "--out", str(tmp_path / f"c{number}")]),
-        ):
-            before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
-            subprocess.run(command, check=True, capture_output=True)
-            times[name].append(resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime - before)
-    ratio = min(times["python"]) / min(times["command"])
+def test_running_from_python_costs_what_the_command_costs() -> None:
+    found = interface.run_and_command()
+    ratio = found.python.user_s / found.other.user_s
     print(f"rt.run over rthyb run: {ratio:.3f} of the processor time")
     assert ratio <= 1.05
 

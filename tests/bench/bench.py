@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import interface
 import long_recording
 import loops
 import numpy as np
@@ -281,6 +282,38 @@ def command_figures() -> list[Figure]:
     ]
 
 
+def interface_figures() -> list[Figure]:
+    """Time the Python interface: its import, a run beside the command, a thousand runs."""
+    imported = interface.import_cpu_s()
+    one = interface.run_and_command()
+    many = interface.sweep_and_script()
+    load = os.getloadavg()[2]
+    runs = f"{interface.RUNS} runs of 40 s on {interface.PROCESSES} processors"
+    return [
+        Figure("import rthyb_rt: processor time", imported, "s", interface.IMPORT_MOST_S),
+        Figure(
+            "rt.run over rthyb run",
+            one.python.user_s / one.other.user_s,
+            "x",
+            interface.RUN_OVER_COMMAND_MOST,
+            note=f"processor time {one.python.user_s:.2f} and {one.other.user_s:.2f} s",
+        ),
+        Figure(
+            f"rt.sweep, {runs}",
+            many.python.seconds,
+            "s",
+            interface.THOUSAND_RUNS_MOST_S,
+            note=f"processor time {many.python.cpu_s:.0f} s; load {load:.1f}",
+        ),
+        Figure(
+            "the same by a script of the program's parts",
+            many.other.seconds,
+            "s",
+            note=f"processor time {many.other.cpu_s:.0f} s",
+        ),
+    ]
+
+
 def diagnosis_figures() -> list[Figure]:
     """Time `rthyb diagnose` on a short and on a long recording with friction left out."""
     figures = []
@@ -416,9 +449,9 @@ def main() -> None:
     facts = machine_facts()
     for key, value in facts.items():
         print(f"{key:13} {value}")
-    print("\nMeasuring for two minutes ...\n", flush=True)
+    print("\nMeasuring for four minutes ...\n", flush=True)
     # First, while this process is small: a child's peak counts what it was before its exec.
-    commands = [*command_figures(), *diagnosis_figures()]
+    commands = [*command_figures(), *diagnosis_figures(), *interface_figures()]
     rows = run_c_driver()
     ratio = loops.counting_ratio()
     figures = [
