@@ -10,11 +10,11 @@ import pytest
 
 from rthyb_rt import config, core
 from rthyb_rt.config.rigfile import RigFile
-from rthyb_rt.diagnose import effects, engine, estimate, reading, rigged
+from rthyb_rt.diagnose import effects, engine, estimate, force, reading, rigged
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Member
+from rthyb_rt.diagnose.select import Fit, Member, Problem
 from rthyb_rt.lab import experiment, virtual_time
 from tests.test_diagnose_loop import SECTION_5, TABLE, answer_of, recorded, run
 
@@ -81,6 +81,30 @@ def test_rig_that_is_as_its_model_lacks_nothing(table_run, capsys):
     answer = answer_of(table_run, TABLE, capsys)
     assert answer["verdict"] == "none"
     assert answer["closed_loop"]["nrmse_after"]["x_meas"] < 0.02
+
+
+def test_sliding_within_the_noise_of_the_displacement_is_dry_friction(table_run):
+    """The sensor has 2 um of noise: a slider that yields at 4 um is a second dry friction."""
+    case = case_of(table_run, config.load_rig(TABLE))
+    found = estimate.from_sensors(case)
+    assert found is not None
+    ctx = engine.context_of(case, found)
+    body, laws = rigged.RigBody(case, ctx), effects.catalogue()
+
+    def fit(*parts: tuple[str, Trial]) -> Fit:
+        members = tuple(Member(laws[name], trial) for name, trial in parts)
+        return Fit(members, tuple(np.ones(1) for _ in members), 0.0, 0)
+
+    dry = ("coulomb", Trial((5e-4,)))
+    narrow, wide = (("hysteresis", Trial((xy_m, 50.0), "slider")) for xy_m in (4e-6, 4e-5))
+    assert not body.distinct(fit(dry, narrow))
+    assert body.distinct(fit(dry, wide))
+    assert body.distinct(fit(narrow))
+    assert body.distinct(fit(dry, ("viscous", Trial())))
+    problem = Problem(case, ctx, found, laws.values())
+    mover = force._Mover(problem, body, force._Fitter(problem))
+    assert mover.move(fit(dry, narrow)) is None
+    assert body.runs == rigged.RUNS, "no simulation is spent on it"
 
 
 @pytest.mark.long

@@ -221,8 +221,11 @@ class _Mover(_Fitter):
     def move(self, fit: Fit) -> Fit | None:
         """Refine a set that was found in the force balance; the better of its shapes is kept.
 
-        A set that reproduces the motion cannot be improved from another start.
+        A set that reproduces the motion cannot be improved from another start, and one that has an
+        effect twice is the same as without the second.
         """
+        if not self.body.distinct(fit):
+            return None
         known = self.by_names.get(fit.names)
         if known is not None and known.chi2 < POLICY.motion_met_alone * self.rows:
             return known
@@ -411,15 +414,16 @@ def _moved(
     """Evaluate the most promising sets by simulated motion; None if none reproduces it."""
     problem = dictionary.problem
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
-    ranked = [f for f in ranked if body.quick(f)]
+    ranked = [f for f in ranked if body.quick(f) and body.distinct(f)]
     # Effects seen only by the load cell do not move the body.
     ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
     singles = [f for f in ranked if len(f.members) == 1]
     # The set named by the balance and its first set, after their subsets: the number of simulations
     # is limited.
     felt = [f for f in (named, *ranked[:1]) if not body.held or not _seen_only(f.members)]
-    leading = [f for f in {f.names: f for f in felt}.values() if len(f.members) == 2]
-    parts = [f for f in singles if any(set(f.names) < set(pair.names) for pair in leading)]
+    several = range(2, body.largest + 1)
+    leading = [f for f in {f.names: f for f in felt}.values() if len(f.members) in several]
+    parts = [f for f in singles if any(set(f.names) < set(whole.names) for whole in leading)]
     first = body.first(ranked)
     for fit in first:
         mover.move(fit)

