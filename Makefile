@@ -23,7 +23,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run install reproduce test test-long test-vm test-systemd test-live soak sanitize fuzz \
+.PHONY: help run install reproduce test test-long test-opensees test-vm test-systemd test-live soak sanitize fuzz \
         fuzz-station tsan validate-realtime proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
         benchmark-rths-short benchmark-marths bench lint docs man wheels test-aarch64 clean
 
@@ -33,6 +33,7 @@ help:
 	@echo "make reproduce  the paper's studies: figures, tables, accepted bands"
 	@echo 'make test       the test suite'
 	@echo 'make test-long  what of it takes long: whole stories of the diagnosis, every seed'
+	@echo 'make test-opensees  structures held against OpenSees, which is installed for it'
 	@echo 'make test-vm    the tests that need a kernel with SocketCAN, in a guest machine'
 	@echo 'make test-systemd  the service as systemd runs it, in a guest machine'
 	@echo 'make test-live  the live view in chromium: moving curves, hold, stop, a trip'
@@ -91,6 +92,17 @@ test: $(TEST_READY)
 WORKERS := 2
 test-long: $(TEST_READY)
 	@$(BIN)/python -m pytest -m long -n $(WORKERS) --dist worksteal $(call with_mark,long) || { $(AGAIN) -m long; }
+
+# Without openseespy these tests are skipped, so it is installed here, with what it needs of Debian.
+OPENSEES = $(BIN)/python -c 'import openseespy.opensees' >/dev/null 2>&1
+test-opensees: $(TEST_READY)
+	@$(OPENSEES) || $(BIN)/python -m pip install -qq openseespy
+	@$(OPENSEES) || $(if $(CAN_INSTALL),{ echo 'Installing libblas3 and liblapack3' && apt-get -qq update \
+	    && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
+	    --no-install-recommends libblas3 liblapack3 >/dev/null; \
+	    },{ echo 'Install what OpenSees needs: sudo apt-get install libblas3 liblapack3'; exit 1; })
+	@$(BIN)/python -c 'import openseespy.opensees'
+	@$(BIN)/python -m pytest tests/test_numerical_sparse.py tests/test_openseesmodel.py -k opensees
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
 # busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.
