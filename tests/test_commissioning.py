@@ -291,7 +291,7 @@ def test_wrong_scale_is_found() -> None:
     wired = rig({"calibration.displacement.scale": "1.5", "calibration.command": "{ scale = 1 }"})
     (fault,) = commissioned(rig(), wired, "polarity").steps["polarity"].faults
     assert "0.66" in fault
-    assert "from 0.8 to 1.2 are allowed" in fault
+    assert "0.8 to 1.2 is allowed" in fault
 
 
 def test_load_cell_that_is_not_connected_is_found() -> None:
@@ -419,7 +419,7 @@ def test_rig_that_jumps_as_commands_begin_is_found() -> None:
     assert list(found.steps) == ["link"]
     (fault,) = found.steps["link"].faults
     assert "when commands began" in fault
-    assert "first offset_m" in fault
+    assert "starting with offset_m" in fault
 
 
 def test_link_that_loses_frames_fails() -> None:

@@ -52,7 +52,7 @@ REMEDIES: Final[dict[str, str]] = {
     "lost_pairs": "Too many pairs of displacement and force were lost within a second: check "
     "cable, connectors and bus load.",
     "skips": "This PC was late too often: `rthyb jitter` says what to change.",
-    "stalled": "This PC stood still for 20 ticks: `rthyb jitter` says what to change.",
+    "stalled": "This PC stalled for 20 ticks: `rthyb jitter` says what to change.",
     "apart": "One drive lost samples, or runs on another clock: check the link of each drive and "
     "what synchronizes them.",
     "no_pose": "The displacements measured on the axes fit no position of the specimen: check "

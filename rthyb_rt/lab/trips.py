@@ -45,7 +45,7 @@ _WATCHED: Final[dict[str, _Watched]] = {
     "link_lost": _Watched("no usable pair for", "ticks", 1.0),
     "skips": _Watched("skipped", "ticks", 1.0),
     "skip_share": _Watched("skipped", "% of the ticks", 100.0),
-    "stalled": _Watched("this PC stood still for", "ticks", 1.0),
+    "stalled": _Watched("this PC stalled for", "ticks", 1.0),
 }
 _TURNED: Final[dict[str, _Watched]] = {
     "position": _Watched("command", "mrad", 1e3),

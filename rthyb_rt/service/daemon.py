@@ -698,7 +698,7 @@ def _record(given: dict[str, Any]) -> GroundMotion:
             f"found more than {_AG_MOST_MPS2:g} m/s2: check the unit", "record.acceleration_mps2"
         )
     if not all(isinstance(value, str) for value in details.values()):
-        raise InputError("must be texts", "record.details")
+        raise InputError("must be strings", "record.details")
     _check_texts(given)
     try:
         float(details.get("scale", "1"))

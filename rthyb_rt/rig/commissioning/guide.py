@@ -147,7 +147,8 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
         faults.append(
             f"the displacement went from {figures['displacement_m'] - figures['jump_m']:.4g} m to "
             f"{figures['displacement_m']:.4g} m when commands began, although it was commanded to "
-            "hold: displacement and command disagree; check both in [calibration], first offset_m"
+            "hold: displacement and command disagree; check both in [calibration], starting with "
+            "offset_m"
         )
     rate = figures["rate_hz"]
     wanted_hz = connection.rig.rate.hz

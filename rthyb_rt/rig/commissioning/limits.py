@@ -271,7 +271,7 @@ def _why_not_bounded(moved: Moved, key: str, value: float, quantum_m: float, h: 
         return "the command was not limited"
     found, rounding = _command_reached(_without_gaps(rows)["x_cmd_m"], key, quantum_m, h)
     if found > value * _BARELY + rounding:
-        return f"the command continued with {found:.4g} {limits_file.unit_of(key)}"
+        return f"the command still reached {found:.4g} {limits_file.unit_of(key)}"
     return ""
 
 

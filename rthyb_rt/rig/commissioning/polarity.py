@@ -56,7 +56,7 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
     elif abs(slope - 1.0) > SLOPE_TOLERANCE:
         faults.append(
             f"the displacement moved by {_mm(x_m)} when {_mm(command_m)} were commanded, "
-            f"{slope:.3g} of it; from {1 - SLOPE_TOLERANCE:g} to {1 + SLOPE_TOLERANCE:g} are "
+            f"a ratio of {slope:.3g}; {1 - SLOPE_TOLERANCE:g} to {1 + SLOPE_TOLERANCE:g} is "
             "allowed: check the scales of displacement and command in [calibration], and the "
             "drive's units"
         )

@@ -166,7 +166,7 @@ def _named_parts(text: str) -> tuple[str, float, float | None, float]:
 def _value(kind: str, text: str | None) -> float:
     if kind not in _VALUES:
         if text is not None:
-            raise ValueError(f"found the value {text}; {kind} has no value")
+            raise ValueError(f"found the value {text}; {kind} takes no value")
         return 1.0
     low, high, unit, default = _VALUES[kind]
     if text is None and default is None:
