@@ -152,7 +152,7 @@ def test_limit_above_the_rigs_is_refused_naming_both() -> None:
         limits(force_n=25000, command_acceleration_m_per_s2=10, sensor_stuck_samples=50),
     )
     assert found == {
-        "limits.force_n": 'found 30000 N; rig "spring" says limits.force_n = 25000 N, action '
+        "limits.force_n": 'found 30000 N; rig "spring" has limits.force_n = 25000 N, action '
         '"trip", and a test may not allow more; remove the key from the test to use the rig\'s',
         "limits.sensor_stuck_samples": 'found 100 samples; rig "spring" says '
         'limits.sensor_stuck_samples = 50 samples, action "trip", and a test may not allow more; '

@@ -143,7 +143,7 @@ def test_frame_on_two_actuators_closes_but_for_the_integrators_own_damping(tmp_p
     assert abs(found.specimen_j[-1]) < 0.05 * found.input_j.max()
     plot = rec.plot.balance()
     assert "<svg" in plot.svg
-    assert "left unexplained" in plot.note
+    assert "is unexplained" in plot.note
     written = {path.name: path for path in rec.report_files(tmp_path)}
     assert {"balance.svg", "balance.pdf", "modes.pdf", "axis-1.svg", "table.tex"} <= set(written)
     measures = dict(line.split(",") for line in written["measures.csv"].read_text().splitlines())

@@ -148,7 +148,7 @@ def test_the_report_draws_modes_storeys_and_what_was_recorded(
     assert "0.990 Hz, 2.0 %" in plates["modes"].svg
     assert "storey 2." in plates["drifts"].note
     assert "drift_2" in plates["recorded-displacements"].svg
-    assert "7 more in the recording moved less" in plates["recorded-forces"].note
+    assert "7 others, with smaller peaks" in plates["recorded-forces"].note
 
 
 @pytest.mark.parametrize("rows", [0, 5, 3000])

@@ -151,7 +151,7 @@ def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
 def loop_rows(loop: Verdict | None) -> list[tuple[str, str, str]]:
     """Return the rows for the whole loop: root, gain margin, delay margin."""
     if loop is None:
-        return [("Largest root", "not judged", "the rig file has no identified response")]
+        return [("Largest root", "not computed", "the rig file has no identified response")]
     what = f"whole loop, elastic specimen; rig known up to {loop.swept_hz:g} Hz"
     root = f"{loop.radius:.5f} at {number(loop.frequency_hz)} Hz"
     if loop.unstable:
@@ -221,11 +221,11 @@ def link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
     clocks = {
         "host": (
             "host",
-            "this PC's clock is the master; the drive may skip or repeat a sample now and then",
+            "follows this PC's clock; the drive may skip or repeat a sample occasionally",
         ),
         "link": (
             f"link, feedback {link['lead_us']:g} us before the tick",
-            "the drive's clock is the master",
+            "follows the drive's clock",
         ),
         "stepped": ("stepped", "not real time"),
     }

@@ -331,7 +331,7 @@ def _weaker(key: str, own: Any, bound: Any, rig_name: str) -> Iterator[Problem]:
         unit = unit_of(key)
         yield Problem(
             f"limits.{key}",
-            f'found {own:g} {unit}; rig "{rig_name}" says limits.{key} = {bound:g} {unit}, '
+            f'found {own:g} {unit}; rig "{rig_name}" has limits.{key} = {bound:g} {unit}, '
             f"{'at least' if at_least else 'at most'}; remove the key from the test to use the "
             "rig's",
         )
@@ -341,7 +341,7 @@ def _weaker_limit(key: str, own: Limit, bound: Limit | None, rig_name: str) -> I
     if bound is None or not _binds(bound):
         return
     unit = unit_of(key)
-    allowed = f'rig "{rig_name}" says limits.{key} = {bound.value:g} {unit}, action '
+    allowed = f'rig "{rig_name}" has limits.{key} = {bound.value:g} {unit}, action '
     remedy = "remove the key from the test to use the rig's"
     stronger = " or a stronger one" if bound.action != ACTIONS[-1] else ""
     if own.value > bound.value:

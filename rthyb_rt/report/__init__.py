@@ -89,14 +89,14 @@ def _pairs(s: Summary) -> list[tuple[str, str, str]]:
             quantity(s.tracking_peak_difference_m, "mm", 1e3),
             quantity(s.response_peak_difference_m, "mm", 1e3),
         ),
-        ("as part of the peak", percent(s.tracking_peak_error), percent(s.response_peak_error)),
+        ("relative to the peak", percent(s.tracking_peak_error), percent(s.response_peak_error)),
     ]
 
 
 def _rest(s: Summary) -> list[tuple[str, str, str]]:
     """Return the rows of the result table that the pairs do not contain."""
-    told = ("Tracking,", "Response", "Loops at")
-    return [row for row in table(s) if not row.label.startswith(told)]
+    shown = ("Tracking,", "Response", "Loops at")
+    return [row for row in table(s) if not row.label.startswith(shown)]
 
 
 def _steps(s: Summary) -> list[tuple[str, ...]]:
@@ -133,7 +133,7 @@ def _commissioned(meta: dict[str, Any]) -> dict[str, str]:
     if not isinstance(facts, dict):
         return {}
     if facts.get("virtual"):
-        return {"Rig commissioned": "not asked for: a virtual rig"}
+        return {"Rig commissioned": "not required for a virtual rig"}
     steps = (("polarity", "Polarity"), ("limits", "Limits"), ("watchdog", "Drive's own stop"))
     return {f"{name} checked": str(facts.get(key) or "never") for key, name in steps}
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.analysis.hysteresis import Amplitude, Loop
 from rthyb_rt.core import RUNNING
-from rthyb_rt.numbers import percent, quantity
+from rthyb_rt.numbers import count, percent, quantity
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import drawing as draw
 
@@ -55,7 +55,7 @@ def loops(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
     draw.x_label(axes, "measured displacement, mm")
     left = len(amplitudes) - picked.size
     note = "The last cycle of each amplitude" + (
-        f"; {left} between them not shown." if left else "."
+        f"; {count(left, 'amplitude')} not shown." if left else "."
     )
     return paper.plate("Loops by amplitude", note)
 
@@ -104,8 +104,8 @@ def over_amplitude(amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
     draw.x_label(axes, "amplitude, mm")
     total = sum(loop.energy_j for one in amplitudes for loop in one.loops)
     note = (
-        f"Of the last cycle of each amplitude; all cycles took {quantity(total, 'J')} out, "
-        f"equivalent damping at the largest {percent(last[-1].damping_ratio)}."
+        f"From the last cycle of each amplitude. All cycles dissipated {quantity(total, 'J')}; "
+        f"equivalent damping at the largest amplitude: {percent(last[-1].damping_ratio)}."
     )
     return paper.plate("Stiffness and damping", note)
 

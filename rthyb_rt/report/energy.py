@@ -62,10 +62,10 @@ def drawn(found: of.EnergyBalance) -> draw.Plate:
         axes.set_xlim(*draw.span(found.t_s[0], found.t_s[-1]))
         draw.x_label(axes, "time, s")
         fed = quantity(float(found.fed_j[-1]), "J")
-        within = ", in its nonlinear elements" if found.elements_j.any() else ""
+        within = ", by its nonlinear elements" if found.elements_j.any() else ""
         note = (
-            f"Lost in the damping of the numerical part{within} and in the specimen, stored as "
-            "strain and motion: the layers fill what was put in. The tracking error has fed "
-            f"{fed} in the end; {percent(found.gap)} is left unexplained at most."
+            f"Energy dissipated by damping of the numerical part{within} and by the specimen, and "
+            "stored as strain and kinetic energy; together the layers equal the input. The "
+            f"tracking error added {fed} in total; at most {percent(found.gap)} is unexplained."
         )
         return paper.plate(TITLE, note)

@@ -29,7 +29,7 @@ def plates(rec: Recording) -> list[draw.Plate]:
         if own.size:
             note = (
                 f"From {number(float(own.min()))} to {number(float(own.max()))} {channel.unit} in "
-                "the test, as measured: no offset was taken off."
+                "the test, as measured: no offset was subtracted."
             )
         found.append(paper.plate(f"Extra channel {channel.name}", note))
     return found

@@ -115,7 +115,7 @@ def _displacement(s: AxesSummary, j: int, one: OfDirection) -> Plate:
     draw.x_label(axes, "time, s")
     return paper.plate(
         f"Direction {one.name}",
-        f"Measured along the interface, and the reference simulation: they differ by at most "
+        "Measurement along the interface, and reference simulation; largest difference "
         f"{several.size_of(one.response_peak, one.turns)}.",
     )
 
@@ -145,13 +145,13 @@ def _command(s: AxesSummary, i: int) -> Plate:
     (axes,) = paper.axes
     t = s.signals.time_s
     command, measured = s.signals.command_m[:, i] * 1e3, s.signals.measured_m[:, i] * 1e3
-    draw.curve(axes, t, command, draw.ORANGE, 0.8, "command")
+    draw.curve(axes, t, command, draw.ORANGE, 0.8, "compensated command")
     draw.curve(axes, t, measured, draw.BLUE, 0.8, "measured")
     draw.symmetric(axes, max(draw.largest(command), draw.largest(measured), 1e-3))
     axes.set_xlim(*draw.span(0.0, float(t[-1])))
     draw.head(axes, f"axis {name}, mm")
     draw.x_label(axes, "time, s")
-    return paper.plate(f"Axis {name}", "The command as it was sent, and the measured displacement.")
+    return paper.plate(f"Axis {name}", "Compensated command, and measured displacement.")
 
 
 def _tracking(s: AxesSummary, i: int) -> Plate:
@@ -166,7 +166,7 @@ def _tracking(s: AxesSummary, i: int) -> Plate:
     draw.symmetric(axes, limit)
     axes.set_xlim(-1.06 * limit, 1.06 * limit)
     draw.head(axes, "measured, mm")
-    draw.x_label(axes, "wanted, mm")
+    draw.x_label(axes, "command, mm")
     return paper.plate(
         f"Tracking of axis {name}",
         "Measured displacement over the command of the numerical part for this axis.",
@@ -188,5 +188,5 @@ def _loop(s: AxesSummary, i: int) -> Plate:
     draw.x_label(axes, "displacement, mm")
     return paper.plate(
         f"Force on axis {name}",
-        "Not a single line if the other axes move as well, because they are coupled.",
+        "This is not a single line if the other axes move as well, because they are coupled.",
     )

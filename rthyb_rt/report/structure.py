@@ -64,8 +64,8 @@ def modes(structure: Structure | SparseStructure) -> draw.Plate:
     draw.head(axes, what)
     shares = ", ".join(_share(mode.effective_mass) for mode in shown)
     note = (
-        "Frequency and damping ratio of the structure with an elastic specimen; the ground motion "
-        f"moves {shares} of the mass in them."
+        "Frequency and damping ratio of the structure with an elastic specimen; effective modal "
+        f"mass: {shares}."
     )
     return paper.plate("Mode shapes", note)
 
@@ -103,7 +103,7 @@ def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
         draw.head(axes, "storey")
         draw.x_label(axes, f"{what}, {unit}")
         at = storey[int(np.argmax(np.maximum(high, -low)))]
-        note = f"From the least to the largest; largest {number(largest)} {unit}, storey {at}."
+        note = f"Smallest to largest value; largest {number(largest)} {unit}, in storey {at}."
         found.append(paper.plate(title, note))
     return found
 
@@ -132,7 +132,7 @@ def curves(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
         draw.x_label(axes, "time, s")
         others = len(own) - len(most)
         note = "Recorded quantities of the structure"
-        note += f"; {others} more in the recording moved less." if others else "."
+        note += f"; {others} others, with smaller peaks, are not shown." if others else "."
         found.append(paper.plate(f"Recorded {_WORDS[unit]}", note))
     return found
 

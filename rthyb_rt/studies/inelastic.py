@@ -206,10 +206,10 @@ def study(record: str | Path | None = None) -> Study:
         _panels(runs, x_exact, f_exact),
         (
             "The adaptive gain is not stated; γ = 0.005 per mm² per sample converges at 13 s, as "
-            "the paper's “more than 12 seconds”. The gain that Section 4.1 needs wrecks this test: "
-            "one fixed gain cannot serve both.",
-            "Forward Euler takes ωh/2 of damping away: 2 % act as 1.39 %, which costs more than "
-            "all that PLC and RFC leave. “Exact” is the same integrator without delay.",
+            "the paper's “more than 12 seconds”. With the gain that Section 4.1 needs, this test "
+            "fails: one fixed gain cannot serve both.",
+            "Forward Euler reduces the damping ratio by ωh/2: 2 % acts as 1.39 %, an error larger "
+            "than the one left by PLC and RFC. “Exact” is the same integrator without delay.",
             "T0 is not stated here; 0.1 T = 51 samples is used.",
         ),
         ""
@@ -360,7 +360,7 @@ def _panels(
             Curve("PLC + RFC", t[: both.size], (both["x_meas_m"] - x_exact[: both.size]) * 1e3,
                   "blue"),
         ),
-        "While α still grows, only the force compensation holds the response.",
+        "While α still grows, only the force compensation keeps the response correct.",
     )  # fmt: skip
     uncompensated = Panel(
         "fig-4-3-none", "Without compensation", "time, s", "displacement, mm",
@@ -368,7 +368,7 @@ def _panels(
             Curve("none", *over_time(none, "x_meas_m", 1e3), "red"),
             Curve("exact", t, x_exact * 1e3, "black", width=0.6),
         ),
-        "A bounded limit cycle: yielding takes out what the delay puts in.",
+        "A bounded limit cycle: yielding dissipates the energy that the delay adds.",
     )  # fmt: skip
     loops = Panel(
         "fig-4-4", "Hysteresis (Fig. 4.4)", "displacement, mm", "force, kN",

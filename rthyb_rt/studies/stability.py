@@ -49,8 +49,8 @@ def study() -> Study:
         (
             "Eqn 2.5 is the exact inverse of a first-order lag. Behind a pure delay, for which the "
             "paper uses it, the amplitude grows with frequency; whether that is negligible depends "
-            "on the structure. The curvature term β of the controller alpha-beta takes most of it "
-            "away and passes more noise.",
+            "on the structure. The curvature term β of the controller alpha-beta removes most of "
+            "it, but amplifies noise more.",
         ),
     )
 

@@ -296,7 +296,7 @@ def _panels(
                 replace(none, colour="red"),
                 Curve("benchmark", t, reference.calibrated * 1e3, "black", width=0.6),
             ),
-            "PI only leaves the frame and is ended by a limit.", y_range=(-peak, peak),
+            "PI only exceeds the range shown and is ended by a limit.", y_range=(-peak, peak),
         ),
         Panel(
             f"fig-{key}-difference", f"Difference from the benchmark, {head}", "time, s",
@@ -322,7 +322,7 @@ def _panels(
                 replace(_curve(f"T0Δt = {w:g} T", t, outcomes[name], "alpha", 1.0), colour=colour)
                 for w, name, colour in zip(WINDOWS, windows, colours, strict=True)
             ),
-            "Controller paper. The window hardly matters to it: the curves coincide.", **delays,
+            "Controller paper. The window has hardly any effect: the curves coincide.", **delays,
         ),
         Panel(
             f"controllers-{key}", f"Delay estimate by controller, {head}", "time, s", "α, samples",
@@ -336,7 +336,7 @@ def _panels(
             f"fig-5-7-{key}", f"Tangent stiffness, {head} (Fig. 5.7)", "time, s",
             "samples of k_exp, %",
             _shares(outcomes[windows[1]]),
-            "T0Δt = 0.1 T; where it stood, samples of each second.", y_range=(0, 100), half=True,
+            "T0Δt = 0.1 T; share of the samples in each second.", y_range=(0, 100), half=True,
         ),
         Panel(
             f"fig-5-7-{key}-peak", f"The same at the peak, {head}", "time, s", "k_exp, kN/m",

@@ -18,7 +18,7 @@ class Viscous(Effect):
 
     name = "viscous"
     plain = "viscous damping"
-    phrase = "{c_Ns_m} {c_Ns_m:less|more} of viscous damping"
+    phrase = "{c_Ns_m} {c_Ns_m:less|more} viscous damping"
     params = (Param("c_Ns_m", "N s/m", -1e10, 1e10),)
     equation = "f = c v"
     fingerprint = "residual is linear in velocity"
@@ -44,7 +44,7 @@ class QuadDamping(Effect):
 
     name = "quad_damping"
     plain = "damping with the square of velocity"
-    phrase = "{c2_Ns2_m2} {c2_Ns2_m2:less|more} of damping with the square of velocity"
+    phrase = "{c2_Ns2_m2} {c2_Ns2_m2:less|more} damping with the square of velocity"
     params = (Param("c2_Ns2_m2", "N s^2/m^2", -1e12, 1e12),)
     equation = "f = c2 v |v|"
     fingerprint = "residual grows with the square of velocity"

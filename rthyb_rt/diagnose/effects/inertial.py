@@ -16,7 +16,7 @@ class Inertia(Effect):
 
     name = "inertia"
     plain = "a moving mass"
-    phrase = "{m_kg} {m_kg:less|more} of moving mass"
+    phrase = "{m_kg} {m_kg:less|more} moving mass"
     params = (Param("m_kg", "kg", -1e7, 1e7),)
     equation = "f = m a"
     fingerprint = "residual is linear in acceleration, growing with frequency squared"
