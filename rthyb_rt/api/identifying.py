@@ -196,5 +196,5 @@ def _read(value: float | str, name: str, allowed: Range) -> float:
     try:
         return allowed.read(files.plain(value))
     except PydanticCustomError as error:
-        told = str((error.context or {}).get("text", error))
-        raise InputError(told, f"identify: {name}") from None
+        text = str((error.context or {}).get("text", error))
+        raise InputError(text, f"identify: {name}") from None

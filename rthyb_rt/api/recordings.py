@@ -82,8 +82,8 @@ class Plot:
         own = f"{self.key}-{next(_SHOWN)}-"
         svg = re.sub(rf'( id="|#){re.escape(self.key)}-', rf"\g<1>{own}", self.svg)
         width = "" if self.figure is None else f"max-width:{self.figure.get_figwidth():.1f}in"
-        told = f"<figcaption>{self.title}. {self.note}</figcaption>"
-        return f'<figure style="{width}">{svg}{told}</figure>'
+        caption = f"<figcaption>{self.title}. {self.note}</figcaption>"
+        return f'<figure style="{width}">{svg}{caption}</figure>'
 
 
 def plot_of(plate: Plate) -> Plot:

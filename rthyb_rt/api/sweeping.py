@@ -116,9 +116,9 @@ class Sweep:
         """
         kept = {row["case"]: row["folder"] for row in self.rows if row.get("folder")}
         if case not in kept:
-            told = ", ".join(map(str, kept)) or "none"
+            listed = ", ".join(map(str, kept)) or "none"
             raise InputError(
-                f"the recording of run {case} was not kept; those kept are: {told}; "
+                f"the recording of run {case} was not kept; those kept are: {listed}; "
                 'sweep(..., keep="all") keeps all of them',
                 str(self.folder),
             )

@@ -653,8 +653,8 @@ def _one_clock(axes: list[Axis]) -> str | None:
         )
     rates = {axis.link.sample_rate_hz: axis.name for axis in linked if axis.link is not None}
     if len(rates) > 1:
-        told = " and ".join(f"{hz} Hz (axis {name})" for hz, name in sorted(rates.items()))
-        return f"found sample_rate_hz of {told}; all axes are sampled at one rate"
+        listed = " and ".join(f"{hz} Hz (axis {name})" for hz, name in sorted(rates.items()))
+        return f"found sample_rate_hz of {listed}; all axes are sampled at one rate"
     clocks = {axis.link.clock for axis in linked if axis.link is not None}
     if len(clocks) > 1:
         return f"found the clocks {', '.join(sorted(clocks))}; all axes must use the same clock"

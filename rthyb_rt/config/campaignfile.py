@@ -133,10 +133,10 @@ class CampaignFile(Table):
                 continue
             lengths = {k: len(v) if isinstance(v, list) else 1 for k, v in table.items()}
             if len(set(lengths.values())) > 1:
-                told = ", ".join(f"{key}: {length}" for key, length in lengths.items())
+                listed = ", ".join(f"{key}: {length}" for key, length in lengths.items())
                 yield (
                     ("together",),
-                    f"table {number + 1} has lists of different length ({told}); lists that vary "
+                    f"table {number + 1} has lists of different length ({listed}); lists that vary "
                     "together must have the same length",
                     (),
                 )
@@ -167,8 +167,8 @@ def _foreign_to_benchmark(
             yield ("campaign", key), own, ()
     for key in over if isinstance(over, dict) else ():
         if key not in BENCHMARK_KEYS:
-            told = ", ".join(BENCHMARK_KEYS)
-            yield ("over", key), f"is not a key of a benchmark; allowed are {told}", ()
+            allowed = ", ".join(BENCHMARK_KEYS)
+            yield ("over", key), f"is not a key of a benchmark; allowed are {allowed}", ()
 
 
 def beside(path: Path, name: str) -> str:

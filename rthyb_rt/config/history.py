@@ -360,8 +360,8 @@ def with_file(given: CyclesHistory, folder: Path) -> CyclesHistory:
             cycles.append(_count(row, counted, f"{path}:{number}"))
     if len(amplitudes) > MOST_STEPS:
         raise InputError(f"has more than {MOST_STEPS} steps, the maximum", str(path))
-    told = cycles if counted is not None else given.cycles
-    return given.model_copy(update={"amplitudes_m": amplitudes, "cycles": told, "file": None})
+    counts = cycles if counted is not None else given.cycles
+    return given.model_copy(update={"amplitudes_m": amplitudes, "cycles": counts, "file": None})
 
 
 def _columns(head: tuple[int, list[str]], path: Path) -> tuple[int, str, int | None]:

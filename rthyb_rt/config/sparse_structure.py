@@ -238,7 +238,7 @@ def _run_joint(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     h, n = part.config.period_s, ag.size
     x, extra = np.zeros((n, m)), np.zeros((n, m))
-    told = np.zeros((n, len(part.config.responses)))
+    responses = np.zeros((n, len(part.config.responses)))
     at, before = np.zeros(m), np.zeros(m)
     for i, excitation in enumerate(ag.tolist()):
         x[i] = at
@@ -247,15 +247,15 @@ def _run_joint(
             extra[i, along] += one.force(float(at[along]), velocity, 0.0, h)
         before = at
         at, _ = part.answer_all(excitation, extra[i].tolist())
-        told[i] = part.responses()
+        responses[i] = part.responses()
         part.advance()
     v = np.asarray(np.gradient(x, h, axis=0)) if n > 1 else np.zeros_like(x)
     a = np.asarray(np.gradient(v, h, axis=0)) if n > 1 else np.zeros_like(x)
     linear = x @ model.stiffness + v @ model.damping + a @ model.mass
     for column, one in enumerate(part.config.responses):
         for interface, by in one.interfaces:
-            told[:, column] += by * linear[:, interface]
-    return x, v, linear + extra, told
+            responses[:, column] += by * linear[:, interface]
+    return x, v, linear + extra, responses
 
 
 def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> SparseConfig:

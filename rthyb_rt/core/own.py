@@ -358,13 +358,13 @@ def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any
         at["part"].freeze(force_n[0])
 
     def report(_state: Any, values: Any) -> None:
-        told = list(at["part"].report())
-        if len(told) != len(names):
+        reported = list(at["part"].report())
+        if len(reported) != len(names):
             raise ValueError(
-                f"report() returned {len(told)} values; it must return one for each of "
+                f"report() returned {len(reported)} values; it must return one for each of "
                 f"{', '.join(names)}"
             )
-        values[0 : len(told)] = told
+        values[0 : len(reported)] = reported
 
     kind = config.own.found(NumericalPart)
     functions: dict[str, Callable[..., Any]] = {"init": init, "answer": answer}
@@ -453,7 +453,7 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
     at: dict[float, ControlLaw] = {}
     numbers = itertools.count(1)
 
-    def told(state: Any, law: ControlLaw) -> int:
+    def store_values(state: Any, law: ControlLaw) -> int:
         for i, name in enumerate(names):
             state[1 + i] = getattr(law, name)
         return 0
@@ -465,7 +465,7 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
         place[0], at[number] = number, law
         # Objects that are no longer in use are the oldest.
         at.pop(number - 64.0, None)
-        return told(place, law)
+        return store_values(place, law)
 
     def rest(state: Any, x_m: float) -> None:
         at[ffi.cast("double *", state)[0]].rest(x_m)
@@ -474,14 +474,14 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
         place = ffi.cast("double *", state)
         law = at[place[0]]
         law.observe(x_p_m, x_m_m, bool(frozen))
-        return told(place, law)
+        return store_values(place, law)
 
     def lead(state: Any, x_c_m: float, allowed_m: float, x_p_m: Any) -> int:
         place = ffi.cast("double *", state)
         law = at[place[0]]
         x_p_m[0] = x_c_m
         x_p_m[0] = law.lead(x_c_m, allowed_m)
-        return told(place, law)
+        return store_values(place, law)
 
     functions: dict[str, Callable[..., Any]] = {
         "init": init,

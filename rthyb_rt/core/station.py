@@ -415,10 +415,10 @@ class Station:
             raise CoreError(
                 f"found {len(given)} readings; there must be one for each of the {self._axes} axes"
             )
-        told = [a.taken_over_m is not None for a in given]
-        if any(told) and not all(told):
+        taken = [a.taken_over_m is not None for a in given]
+        if any(taken) and not all(taken):
             raise CoreError(
-                f"taken_over_m is missing for axis {told.index(False) + 1}; give it for all axes "
+                f"taken_over_m is missing for axis {taken.index(False) + 1}; give it for all axes "
                 "or for none"
             )
         i, out = self._in, self._out

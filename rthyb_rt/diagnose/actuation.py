@@ -268,7 +268,7 @@ class Actuation:
         """Return a fit's residual in the displacement, (n,), m; a line between evaluated rows."""
         return self._between(self.x - fit.motion.x)
 
-    def hear(self, fits: Sequence[ActuatorFit]) -> bool:
+    def fit_noise(self, fits: Sequence[ActuatorFit]) -> bool:
         """Set the noise to that left by the likeliest of some fits; return whether it is coloured.
 
         As for the force, see `noise`.
@@ -598,7 +598,7 @@ def search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:
     Returns the fit of nothing, all others best first, and the factor that scales evidence.
     """
     found = _search(task)
-    return _search(task) if task.hear([found[0], *found[1][:TRIED]]) else found
+    return _search(task) if task.fit_noise([found[0], *found[1][:TRIED]]) else found
 
 
 def _search(task: Actuation) -> tuple[ActuatorFit, list[ActuatorFit], float]:

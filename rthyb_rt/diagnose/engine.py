@@ -400,8 +400,8 @@ def _in_its_noise(
     blur = found.blur
     # Along an estimated motion, the residual of a naive model is due to form, not readable noise;
     # nor does an absent force have noise.
-    told = blur is not None and case.model.k_tol is not None and not search.problem.decays
-    if not found.exact and not told:
+    bounded = blur is not None and case.model.k_tol is not None and not search.problem.decays
+    if not found.exact and not bounded:
         return found, search
     sheet, sigma = remainder.stated(case), found.sigma_n if blur is None else blur.sigma_n
 
@@ -731,7 +731,7 @@ def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) 
                     continue
                 seen.add(name)
                 wanted = effects.params_of(name, m.effect)
-                form, slope = modulation.told(m.effect, ctx, m.trial, fit.betas[i])
+                form, slope = modulation.in_form(m.effect, ctx, m.trial, fit.betas[i])
                 out.append(
                     Found(
                         name, "force", float(weight),

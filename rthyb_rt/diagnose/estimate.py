@@ -547,15 +547,15 @@ def likeliest(
         rows, fs_hz, sigma, sheet, blur: see `likelihood`.
     """
     lines = noise.Lines(rows, fs_hz)
-    told: list[tuple[bool, float, Whitener | None]] = []
+    candidates: list[tuple[bool, float, Whitener | None]] = []
     for left, velocity, price in tried:
         cost, own = likelihood(left, rows, velocity, fs_hz, sigma, sheet, blur, lines)
         # No data sheet covers the contribution of the estimated motion.
         bounded = bool(sheet) and blur is None
         scatter = own.scatter if own is not None else 0.0
         beyond = bounded and not within_sheet(left[rows], sheet or 0.0, scatter)
-        told.append((beyond, cost + price, own))
-    return min(told, key=lambda t: t[:2])[2]
+        candidates.append((beyond, cost + price, own))
+    return min(candidates, key=lambda t: t[:2])[2]
 
 
 def within_sheet(rest: Floats, sheet: float, scatter: float) -> bool:
@@ -638,11 +638,11 @@ def _in_colour_each(
     x, sigma = filled(x_meas), noise_of(x_meas, model.x_std)
     felt = [a.signal for a in accelerations]
     colour = sensor_colour(x, [*felt, *beside], case.fs_hz, sigma, model.x_std)
-    heard = [
+    coloured = [
         replace(a, colour=sensor_colour(a.signal, [x, *beside], case.fs_hz, a.sigma, model.a_std))
         for a in accelerations
     ]
-    return heard, colour
+    return coloured, colour
 
 
 def from_sensors(case: Case) -> Estimate | None:

@@ -113,7 +113,7 @@ def stated(
     columns = {name: table.columns[source.column] for name, source in found.items()}
     unsaid = [n for n, source in found.items() if source.unit is None and not columns[n].day]
     if unsaid:
-        problems.append(_untold(table, found, labels, unsaid))
+        problems.append(_unknown_units(table, found, labels, unsaid))
     if problems:
         raise InputError("; ".join(problems), where)
     out: dict[str, Floats] = {}
@@ -280,14 +280,14 @@ def _channels(
         else:
             known[channel] = in_si(values, source.unit.factor)
     while open_:
-        told = None
+        guessed = None
         for channel, values in open_.items():
-            told = sizes.guess(channel, values, known, model)
-            if told is not None:
+            guessed = sizes.guess(channel, values, known, model)
+            if guessed is not None:
                 break
-        if told is None:
-            raise InputError(_untold(table, found, labels, list(open_)), where)
-        text, relation = told
+        if guessed is None:
+            raise InputError(_unknown_units(table, found, labels, list(open_)), where)
+        text, relation = guessed
         unit = read_unit(text)
         assert unit is not None
         known[channel] = in_si(open_.pop(channel), unit.factor)
@@ -304,7 +304,7 @@ def _basis(relation: sizes.Relation) -> str:
     return f"the model with {' and '.join(others)}" if others else "the model"
 
 
-def _untold(
+def _unknown_units(
     table: Table, found: dict[str, Source], labels: dict[str, str], names: list[str]
 ) -> str:
     parts = []

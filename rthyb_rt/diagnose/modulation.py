@@ -145,7 +145,7 @@ class Modulated(Effect):
         return [] if self.bare else self.effect.elements(ctx, trial, beta[:1])
 
 
-def told(effect: Effect, ctx: Context, trial: Trial, beta: Floats) -> tuple[str, dict[str, Any]]:
+def in_form(effect: Effect, ctx: Context, trial: Trial, beta: Floats) -> tuple[str, dict[str, Any]]:
     """Return the form of a law in words, and its modulation for the answer ({} without one)."""
     form = effect.form(ctx, trial)
     if not isinstance(effect, Modulated):

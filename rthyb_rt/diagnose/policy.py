@@ -809,7 +809,7 @@ class Policy:
         0.3, "fraction of the stroke", "judgement",
         "An effect that acts only beyond this displacement is reported as local.",
     )  # fmt: skip
-    told_always: float = _entry(
+    always_reported: float = _entry(
         0.9, "fraction of the recording", "judgement",
         'Minimum total length of the windows for an effect to be reported to act "throughout".',
     )  # fmt: skip
@@ -854,7 +854,7 @@ class Policy:
         5.0, "rows", "judgement",
         "Maximum distance of a row from its place on an even time grid.",
     )  # fmt: skip
-    jitter_told: float = _entry(
+    jitter_reported: float = _entry(
         0.5, "rows", "physics",
         "Distance above which this is reported.",
         "the row is then nearer to the place of its neighbour",

@@ -249,7 +249,7 @@ def _uniform(
     index = np.concatenate(([0], np.cumsum(jumps)))
     dt = float(t[-1] - t[0]) / float(index[-1])
     jitter = float(np.max(np.abs((t - t[0]) / dt - index)))
-    if jitter > POLICY.jitter_told:
+    if jitter > POLICY.jitter_reported:
         notes.append(
             f"the spacing of the rows varies by up to {jitter:.2f} of the period; it is treated "
             "as uniform"

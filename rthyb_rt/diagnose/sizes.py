@@ -262,8 +262,8 @@ def relations(channels: Channels, model: Model) -> Iterator[Relation]:
         *_orthogonal(c, model),
     ]
     yield from found
-    told = [r for r in found if r.alike > POLICY.shape_alike and not r.bound]
-    yield from _noises(c, model, {name for r in told for name in (r.channel, *r.of)})
+    referenced = [r for r in found if r.alike > POLICY.shape_alike and not r.bound]
+    yield from _noises(c, model, {name for r in referenced for name in (r.channel, *r.of)})
 
 
 def _displacements(c: Channels, model: Model) -> Iterator[Relation]:
@@ -430,7 +430,7 @@ def _orthogonal(c: Channels, model: Model) -> Iterator[Relation]:
             )
 
 
-def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
+def _noises(c: Channels, model: Model, referenced: set[str]) -> Iterator[Relation]:
     """Yield the noise of channels without any other reference, relative to the data sheet.
 
     For channels with a reference, only if all have a hundred times their stated noise.
@@ -445,9 +445,9 @@ def _noises(c: Channels, model: Model, told: set[str]) -> Iterator[Relation]:
     # Channels that agree with one another may all be wrong: metres and meganewtons.
     together = len(noises) > 1 and min(noises.values()) > POLICY.wrong_unit
     for name, noise in noises.items():
-        if together or name not in told:
+        if together or name not in referenced:
             yield Relation(name, noise, 1.0, (), bound=True, than="the noise that the model states")
-    if "fy_meas" in c and model.f_std and "fy_meas" not in told:
+    if "fy_meas" in c and model.f_std and "fy_meas" not in referenced:
         noise = white_noise(c["fy_meas"]) / model.f_std
         alone = "f_meas" not in c
         spread = 1.0 if alone else float(np.std(filled(c["f_meas"]))) or 1.0

@@ -107,7 +107,7 @@ class Size:
         return quantity(self.value if spec == "+" else abs(self.value), unit)
 
 
-def _told() -> dict[str, Effect | ActuatorEffect]:
+def _known_effects() -> dict[str, Effect | ActuatorEffect]:
     """Return everything that an answer may name, by name."""
     own: list[Effect | ActuatorEffect] = [*CATALOGUE, QUANTISATION, *effects.catalogue().values()]
     return {e.name: e for e in own}
@@ -115,7 +115,7 @@ def _told() -> dict[str, Effect | ActuatorEffect]:
 
 def called(name: str) -> str:
     """Return the common name of an effect; for an unknown one, its own name."""
-    effect = _told().get(name)
+    effect = _known_effects().get(name)
     return effect.plain if effect is not None and effect.plain else name
 
 
@@ -124,7 +124,7 @@ def _phrase(c: Found) -> str:
 
     A user-defined effect, or one without its parameters, is listed with all its values.
     """
-    effect = _told().get(c.name)
+    effect = _known_effects().get(c.name)
     if effect is not None and effect.phrase:
         try:
             return effect.phrase.format_map({k: Size(k, v) for k, v in c.params.items()})
@@ -258,16 +258,16 @@ def _when(d: Diagnosis) -> str:
         return ""
     whole = float(d.case.t[-1] - d.case.t[0]) or 1.0
     covered = sum(b - a for a, b in d.windows)
-    if covered > POLICY.told_always * whole:
+    if covered > POLICY.always_reported * whole:
         return "throughout the recording"
     if len(d.windows) > 6:
         first, last = d.windows[0][0], d.windows[-1][1]
         return f"{len(d.windows)} times between {first:.1f} and {last:.1f} s"
-    told = [_span(a, b) for a, b in d.windows[:3]]
+    spans = [_span(a, b) for a, b in d.windows[:3]]
     left = len(d.windows) - 3
     if left > 0:
-        told.append("once more" if left == 1 else f"{left} more times")
-    *before, last_one = told
+        spans.append("once more" if left == 1 else f"{left} more times")
+    *before, last_one = spans
     return f"{', '.join(before)} and {last_one}" if before else last_one
 
 

@@ -80,14 +80,14 @@ class Feed:
     Attributes:
         pages: number of open pages.
         status: status message, as sent to pages.
-        said: number of updates of the status.
+        updates: number of updates of the status.
     """
 
     def __init__(self, source: Source) -> None:
         self.source = source
         self.pages = 0
         self.status = b""
-        self.said = 0
+        self.updates = 0
         self._beat, self._opened = asyncio.Event(), asyncio.Event()
         self._looking: asyncio.Task[None] | None = None
 
@@ -134,9 +134,9 @@ class Feed:
         self._say()
 
     def _say(self) -> None:
-        told = {"kind": "status", "zero": self.source.zero, **self.source.status()}
-        self.status = json.dumps(finite(told), separators=(",", ":")).encode()
-        self.said += 1
+        message = {"kind": "status", "zero": self.source.zero, **self.source.status()}
+        self.status = json.dumps(finite(message), separators=(",", ":")).encode()
+        self.updates += 1
 
 
 class Commander:
@@ -206,7 +206,7 @@ class Page:
         self._framer = Framer(feed.source.history, feed.source.fs_hz)
         self._opened: Pass = socket.scope["rthyb.pass"]
         # The status may be a second old: the state, and so the buttons, may have changed.
-        self._reported = feed.said
+        self._reported = feed.updates
 
     async def run(self) -> None:
         """Serve the page until it disconnects."""
@@ -214,7 +214,7 @@ class Page:
         sending = asyncio.create_task(self._send())
         try:
             while True:
-                await self._hear(await self._socket.receive_text())
+                await self._receive(await self._socket.receive_text())
         except (WebSocketDisconnect, KeyError):
             # A binary message has no text.
             pass
@@ -244,24 +244,24 @@ class Page:
     def _may(self, name: str) -> bool:
         return self._opened >= NEEDS[name]
 
-    async def _hear(self, text: str) -> None:
+    async def _receive(self, text: str) -> None:
         """Process a message from the page.
 
         Raises:
             ValueError: it is not a valid message.
         """
         try:
-            said = json.loads(text)
+            message = json.loads(text)
         except RecursionError as error:
             raise ValueError("not a message that the page may send") from error
-        if not isinstance(said, dict):
+        if not isinstance(message, dict):
             raise ValueError("a message must be an object")
-        if "view" in said:
-            self._framer.show(said["view"])
+        if "view" in message:
+            self._framer.show(message["view"])
             # Not only at the next beat, so that resizing a window is smooth.
             await self._send_frames()
-        elif isinstance(said.get("command"), str):
-            await self._command(said["command"], str(said.get("digest", "")))
+        elif isinstance(message.get("command"), str):
+            await self._command(message["command"], str(message.get("digest", "")))
         else:
             raise ValueError("neither a view nor a command")
 
@@ -276,9 +276,9 @@ class Page:
     async def _send(self) -> None:
         """Send new data. A slow page gets fewer and larger frames, and does not delay others."""
         while True:
-            if self._reported != self._feed.said:
+            if self._reported != self._feed.updates:
                 # Even if unchanged: a page that receives nothing shows a warning.
-                self._reported = self._feed.said
+                self._reported = self._feed.updates
                 await self._socket.send_text(self._feed.status.decode())
             await self._meet_rate()
             await self._send_frames()

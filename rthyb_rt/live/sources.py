@@ -134,7 +134,7 @@ def _identity(path: Path) -> _Identity | None:
     return found.st_dev, found.st_ino
 
 
-class _Jury(Protocol):
+class _Evaluator(Protocol):
     """Evaluates the running test, with one axis or several."""
 
     def add(self, rows: NDArray[np.void], reference: NDArray[np.float64] | None) -> None:
@@ -174,7 +174,7 @@ class _Session:
 
     Attributes:
         identity: identity of the ring.
-        jury: creates the evaluation.
+        evaluator: creates the evaluation.
         reference: the reference simulation, empty without one: shape (n,), or (n, axes).
         extras: extra channels of the rig.
         axes: names of the axes, if several.
@@ -182,7 +182,7 @@ class _Session:
     """
 
     identity: _Identity
-    jury: Callable[[], _Jury]
+    evaluator: Callable[[], _Evaluator]
     reference: NDArray[np.float64]
     extras: tuple[Channel, ...] = ()
     axes: tuple[str, ...] = ()
@@ -239,7 +239,7 @@ class LiveSource:
         self._cause: tuple[_Identity | None, str] = (None, "")
         self._session: _Session | None = None
         self._newest: NDArray[np.void] | None = None
-        self._jury: _Jury | None = None
+        self._evaluator: _Evaluator | None = None
         self._whole, self._judged = False, 0
         self._attended: tuple[float, list[str]] = (-WINDOW_S, [])
         self.look()
@@ -289,9 +289,9 @@ class LiveSource:
         if not self._at_rest:
             self._tally, self._began = Tally(), False
             session = self._session
-            self._jury = None
+            self._evaluator = None
             if session is not None and session.identity == seen:
-                self._jury = session.jury()
+                self._evaluator = session.evaluator()
             # From the first row on; otherwise the rows of the reference could not be assigned.
             self._whole, self._judged = reader.next == 0, 0
             self._attended = (-WINDOW_S, [])
@@ -312,18 +312,18 @@ class LiveSource:
                 rows = rows[rows["state"] != _TRIPPED]
             else:
                 self._tally.add(rows)
-                self._weigh(rows)
+                self._evaluate(rows)
             self._take(rows)
 
-    def _weigh(self, rows: NDArray[np.void]) -> None:
+    def _evaluate(self, rows: NDArray[np.void]) -> None:
         """Evaluate the rows of the test proper, with its reference unless rows were missed."""
-        jury, session, reader = self._jury, self._session, self._reader
-        if jury is None or session is None or reader is None:
+        evaluator, session, reader = self._evaluator, self._session, self._reader
+        if evaluator is None or session is None or reader is None:
             return
         running = rows[rows["state"] == RUNNING]
         self._whole = self._whole and reader.lost == 0
         reference = session.reference[self._judged : self._judged + running.size]
-        jury.add(running, reference if self._whole else None)
+        evaluator.add(running, reference if self._whole else None)
         self._judged += running.size
 
     def _take(self, rows: NDArray[np.void]) -> None:
@@ -403,8 +403,8 @@ class LiveSource:
             return
         # Its process may still be writing the file; the next look-up will find it.
         with contextlib.suppress(RthybError):
-            told = realtime.first_cause_in_words(ring.recover(path).recording)
-            self._cause = (held, told)
+            cause = realtime.first_cause_in_words(ring.recover(path).recording)
+            self._cause = (held, cause)
 
     @property
     def state(self) -> str:
@@ -418,10 +418,10 @@ class LiveSource:
         service = self._service
         # Rows that arrived since the last poll have not been read yet.
         still_s = max(self._polled_s - self._came_s, 0.0)
-        told = _nothing() if service is None else _of_service(service)
+        found = _nothing() if service is None else _of_service(service)
         if self.socket is None:
             known, cause = self._cause
-            told |= {
+            found |= {
                 "state": self.state,
                 "cause": cause if known == self._held else "",
                 "test": "" if self._wanted is None else self._wanted.name,
@@ -429,9 +429,9 @@ class LiveSource:
                 "end_reason": self._end(),
             }
             newest = None if self._reader is None else self._reader.newest()
-            told["axes"] = list(self._axes())
-            told["now"] = None if newest is None else self._now(newest)
-        return told | {
+            found["axes"] = list(self._axes())
+            found["now"] = None if newest is None else self._now(newest)
+        return found | {
             "mode": "ring" if self.socket is None else "service",
             "reachable": self.socket is None or service is not None,
             "trouble": self._unanswered if self.socket and service is None else self._shut,
@@ -439,7 +439,7 @@ class LiveSource:
             "still_s": still_s,
             "role": "" if self.socket is None else _role(self.socket),
             "attention": self._attention(),
-            "counters": [*_counters(self._tally), *told["counters"], *self._extras()],
+            "counters": [*_counters(self._tally), *found["counters"], *self._extras()],
             "wake": _wake(self._tally),
         }
 
@@ -463,15 +463,15 @@ class LiveSource:
 
     def _attention(self) -> list[str]:
         """Return the problems found in the test so far, in sentences."""
-        jury = self._jury
-        if jury is None:
+        evaluator = self._evaluator
+        if evaluator is None:
             return []
         # Figures that change four times a second are unreadable, also for screen readers.
-        now, (since, told) = time.monotonic(), self._attended
+        now, (since, sentences) = time.monotonic(), self._attended
         if now - since >= WINDOW_S:
-            told = jury.in_words(over=self.state in ("IDLE", "TRIPPED"))
-            self._attended = (now, told)
-        return told
+            sentences = evaluator.in_words(over=self.state in ("IDLE", "TRIPPED"))
+            self._attended = (now, sentences)
+        return sentences
 
     def _end(self) -> str:
         reader = self._reader
@@ -686,8 +686,8 @@ class PastSource:
         # For several axes the cause is part of the end reason.
         if rec.axis_names:
             if rec.running().any():
-                told = several.notices(several.summarize(rec))
-                self._alarms = [n.text for n in told if n.level == "alarm"]
+                notices = several.notices(several.summarize(rec))
+                self._alarms = [n.text for n in notices if n.level == "alarm"]
         else:
             found = summary.summarize(rec)
             cause = "" if found.ended_by is None else found.ended_by.cause
@@ -711,7 +711,7 @@ class PastSource:
     def status(self) -> dict[str, Any]:
         """Return everything to display besides the rows."""
         meta = self._rec.meta
-        told = _nothing() | {
+        found = _nothing() | {
             "state": self.state,
             "cause": self._cause,
             "axes": list(self._rec.axis_names),
@@ -725,7 +725,7 @@ class PastSource:
                 *_readings(self._rec.extras(), self._rec.samples[-1:]),
             ],
         }
-        return told | {
+        return found | {
             "mode": "past",
             "reachable": True,
             "trouble": "",

@@ -61,14 +61,14 @@ def render(rec: Recording) -> str:
 
         template = environment().get_template("report.html.j2")
     summary = summarize(rec)
-    told = notices(summary)
+    found = notices(summary)
     return template.render(
         s=summary,
         title=summary.test_name or "Hybrid test",
         figures_of_test=key_figures(summary),
         verdict=verdict(summary),
-        alarms=[notice for notice in told if notice.level == "alarm"],
-        notes=[notice for notice in told if notice.level == "note"],
+        alarms=[notice for notice in found if notice.level == "alarm"],
+        notes=[notice for notice in found if notice.level == "note"],
         pairs=_pairs(summary),
         rows=_rest(summary),
         steps=_steps(summary),

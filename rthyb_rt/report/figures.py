@@ -457,7 +457,7 @@ class _Figures:
     def _flag_marks(self, axes: Axes) -> str:
         """Mark the flagged samples at the bottom of the axes and explain the marks."""
         flags = self.rec.samples["flags"]
-        said = []
+        marks = []
         for level, (name, colour, word) in enumerate(
             (
                 ("limited", draw.RED, "orange-red"),
@@ -473,8 +473,8 @@ class _Figures:
             t = np.repeat(self.t[rows], 3)
             y = np.tile([0.05 * level, 0.05 * level + 0.045, np.nan], rows.size)
             axes.plot(t, y, color=colour, linewidth=0.7, transform=axes.get_xaxis_transform())
-            said.append(f"{word}: {name.replace('_', ' ')}")
-        return f" Marks at the foot, {'; '.join(said)}." if said else ""
+            marks.append(f"{word}: {name.replace('_', ' ')}")
+        return f" Marks at the bottom: {'; '.join(marks)}." if marks else ""
 
     def _clipped(self) -> str:
         shown = np.concatenate([self.x_num, self.x_meas])

@@ -26,7 +26,7 @@ def render(rec: Recording) -> str:
         InputError: matplotlib or jinja2 is not installed, or the test never ran.
     """
     summary = several.summarize(rec)
-    told = several.notices(summary)
+    found = several.notices(summary)
     with extra_needed("a report"):
         plates = draw_all(rec, summary)
         engine = environment()
@@ -34,8 +34,8 @@ def render(rec: Recording) -> str:
         s=summary,
         title=summary.test_name or "Hybrid test",
         verdict=several.verdict(summary),
-        alarms=[notice for notice in told if notice.level == "alarm"],
-        notes=[notice for notice in told if notice.level == "note"],
+        alarms=[notice for notice in found if notice.level == "alarm"],
+        notes=[notice for notice in found if notice.level == "note"],
         rows=several.table(summary),
         not_computed=NOT_COMPUTED,
         figures_of=sheets(plates),

@@ -170,10 +170,10 @@ def _table(title: str, rows: list[Row]) -> Table:
     lines = []
     for quantity in dict.fromkeys(row.quantity for row in rows):
         cells = {row.case: row for row in rows if row.quantity == quantity}
-        said = dict.fromkeys(row.paper for row in cells.values() if row.paper)
+        statements = dict.fromkeys(row.paper for row in cells.values() if row.paper)
         unit = next(iter(cells.values())).unit
         lines.append(
-            Line(quantity, unit, "; ".join(said), tuple(cells.get(case) for case in cases))
+            Line(quantity, unit, "; ".join(statements), tuple(cells.get(case) for case in cases))
         )
     return Table(title, cases if cases != ("",) else (), tuple(lines))
 

@@ -202,7 +202,7 @@ FORCES = 128
 """Number of forces whose slow part is cached."""
 
 
-class _Heard:
+class _Audible:
     """The part of a closed loop's forces that is above the noise that moves the specimen.
 
     A search shifts the same few forces again and again.
@@ -214,8 +214,8 @@ class _Heard:
         self.cut = _loudest_hz(ctx.total, ctx.model.f_std, ctx.dt)
         self.noisy = 0.0
         if self.cut is not None:
-            heard = _up_to(self.cut, ctx.total, ctx.dt)
-            self.noisy = _part(ctx.total - heard, ctx.total)
+            audible = _up_to(self.cut, ctx.total, ctx.dt)
+            self.noisy = _part(ctx.total - audible, ctx.total)
         self.known: OrderedDict[bytes, Floats | None] = OrderedDict()
 
     def slow(self, force: Floats) -> Floats:
@@ -253,7 +253,7 @@ class TimeSkew(Effect):
     carries = True
     signs = "+"
     pinned = (0.02,)
-    _kept: _Heard | None = None
+    _kept: _Audible | None = None
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return skews in both directions."""
@@ -293,7 +293,7 @@ class TimeSkew(Effect):
         if ctx.model.family == "loop" and ctx.model.f_std:
             kept = self._kept
             if kept is None or kept.ctx is not ctx:
-                self._kept = kept = _Heard(ctx)
+                self._kept = kept = _Audible(ctx)
             slow = kept.slow(force)
         return force + shifted(slow, trial.theta[0] / ctx.dt) - slow
 
