@@ -1,4 +1,4 @@
-"""A station of two axes at a coupled virtual rig, tick by tick."""
+"""A station of two axes with a coupled virtual rig, tick by tick."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ H: Final = core.PERIOD_S
 SIDES: Final = np.array([[1.0, 0.2], [1.0, -0.3]])
 """Axes from x (m) and theta (rad)."""
 SPECIMEN: Final = np.array([[6.66e5, 2e4], [2e4, 4e4]])
-"""N and N m by x and theta."""
+"""Specimen stiffness, N and N m per x and theta."""
 MASS: Final = (4220.0, 300.0)
 OFFSET_M: Final = (0.0123, -0.004)
-"""Where the sensors have the rig's zero."""
+"""Sensor readings at the rig's zero."""
 OFFSET_N: Final = (45.0, -20.0)
 DELAY: Final = 2
 FLAGS: Final = core.FLAGS
@@ -36,7 +36,7 @@ def shaking(seconds: float) -> Floats:
 
 
 def structure(stiffness: Floats = SPECIMEN, **settings: Any) -> SparseConfig:
-    """Two degrees of freedom, whose stiffness is the specimen's alone; the second feels less."""
+    """Two degrees of freedom with the specimen's stiffness only; less excitation on the second."""
     n = len(MASS)
     given: dict[str, Any] = {
         "load_kg": np.array([MASS[0], 0.2 * MASS[1]]),
@@ -82,7 +82,7 @@ def rig(kinematics: Kinematics | None = None, **changes: Any) -> CoupledRig:
 
 
 def watched(axis: int, name: str, value: float, reaction: core.Reaction) -> dict[str, Any]:
-    """A limit that one axis alone has."""
+    """A limit on a single axis."""
     own = {name: core.Watch(value, reaction)}
     axes = tuple(AxisConfig(n, watches=own if k == axis else {}) for k, n in enumerate(NAMES))
     return {"axes": axes}
@@ -90,7 +90,7 @@ def watched(axis: int, name: str, value: float, reaction: core.Reaction) -> dict
 
 @dataclass
 class Bench(Courses):
-    """Two axes whose sensors are offset from zero, and a log of what their drives saw."""
+    """Two axes whose sensors are offset from zero, and a log of what their drives received."""
 
     settings: core.StationConfig = field(default_factory=config)
     seconds: float = 2.0
@@ -116,7 +116,7 @@ class Bench(Courses):
         faults: Mapping[int, Mapping[str, Any]] | None = None,
         **common: Any,
     ) -> core.StationTick:
-        """One tick; ``faults`` by axis: what its reading is instead."""
+        """One tick; ``faults`` replaces readings, by axis."""
         readings = self.read()
         for axis, other in (faults or {}).items():
             readings[axis] = replace(readings[axis], **other)
@@ -128,7 +128,7 @@ class Bench(Courses):
         return tick
 
     def commands(self, since: int = 0) -> Floats:
-        """What the drives were told, without tare, (n, axes)."""
+        """Commands to the drives, without tare, (n, axes)."""
         return np.array(self.sent[since:]) - np.array(
             [self.station._c.axis[k].tare_cmd for k in range(len(NAMES))]
         )

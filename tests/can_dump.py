@@ -1,4 +1,4 @@
-"""What is on a CAN bus as tools see it that know nothing of rthyb: candump and cantools."""
+"""Traffic on a CAN bus as seen by independent tools: candump and cantools."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ END = 0x7FE
 
 
 class Dump:
-    """What candump has written of an interface."""
+    """Output of candump for an interface."""
 
     def __init__(self, interface: str, file: Path) -> None:
         self.interface, self.file = interface, file
@@ -47,9 +47,9 @@ def await_that(is_so: Callable[[], object], complaint: str) -> None:
 
 @contextmanager
 def candump(interface: str, folder: Path) -> Iterator[Dump]:
-    """Start it, with room for every frame of a test, and wait until it listens.
+    """Start candump, with space for every frame of a test, and wait until it listens.
 
-    It stays when the interface goes down.
+    It continues when the interface goes down.
     """
     file, listeners = folder / "candump", Path("/proc/net/can/rcvlist_all")
     listens = re.compile(rf"{interface} .* raw$", re.MULTILINE)
@@ -64,7 +64,7 @@ def candump(interface: str, folder: Path) -> Iterator[Dump]:
 
 
 def decoded(frames: list[tuple[int, bytes, bool]], file: Path, name: str) -> dict[str, np.ndarray]:
-    """All that cantools makes of the frames of one name: raw numbers by signal."""
+    """Everything that cantools decodes from frames of one name: raw numbers by signal."""
     database = cantools.database.load_file(file)
     message = database.get_message_by_name(name)
     found: list[Any] = [

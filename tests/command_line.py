@@ -1,4 +1,4 @@
-"""What a command of the program leaves, for the tests that run one."""
+"""The result of a command of the program, for tests that run one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command left: exit code, stdout, stderr."""
+    """Result of a command: exit code, stdout, stderr."""
 
     code: int
     out: str

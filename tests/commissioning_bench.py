@@ -56,7 +56,7 @@ class Drive:
         connection: the controller's side.
         drive: the drive itself.
         tell: called before each of its ticks.
-        operator: what `Connection.on_interrupt` was given last: asks for a stop.
+        operator: last argument of `Connection.on_interrupt`: requests a stop.
     """
 
     def __init__(self, given: RigFile, drive: loop.Drive, opened: opening.Opened) -> None:
@@ -78,7 +78,7 @@ class Drive:
 
     @property
     def position_m(self) -> float:
-        """What the actuator is told, in the rig's own coordinates."""
+        """Target of the actuator, in the rig's own coordinates."""
         return float(self.drive._c.target_m)
 
 
@@ -86,12 +86,12 @@ class Drive:
 def at(
     given: RigFile, wired: RigFile | None = None, faults: tuple[loop.Fault, ...] = ()
 ) -> Iterator[Drive]:
-    """Give a rig within reach.
+    """Yield a connected rig.
 
     Args:
-        given: the rig file that the controller has.
-        wired: how the rig really is, where the file does not say so.
-        faults: what goes wrong at the drive.
+        given: the controller's rig file.
+        wired: the actual rig, if it differs from the file.
+        faults: faults of the drive.
     """
     ours, theirs = opening.socket_pair()
     plan = virtual_rig.Plan(log_ticks=200_000, faults=faults)

@@ -1,4 +1,4 @@
-"""Fixtures that several test modules share."""
+"""Fixtures shared by several test modules."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from importlib import resources
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-# A second thread of BLAS waits for the first one by turning round and round, and what the tests
-# solve is small. Before numpy is imported, and for the processes of the tests as well.
+# A second BLAS thread would busy-wait for the first one, and the problems in tests are small. Set
+# before numpy is imported, and inherited by the processes of the tests.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
@@ -25,7 +25,7 @@ from rthyb_rt.studies.results import Study
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Hear Ctrl-C and hang-ups, which the background of a shell, or nohup, has children ignore."""
+    """Handle Ctrl-C and hang-ups, which are ignored by children of a background shell or nohup."""
     if "RTHYB_GUEST" in os.environ:
         stalls.begin_in_guest(config)
     for number, usual in (
@@ -37,13 +37,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """What the collection has made lives to the end: the garbage collector need not look again."""
+    """Exclude what the collection created, which is never freed, from garbage collection."""
     gc.freeze()
 
 
 @pytest.fixture(scope="module", autouse=True)
 def memory_of_its_own() -> Iterator[None]:
-    """A loop in real time keeps all memory of its process: what comes after it is slow then."""
+    """Unlock memory: a real-time loop locks all of the process, which slows down later tests."""
     yield
     ticker.unlock_memory()
 
@@ -52,8 +52,8 @@ def memory_of_its_own() -> Iterator[None]:
 def tcu068_first_50_s() -> GroundMotion:
     """Chi-Chi 1999, station TCU068, component EW: the first 50 s, 200 Hz, not scaled.
 
-    The record comes from the test-time package pyslammer, whose licence does not let it be
-    shipped here.
+    The record is taken from the test dependency pyslammer, because its licence does not permit
+    redistribution.
     """
     package = pytest.importorskip("pyslammer", reason="pyslammer has the TCU068 record")
     del package
@@ -66,13 +66,13 @@ def tcu068_first_50_s() -> GroundMotion:
 
 @pytest.fixture(scope="session")
 def paper() -> list[Study]:
-    """The whole paper reproduced, once; Section 4.2 with TCU068 where pyslammer has it."""
+    """The results for the whole paper, computed once; Section 4.2 with TCU068 if available."""
     return studies.run()
 
 
 @pytest.fixture
 def place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Where `rthyb ctl` looks for a service, and the service has its rings."""
+    """Folder in which `rthyb ctl` looks for a service, and the service stores its rings."""
     memory = Path("/dev/shm")
     with TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
         monkeypatch.setenv("RTHYB_SOCKET", str(Path(folder) / "control.sock"))

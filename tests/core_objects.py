@@ -1,6 +1,6 @@
 """The core as object files for the C programs of the tests, compiled once for all workers and runs.
 
-They lie in build/test-objects, in a folder named after all that goes into them.
+They are stored in build/test-objects, in a folder named after a hash of all inputs.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 CORE = ROOT / "csrc"
 KEPT = ROOT / "build" / "test-objects"
-# Position independent code and stack protectors would bring in helpers of compiler and linker.
+# Position-independent code and stack protectors would need helpers of compiler and linker.
 FLAGS = (
     *("-std=c11", "-O3", "-DNDEBUG", "-ffp-contract=off", "-fno-math-errno"),
     *("-fno-pic", "-fno-stack-protector", f"-I{CORE}"),
@@ -29,13 +29,13 @@ def gcc(*arguments: str | Path) -> None:
 
 
 def compiled(source: Path, target: Path) -> Path:
-    """Compile one source with the flags of the others."""
+    """Compile one source with the same flags as the others."""
     gcc("-c", source, "-o", target)
     return target
 
 
 def linked(target: Path, parts: Iterable[Path]) -> Path:
-    """Make a program of objects and sources, all its symbols bound before it starts."""
+    """Link objects and sources to a program whose symbols are all bound at its start."""
     gcc("-no-pie", *parts, "-lm", "-lpthread", "-Wl,-z,now", "-o", target)
     return target
 

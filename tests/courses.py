@@ -1,4 +1,4 @@
-"""A station conducted through a test by its states, at an ideal specimen: a spring."""
+"""A test run through all states of a station, with an ideal specimen: a spring."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rthyb_rt import core
 
 
 def course(one: core.Station, k_n_per_m: float, hold_at: int | None, ticks: int = 9000) -> Floats:
-    """Return the displacements of the test proper; None: no HOLD in it."""
+    """Return the displacements of the test proper; None: without a HOLD."""
     found: list[float] = []
     command = "zero"
     x = 0.0
@@ -33,9 +33,9 @@ def course(one: core.Station, k_n_per_m: float, hold_at: int | None, ticks: int 
 
 
 def departure(held: Floats, straight: Floats, after: int) -> float:
-    """Return by how much of its peak a held test leaves one that was not, from a sample on.
+    """Return the deviation of a held test from one that was not held, relative to its peak.
 
-    The tick of HOLD and of the return are not in one of the two.
+    The ticks of HOLD and of the return exist in only one of them and are omitted.
     """
     count = min(held.size, straight.size)
     apart = [

@@ -1,4 +1,4 @@
-"""What tests ask of an answer of the diagnosis."""
+"""Helpers for checking an answer of the diagnosis."""
 
 from __future__ import annotations
 

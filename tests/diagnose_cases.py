@@ -1,5 +1,5 @@
-"""Small recordings with a known truth, made without the package: a lag by matrix exponential, force
-laws in numpy."""
+"""Small recordings with a known truth, computed independently of the package: a lag by matrix
+exponential, force laws in numpy."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from scipy import signal
 
 FS = 256.0
-"""Rows per second: as few as tell a lag of 28 Hz. What goes by the core's rate sets its own."""
+"""Rows per second: few, but enough for a lag of 28 Hz. Cases at the core's rate set their own."""
 K, C, M = 5.0e5, 1500.0, 40.0
 DELAY, F_HZ, ZETA = 0.0052, 28.0, 0.9
-FINE = 32  # steps in a row
+FINE = 32  # steps per row
 X_STD, F_STD = 3.0e-6, 15.0
 
 
@@ -30,9 +30,9 @@ def command(kind: str = "sweep", seconds: float = 8.0, amplitude: float = 7e-3) 
 
 
 def moved(u: np.ndarray, delay: float = DELAY, gain: float = 1.0, fine: int = FINE):
-    """Return x, v, a of the actuator at the rows, from rest; the command runs straight.
+    """Return x, v, a of the actuator at the rows, from rest; the command is interpolated linearly.
 
-    Most cases share one command: a motion is computed once, and cannot be written to.
+    Most cases share one command: each motion is computed once, and is read-only.
     """
     return _moved(u.tobytes(), delay, gain, fine)
 
@@ -56,7 +56,7 @@ def _moved(command: bytes, delay: float, gain: float, fine: int) -> tuple[np.nda
 
 
 def baseline(**changes: object) -> str:
-    """Return a baseline file's text; ``changes`` replace its numbers."""
+    """Return the text of a baseline file; ``changes`` replace its numbers."""
     values: dict[str, object] = {
         "k": K, "c": C, "moving_mass": M, "k_tol": 0.01, "c_tol": 0.15, "family": '"drive"',
         "fs_hz": FS,
@@ -81,7 +81,7 @@ def baseline(**changes: object) -> str:
 
 
 def rig(actuator: str = "", more: str = "") -> str:
-    """Return a rig file's text, of a spring behind an actuator; ``more``: the specimen goes on.
+    """Return the text of a rig file with a spring and an actuator; ``more`` extends the specimen.
 
     ``actuator``: further lines of the actuator's table.
     """
@@ -103,7 +103,7 @@ k_n_per_m = 5e5
 
 def channels(extra=None, *, kind: str = "sweep", delay: float = DELAY, seed: int = 1,
              amplitude: float = 7e-3) -> dict[str, np.ndarray]:  # fmt: skip
-    """Return t, x_cmd, x_meas, f_meas; ``extra(t, x, v, a)`` is the force that is left out."""
+    """Return t, x_cmd, x_meas, f_meas; ``extra(t, x, v, a)`` is missing from the model, N."""
     rng = np.random.default_rng(seed)
     u = command(kind, amplitude=amplitude)
     x, v, a = moved(u, delay)

@@ -1,7 +1,7 @@
-"""Recordings of a rig on which something changes in mid-test, made without the package.
+"""Recordings of a rig on which something changes in mid-test, computed without the package.
 
-The actuator is stepped on a fine grid with numbers that change at a moment, its state going on; a
-load cell reads what it reads from that moment on. Every number is drawn from a seed.
+The actuator is simulated on a fine grid with parameters that change at one time, its state being
+continuous; the load cell changes at that time, too. Every number is drawn from a seed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ FINE = 32
 
 @dataclass
 class Rig:
-    """A drive rig with its sensors, an excitation, and the moment at which something happens."""
+    """A drive rig with its sensors, an excitation, and the time of an event."""
 
     random: np.random.Generator
     seconds: float = 12.0
@@ -43,7 +43,7 @@ class Rig:
 
 
 def rig(seed: int, fs_hz: float = 256.0) -> Rig:
-    """A rig of numbers drawn from a seed; the moment lies in the middle third of the test."""
+    """A rig with numbers drawn from a seed; the event is in the middle third of the test."""
     random = np.random.default_rng([20_26, seed])
     u = random.uniform
     out = Rig(random, fs_hz=fs_hz)
@@ -86,7 +86,7 @@ def shape(t: np.ndarray, kind: str, random: np.random.Generator) -> np.ndarray:
 
 
 def moved(bench: Rig, before: dict[str, float], after: dict[str, float]) -> np.ndarray:
-    """x, v, a at the rows, (3, n): the lag exact over fine steps, its numbers others from t0 on."""
+    """x, v, a at the rows, (3, n): lag exact over fine steps, with other parameters from t0 on."""
     h = 1.0 / (FINE * bench.fs_hz)
     n = (bench.t.size - 1) * FINE + 1
     fine = np.arange(n) * h
@@ -95,7 +95,7 @@ def moved(bench: Rig, before: dict[str, float], after: dict[str, float]) -> np.n
     state, held = np.zeros(2), 0.0
     for numbers, start, stop in ((before, 0, first), (after, first, n)):
         w, d = 2 * np.pi * numbers["f_hz"], 4 * np.pi * numbers["f_hz"] * numbers["zeta"]
-        # Exact where the target stands at its mean over a step.
+        # Exact if the target is constant at its mean over a step.
         whole = expm(np.array([[0, 1, 0], [-w * w, -d, w * w], [0, 0, 0]]) * h)
         late = numbers["gain"] * np.interp(fine - numbers["delay_s"], bench.t, bench.command)
         most = numbers["vmax"] * h
@@ -126,11 +126,11 @@ def recorded(
 
     Args:
         bench: the rig.
-        folder: where they go.
-        law: force of the specimen that the model leaves out, of (t, x, v, a).
-        cell: what the load cell shows, of (force, orthogonal force).
-        before, after: what of the actuator is not the model's, up to t0 and from it on.
-        fy_std: noise of the orthogonal load cell as a part of its signal.
+        folder: output folder.
+        law: force of the specimen missing from the model, a function of (t, x, v, a).
+        cell: reading of the load cell, a function of (force, orthogonal force).
+        before, after: changes of the actuator relative to the model, up to t0 and from then on.
+        fy_std: noise of the orthogonal load cell relative to its signal.
     """
     random, t = bench.random, bench.t
     before = before or {}
@@ -152,7 +152,7 @@ def recorded(
 
 
 def baseline(bench: Rig) -> str:
-    """The model that the laboratory has of the rig."""
+    """The laboratory's model of the rig."""
     return f"""schema = "rthyb-baseline/1"
 family = "drive"
 fs_hz = {bench.fs_hz}
@@ -183,7 +183,7 @@ def written(folder: Path, columns: dict[str, np.ndarray], model: str) -> tuple[P
 
 
 def late(signal: np.ndarray, seconds: float, fs_hz: float) -> np.ndarray:
-    """A signal as it was some seconds before, by the phase of its spectrum."""
+    """A signal delayed by a number of seconds, by the phase of its spectrum."""
     pad = 2048
     whole = np.pad(signal, pad, mode="reflect", reflect_type="odd")
     f = np.fft.rfftfreq(whole.size, 1.0 / fs_hz)
@@ -202,10 +202,10 @@ def on_ground(
     """Write a recording of a body on a shaking table, and the laboratory's model; return the paths.
 
     Args:
-        seed: of all numbers.
-        folder: where they go.
-        dashpot: damping that the model leaves out, as a part of its own.
-        cell, felt: what the load cell shows of the force, and the accelerometer of a, at a rate.
+        seed: seed of all numbers.
+        folder: output folder.
+        dashpot: damping missing from the model, relative to the model's own.
+        cell, felt: readings of load cell and accelerometer, as functions of signal and rate.
     """
     random, fs_hz = np.random.default_rng([2027, seed]), 256.0
     u, t = random.uniform, np.arange(round(12.0 * fs_hz)) / fs_hz

@@ -1,4 +1,4 @@
-"""Frames and shear buildings for tests and benchmarks: matrices by the book, assembled here."""
+"""Frames and shear buildings for tests and benchmarks, with textbook matrices assembled here."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STOREY_M, BAY_M = 3.2, 6.0
 
 
 def shear_building(masses: Floats, stiffnesses: Floats) -> tuple[Floats, Floats]:
-    """Return M and K of storeys on one another, from below, (n, n) each."""
+    """Return M and K of stacked storeys, from below, (n, n) each."""
     n = len(masses)
     k = np.zeros((n, n))
     for i, own in enumerate(stiffnesses):
@@ -57,10 +57,10 @@ def beam_stiffness(
 
 
 def space_frame(columns: tuple[int, int], storeys: int) -> tuple[Any, Any, list[str], list[int]]:
-    """Return a frame of so many columns each way, its rotations without mass.
+    """Return a frame with this number of columns each way; its rotations have no mass.
 
     Returns:
-        Mass and stiffness, csc (n, n); labels ``node.x``; the number of each storey's corner x.
+        Mass and stiffness, csc (n, n); labels ``node.x``; the index of each storey's corner x.
     """
     nx, ny = columns
     nodes = {(i, j, 0): -1 for i in range(nx) for j in range(ny)}

@@ -1,4 +1,4 @@
-"""What the tests of the C core share: the numbers of a kernel's memory, signals, tracking runs."""
+"""Common helpers for tests of the C core: numbers in a kernel's memory, signals, tracking runs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FS_HZ = 1024.0
 H = 1.0 / FS_HZ
 G = 9.80665
 
-# Section 5's actuator, as the field notes give it.
+# Actuator of Section 5, with measured values.
 HYDRAULIC: dict[str, Any] = {
     "kind": "servo-hydraulic",
     "kp_per_s": 63.5,
@@ -51,7 +51,7 @@ def _double_offsets(ctype: Any) -> tuple[int, ...]:
 
 
 def doubles(kernel: Any) -> Floats:
-    """Every double of a kernel's memory, configuration included, as a copy."""
+    """Copy of every double in a kernel's memory, including its configuration."""
     struct = kernel._c
     offsets = np.asarray(_double_offsets(ffi.typeof(struct).item))
     return np.frombuffer(bytes(ffi.buffer(struct)), np.float64)[offsets // 8]
@@ -82,7 +82,7 @@ def smooth_motion(duration_s: float, seed: int = 0, peak_m: float = 0.01) -> Flo
 def law_of(
     estimator: core.EstimatorConfig, w1: float = 3.0, w2: float = 2.0, **more: float
 ) -> core.LawConfig:
-    """The control law that leads by an estimator of these settings."""
+    """The control law that compensates with an estimator with these settings."""
     own = {
         "fixed": ("paper", {}),
         "gradient": (
@@ -118,7 +118,7 @@ def controller(
     rfc: dict[str, Any] | None = None,
     **settings: Any,
 ) -> core.Controller:
-    """A controller, without adaptation unless asked for."""
+    """A controller, without adaptation unless requested."""
     return core.Controller(
         core.ControllerConfig(
             law=law or law_of(estimator or core.EstimatorConfig()),
@@ -132,7 +132,7 @@ def controller(
 def run_virtual(
     controller: core.Controller, rig: core.Rig, excitation: Floats, ticks: int | None = None
 ) -> Any:
-    """The records of a test against a rig, as many as there were."""
+    """The records of a test with a rig, as many as were written."""
     records = np.zeros(excitation.size if ticks is None else ticks, core.RECORD_DTYPE)
     done, _ = controller.run_virtual(rig, excitation, records)
     return records[:done]
@@ -146,7 +146,7 @@ def track(command_m: Floats, servo: core.ServoConfig, estimator: core.EstimatorC
 
 
 def resonance(sequence: Floats, order: int) -> NDArray[np.complex128]:
-    """Poles of the linear recurrence of the given order that a free decay obeys (Prony)."""
+    """Poles of the linear recurrence of given order that a free decay satisfies (Prony)."""
     columns = [sequence[order - 1 - i : sequence.size - 1 - i] for i in range(order)]
     a = np.column_stack(columns)
     scale = np.max(np.abs(sequence))
@@ -155,6 +155,6 @@ def resonance(sequence: Floats, order: int) -> NDArray[np.complex128]:
 
 
 def damping_ratio(pole: complex) -> float:
-    """The damping ratio that a discrete pole stands for."""
+    """The damping ratio that corresponds to a discrete pole."""
     s = np.log(pole)
     return float(-s.real / abs(s))

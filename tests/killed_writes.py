@@ -1,10 +1,10 @@
-"""The growing file of a recording, killed at each of its writes in turn; write_killer is preloaded.
+"""The growing file of a recording, killed at each write in turn by the preloaded write_killer.
 
-    LD_PRELOAD=write_killer.so python killed_writes.py FOLDER BLOCKS FIRST_BLOCK PAGES
+LD_PRELOAD=write_killer.so python killed_writes.py FOLDER BLOCKS FIRST_BLOCK PAGES
 
-Each kill falls into the blocks from FIRST_BLOCK on, between two writes, or after so many PAGES of
-one. Prints how many kills there were, and one line for each after which the file did not have every
-row that it promised, or could not be gone on with to the last one.
+Each kill occurs in the blocks from FIRST_BLOCK on, between two writes, or after a number of PAGES
+of one. Prints the number of kills, and one line for each after which the file lacked rows that it
+should have, or could not be continued to the last row.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ KILLER.writes_seen.restype = ctypes.c_long
 
 
 def in_child(work: Callable[[], str]) -> tuple[str, int]:
-    """Have a process do something; return what it says and how it ended."""
+    """Run a function in a child process; return its output and its exit status."""
     reading, writing = os.pipe()
     pid = os.fork()
     if pid == 0:
@@ -42,11 +42,11 @@ def in_child(work: Callable[[], str]) -> tuple[str, int]:
 
 
 class Recorded:
-    """A recording of so many blocks.
+    """A recording with a number of blocks.
 
     Args:
-        folder: of the run.
-        blocks: how many.
+        folder: folder of the run.
+        blocks: number of blocks.
     """
 
     def __init__(self, folder: Path, blocks: int) -> None:
@@ -55,7 +55,7 @@ class Recorded:
         self.session = made_up()
 
     def write(self, most: int = 0) -> GrowingFile:
-        """Begin the file or go on with it, block by block, to its end or to a row."""
+        """Begin or continue the file, block by block, to its end or to a given row."""
         file = GrowingFile(self.folder, self.session)
         for at in range(file.next_row, most or self.rows.size, BLOCK_ROWS):
             file.add(self.rows[at : at + BLOCK_ROWS])
@@ -67,7 +67,7 @@ class Recorded:
         return all(np.array_equal(found[name], wanted[name]) for name in wanted.dtype.names or ())
 
     def read(self) -> str:
-        """Return what any program would say of the file."""
+        """Return the state of the file as any program would see it."""
         if not self.path.exists():
             return "not begun"
         try:
@@ -77,7 +77,7 @@ class Recorded:
             return f"unreadable: {error}"
 
     def go_on(self) -> str:
-        """Take it up and write the rest; return what came of it."""
+        """Continue the file and write the rest; return the result."""
         try:
             self.write().close()
         except Exception as error:

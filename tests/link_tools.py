@@ -1,4 +1,4 @@
-"""What the tests of opened links share."""
+"""Common helpers for tests of links."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def wanted(kind: str, channel: object, **more: Any) -> Link:
 
 
 def users_table(folder: Path, text: str) -> wire.Codec:
-    """Frames as the DBC table of a user describes them."""
+    """Frames as in a user's DBC table."""
     pytest.importorskip("cantools")
     path = folder / "table.dbc"
     path.write_text(text, encoding="ascii")
@@ -33,7 +33,7 @@ def users_table(folder: Path, text: str) -> wire.Codec:
 
 
 def until(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
-    """Wait for something that another thread or the kernel does when it likes."""
+    """Wait for an event in another thread or the kernel."""
     end = time.monotonic() + seconds
     while not (found := condition()):
         assert time.monotonic() < end, "it never happened"
@@ -43,7 +43,7 @@ def until(condition: Callable[[], Any], seconds: float = 20.0) -> Any:
 
 @contextmanager
 def nothing_left_open() -> Iterator[None]:
-    """No descriptor and no thread is left of what happens inside."""
+    """Check that no descriptor and no thread remain after the block."""
     descriptors, threads = set(os.listdir("/proc/self/fd")), set(threading.enumerate())
     yield
     assert set(os.listdir("/proc/self/fd")) == descriptors
@@ -52,7 +52,7 @@ def nothing_left_open() -> Iterator[None]:
 
 @contextmanager
 def as_nobody() -> Iterator[None]:
-    """Without the privileges of root, if the tests have them."""
+    """Run without the privileges of root, if the tests have them."""
     if os.geteuid():
         yield
         return
@@ -64,7 +64,7 @@ def as_nobody() -> Iterator[None]:
 
 
 class LinkUnderTest:
-    """The core's link on what was opened, and a loop that drains it, one tick at a time."""
+    """The core's link on an opened channel, and a loop that drains it, one tick at a time."""
 
     def __init__(self, opened: Opened) -> None:
         self.link = loop.Link(opened.kind, opened.fd)

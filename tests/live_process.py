@@ -1,4 +1,4 @@
-"""`rthyb live` as a process, and a service at the pace of a real one, for tests in a browser."""
+"""`rthyb live` as a process, and a service at real-time pace, for tests in a browser."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LONG = {
 
 @contextmanager
 def live(*arguments: object, folder: Path) -> Iterator[dict[str, Any]]:
-    """Give what `rthyb live` says with --json, while it runs."""
+    """Yield the output of `rthyb live --json` while it runs."""
     with process(folder, "live", *arguments, "--port", "0", "--json") as made:
         said = ""
         while not said.endswith("}\n"):
@@ -40,7 +40,7 @@ def live(*arguments: object, folder: Path) -> Iterator[dict[str, Any]]:
 
 @contextmanager
 def paced(folder: Path) -> Iterator[Daemon]:
-    """Give a daemon on the stepped clock that goes on as fast as a real one: nothing can stall."""
+    """Yield a daemon on the stepped clock at real-time pace, which is insensitive to stalls."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(daemon, "_STEPPED_S", TURN_S)
         with served(folder) as made:

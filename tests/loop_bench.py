@@ -1,4 +1,4 @@
-"""Controller and virtual drive in lockstep over real frames: what the tests of the tick share."""
+"""Controller and virtual drive in lockstep over real frames, for tests of the tick."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def shaking(seconds: float, rate_hz: float = core.FS_HZ) -> np.ndarray:
 
 
 def config(rate_hz: float = core.FS_HZ, **changes: Any) -> core.StationConfig:
-    """Return the station of the bench; its times are as long at every rate."""
+    """Return the station of the bench, with the same durations at every rate."""
     law = changes.pop("law", core.LawConfig("paper", {"alpha0": 6.0}))
     pace = rate_hz / core.FS_HZ
     controller = core.ControllerConfig(
@@ -99,7 +99,7 @@ def pseudo_terminal(bench: Bench) -> Ends:
 
 
 def can_socket(interface: str, ids: Sequence[int], fd: bool = False) -> socket.socket:
-    """A raw socket that never waits, takes these identifiers only and hears of every error."""
+    """A raw non-blocking socket that receives only these identifiers and every error frame."""
     made = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     filters = b"".join(struct.pack("=II", can_id, FULL_MASK) for can_id in ids)
     made.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, filters)
@@ -111,7 +111,7 @@ def can_socket(interface: str, ids: Sequence[int], fd: bool = False) -> socket.s
 
 
 def set_interface(name: str, *changes: str) -> None:
-    """Change an interface of the kernel as ``ip link set`` does: "down", "up"."""
+    """Change an interface of the kernel like ``ip link set``: "down", "up"."""
     subprocess.run(["ip", "link", "set", name, *changes], check=True)
 
 
@@ -119,7 +119,7 @@ _TAKEN: Final[set[str]] = set()
 
 
 def _spare_interfaces(bench: Bench) -> tuple[str, str]:
-    """Where nobody else speaks: one that both ends share, or the two ends of a cable."""
+    """Unused interfaces: one shared by both ends, or the two ends of a cable."""
     cable = os.environ.get("RTHYB_VXCAN", "").split(",")
     for names in ([os.environ["RTHYB_VCAN"]] * 2, cable):
         if len(names) == 2 and not _TAKEN & set(names):
@@ -130,7 +130,7 @@ def _spare_interfaces(bench: Bench) -> tuple[str, str]:
 
 
 class Arrivals:
-    """Counts the frames that come to an end of a CAN bus, beside the link that reads them."""
+    """Counts the frames that arrive at one end of a CAN bus, independently of the link."""
 
     def __init__(self, witness: socket.socket) -> None:
         self.witness, self.seen = witness, 0
@@ -159,15 +159,15 @@ MEDIA: Final[dict[str, Callable[[Bench], Ends]]] = {
     "vcan": socket_can,
 }
 CAN_MEDIA: Final = ("socketpair", "vcan") if "RTHYB_VCAN" in os.environ else ("socketpair",)
-"""What carries CAN frames here; interfaces of a kernel only where the environment names one."""
+"""Available media for CAN frames; kernel interfaces only if the environment names one."""
 
 
 class Bench:
-    """Controller and drive in lockstep; what both of them wrote down.
+    """Controller and drive in lockstep, with the logs of both.
 
-    ``medium`` names one of `MEDIA`, which opens both ends and leaves in ``ends`` what `unplug` has
-    to close; ``codec`` replaces its frames, ``interfaces`` those that "vcan" finds by itself. At
-    ``rate_hz`` both tick, and the rig is ``delay_samples`` of that rate late.
+    ``medium`` names one of `MEDIA`, which opens both ends and stores in ``ends`` what `unplug` must
+    close; ``codec`` replaces its frames, ``interfaces`` those that "vcan" would find. Both tick at
+    ``rate_hz``, and the rig has a delay of ``delay_samples`` at that rate.
     """
 
     def __init__(
@@ -219,7 +219,7 @@ class Bench:
         self.records: list[np.ndarray] = []
 
     def unplug(self) -> None:
-        """Close what the links were opened on; an interface of the kernel goes down."""
+        """Close the channels of the links; a kernel interface goes down."""
         self.close_ends()
         if self.interface:
             set_interface(self.interface, "down")
@@ -236,7 +236,7 @@ class Bench:
         self.owned.close()
 
     def arrived(self, at: loop.Link, from_: loop.Link) -> None:
-        """The kernel moves what was sent when it likes: wait for it, however late."""
+        """Wait until everything that was sent has arrived, however late."""
         if at.fd < 0 or from_.fd < 0:
             return
         if self.arrivals:
@@ -262,7 +262,7 @@ class Bench:
             self.drive.tick()
 
     def step(self, command: core.Command = "none", *, skipped: int = 0, beat: bool = True) -> None:
-        """One executed tick; the drive lives through the skipped ones as well."""
+        """One executed tick; the drive also executes the skipped ones."""
         self.drive_ticks(skipped + 1)
         self.tick(command, skipped=skipped, beat=beat)
 
@@ -293,7 +293,7 @@ class Bench:
         raise AssertionError(f"never reached {state}, stayed in {self.loop.state}")
 
     def running(self, ticks: int = 300) -> Bench:
-        self.steps(8)  # the drive follows, and its word of it has arrived
+        self.steps(8)  # until the drive follows and its reply has arrived
         self.step("zero")
         self.until("ZEROED")
         self.step("arm")
@@ -304,7 +304,7 @@ class Bench:
         return self
 
     def fault(self, kind: loop.FaultKind, ticks: int = 1, value: float = 1.0) -> None:
-        """From the drive's next tick on."""
+        """Schedule a fault from the drive's next tick on."""
         self.drive.schedule([loop.Fault(kind, self.drive.ticks, ticks, value)])
 
     def rows(self) -> np.ndarray:
@@ -315,7 +315,7 @@ class Bench:
 
 
 def assert_adds_up(bench: Bench) -> None:
-    """No tick without its record, no record without its tick, no command without a sender."""
+    """Check that every tick has a record, every record a tick, and every command a sender."""
     counts, counters, rows = bench.loop.counts, bench.loop.counters(), bench.rows()
     assert counts.executed + counts.skipped == counts.elapsed
     assert counters["records"] == rows.size
@@ -325,7 +325,7 @@ def assert_adds_up(bench: Bench) -> None:
 
 
 def assert_drive_was_treated_well(bench: Bench) -> None:
-    """Never a burst, never a number that is none, three frames with one position after a trip."""
+    """Check for no bursts, only finite numbers, and three identical positions after a trip."""
     log = bench.drive.log
     heard = log[log["frames"] > 0]
     assert heard["frames"].max() == 1
@@ -348,7 +348,7 @@ def stop_begins(bench: Bench) -> int:
 
 
 def assert_tripped(bench: Bench, cause: str, drive_listens: bool = True) -> None:
-    """Latched, with its first cause; three frames, then silence; the drive stands."""
+    """Check for a latched first cause, three frames followed by silence, and a drive at rest."""
     assert bench.loop.state == "TRIPPED"
     assert bench.loop.cause == cause
     bench.steps(60)

@@ -1,4 +1,4 @@
-"""Numerical part, control law and specimen elements in Python as a user would write them."""
+"""Numerical part, control law and specimen elements in Python, as a user would write them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import rthyb_rt as rt
 
 
 class Oscillator(rt.NumericalPart):
-    """m x'' + c x' + force = -m ag by the central difference, as csrc/motion.c has it."""
+    """m x'' + c x' + force = -m ag by central differences, like csrc/motion.c."""
 
     responses: ClassVar[dict[str, str]] = {"velocity": "m/s"}
 
@@ -30,7 +30,7 @@ class Oscillator(rt.NumericalPart):
 
 
 class Failing(Oscillator):
-    """Divides by nothing after a while."""
+    """Divides by zero after a while."""
 
     def __init__(self, mass_kg: float, after: int = 500) -> None:
         super().__init__(mass_kg)
@@ -42,7 +42,7 @@ class Failing(Oscillator):
 
 
 class Silly(Oscillator):
-    """Gives what no displacement is."""
+    """Returns a value that is not a displacement."""
 
     def __init__(self, mass_kg: float, what: str) -> None:
         super().__init__(mass_kg)
@@ -54,7 +54,7 @@ class Silly(Oscillator):
 
 
 class Inverse(rt.ControlLaw):
-    """The inverse of a lag of first order, as csrc/law_chen_ricles.c has it."""
+    """The inverse of a first-order lag, like csrc/law_chen_ricles.c."""
 
     values: ClassVar[dict[str, str]] = {"alpha": "samples", "beta": "samples²", "effort": "m"}
 
@@ -90,7 +90,7 @@ class Spring(rt.Element):
 
 
 class Maxwell(rt.Element):
-    """Spring and dashpot in series, as csrc/element.c has it: what it remembers is in its state."""
+    """Spring and dashpot in series, like csrc/element.c, with all memory in its state."""
 
     def __init__(self, km_n_per_m: float, tau_s: float) -> None:
         self.k, self.tau = km_n_per_m, tau_s

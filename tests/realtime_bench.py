@@ -1,4 +1,4 @@
-"""A short test on a quiet virtual rig, and processes of both, for the tests in real time."""
+"""A short test on a quiet virtual rig, and processes of both, for tests in real time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from rthyb_rt.rig.links import opening
 STATE = {name: number for number, name in enumerate(STATES)}
 PROGRAM = [sys.executable, "-c", "import sys; from rthyb_rt.cli import main; sys.exit(main())"]
 PATIENCE_S = 60.0
-"""A machine that stalls takes its time; one that hangs is found out."""
+"""Long enough for a machine that stalls; a process that takes longer hangs."""
 STALLED = stalls.CAUSES
 ATTEMPTS = 3
 
@@ -37,7 +37,7 @@ SHORT = {
     "limits.tare_s": "0.125",
 }
 ROWS = 1536
-"""Of its RUNNING state."""
+"""Duration of its RUNNING state."""
 QUIET = {
     "rig.sensors.displacement.noise_std_m": "0",
     "rig.sensors.displacement.lsb_m": "0",
@@ -47,7 +47,7 @@ QUIET = {
 
 
 def setup(changes: dict[str, str] | None = None, rig: dict[str, str] | None = None) -> Any:
-    """Return the built-in test, made short, with further settings."""
+    """Return the built-in test, shortened, with further settings."""
     test = config.load_test(config.builtin_test_path(), SHORT | (changes or {}))
     return experiment.prepare(
         test, config.load_rig(config.find_rig(test.rig), rig or {}), real_time=True
@@ -56,10 +56,10 @@ def setup(changes: dict[str, str] | None = None, rig: dict[str, str] | None = No
 
 @dataclass
 class Bench:
-    """Controller and drive in lockstep: the stepped clock, and nothing left to chance.
+    """Controller and drive in lockstep on the stepped clock, so that all runs are deterministic.
 
     Attributes:
-        tell: called before every tick of the controller with the drive; for what happens when.
+        tell: called before every tick of the controller, with the drive, for timed events.
     """
 
     changes: dict[str, str] = field(default_factory=dict)
@@ -93,7 +93,7 @@ class Bench:
                 self.log = drive.log
 
     def when(self, state: str, act: Callable[[], None], ticks: int = 200) -> Bench:
-        """Have something happen a while after the drive first hears of a state."""
+        """Schedule an action for some time after the drive first receives a state."""
         seen = [0]
 
         def tell(drive: loop.Drive) -> None:
@@ -107,9 +107,9 @@ class Bench:
 
 
 def require_calm(rec: Recording, *expected: str, serial: bool = False) -> None:
-    """Raise `Stalled` where a stall has ended the test in the place of what was expected.
+    """Raise `Stalled` if a stall ended the test instead of the expected event.
 
-    ``serial``: what passes over the link is moved by ordinary threads of the kernel.
+    ``serial``: the data of the link are moved by ordinary kernel threads.
     """
     facts = rec.meta.get("real_time", {})
     cause = facts.get("cause", "none")
@@ -125,12 +125,12 @@ def require_calm(rec: Recording, *expected: str, serial: bool = False) -> None:
 
 
 def moment_s(rec: Recording, row: int) -> float:
-    """Return when the tick of a row was due (CLOCK_MONOTONIC)."""
+    """Return the due time of a row's tick (CLOCK_MONOTONIC)."""
     return 1e-9 * (int(rec.meta["real_time"]["began_ns"]) + int(rec.samples["due_ns"][row]))
 
 
 def stop_begins(log: np.ndarray) -> int:
-    """Return the drive's tick in which it last ceased to follow."""
+    """Return the drive's last tick in which it ceased to follow."""
     following = np.flatnonzero(log["phase"] == loop.PHASES.index("following"))
     return int(following[-1]) + 1
 
@@ -139,7 +139,7 @@ def stop_begins(log: np.ndarray) -> int:
 
 
 class Process:
-    """A command of the program in a process of its own."""
+    """A command of the program in a separate process."""
 
     def __init__(self, folder: Path, *arguments: object, env: dict[str, str] | None = None) -> None:
         self.process = subprocess.Popen(
@@ -153,13 +153,13 @@ class Process:
         )
 
     def line(self) -> str:
-        """Return the next line on its stdout."""
+        """Return the next line of its stdout."""
         out: IO[str] | None = self.process.stdout
         assert out is not None
         return out.readline()
 
     def remark(self) -> str:
-        """Return the next line on its stderr."""
+        """Return the next line of its stderr."""
         err: IO[str] | None = self.process.stderr
         assert err is not None
         return err.readline()
@@ -178,7 +178,7 @@ class Process:
         return self.process.returncode, out, err
 
     def kill(self) -> None:
-        """End it if it lives."""
+        """Kill it if it is still running."""
         if self.process.poll() is None:
             self.process.kill()
             self.process.communicate()
@@ -197,7 +197,7 @@ def process(folder: Path, *arguments: object, **more: Any) -> Iterator[Process]:
 
 
 def until(condition: Callable[[], Any], what: str) -> Any:
-    """Wait for something, however slow the machine, and return it."""
+    """Wait for a value, however slow the machine, and return it."""
     end = time.monotonic() + PATIENCE_S
     while not (found := condition()):
         assert time.monotonic() < end, f"never came: {what}"

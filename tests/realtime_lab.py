@@ -1,7 +1,7 @@
-"""What a laboratory has: a test, rig files, `rthyb rig` and `rthyb run --realtime` as processes.
+"""A laboratory's equipment: a test, rig files, `rthyb rig` and `rthyb run --realtime` processes.
 
-A machine that stalls may end a test in real time as it should then end: such a test is repeated, as
-`stalls` says.
+A stall of the machine may end a test in real time, as intended: such a test is repeated, see
+`stalls`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CHUNK = 256
 
 
 class TooEarly(Exception):
-    """What was to happen in the motion came before it, for the controller was slow to begin."""
+    """An event that should occur during motion came before it, because the controller was slow."""
 
 
 @contextmanager
@@ -47,14 +47,14 @@ class Lab:
         self.plain = config.dump(config.load_rig(config.find_rig(test.rig)))
 
     def rig(self, link: str = "", *, virtual: bool = True) -> Path:
-        """Write the rig file; at the other end of its link is a virtual rig, and it says so."""
+        """Write the rig file, which states that a virtual rig is at the other end of its link."""
         link += "\nvirtual = true" if link and virtual else ""
         path = self.folder / "rig.toml"
         path.write_text(self.plain + (f"\n[link]\n{link}\n" if link else ""), encoding="utf-8")
         return path
 
     def rig_at(self, medium: str) -> Path:
-        """Write the rig file whose link leads to the virtual rig that was started last."""
+        """Write a rig file with a link to the virtual rig that was started last."""
         kind = "serial" if medium == "pty" else "socket"
         return self.rig(f'kind = "{kind}"\nchannel = "{self.channel}"')
 
@@ -67,7 +67,7 @@ class Lab:
         return made
 
     def controller(self, out: str, *arguments: object, rig: str = "rig.toml") -> Process:
-        """Start a test in real time; its recording goes to a folder of the lab's."""
+        """Start a test in real time; its recording is stored in a folder of the lab."""
         return Process(
             self.folder,
             "run",
@@ -83,7 +83,7 @@ class Lab:
         )
 
     def ring_of(self, controller: Process) -> Path | None:
-        """Return the ring that a controller's process fills."""
+        """Return the ring that a controller's process writes."""
         found = self._reader_of(controller)
         if found is None:
             return None
@@ -101,7 +101,7 @@ class Lab:
         return None
 
     def await_state(self, controller: Process, state: str, ticks: int = 300) -> Path | None:
-        """Wait until a controller has been in a state for a while; None: its test is over."""
+        """Wait until a controller has been in a state for a while; None: its test has ended."""
         seen = 0
 
         def is_over() -> bool:
@@ -113,7 +113,7 @@ class Lab:
                 seen += np.count_nonzero(rows["state"] == STATE[state])
             return is_over() or seen >= ticks
 
-        # One mapping for all looks: who maps a ring anew each time stalls a small machine's ticks.
+        # A single mapping for all look-ups: repeated mapping stalls the ticks of a small machine.
         found = until(lambda: self._reader_of(controller) or is_over(), "the controller's ring")
         if found is True:
             return None
@@ -127,7 +127,7 @@ class Lab:
 
 
 def repeated(attempt: Callable[[str], None]) -> None:
-    """Call with a folder's name until neither a stall nor a slow start spoils it."""
+    """Call with a folder's name until neither a stall nor a slow start interferes."""
 
     def patient(number: int) -> None:
         for again in range(ATTEMPTS):
@@ -146,14 +146,15 @@ def cause_of(rec: Recording) -> str:
 
 
 def assert_whole(rec: Recording) -> None:
-    """Every tick has its row, whatever the machine did meanwhile."""
+    """Check that every tick has a row, regardless of stalls of the machine."""
     facts = rec.meta["real_time"]
     ticks = facts["ticks"]
     assert ticks["executed"] + ticks["skipped"] == ticks["elapsed"]
     assert facts["missed_rows"] == []
     tick = rec.samples["tick"].astype(np.int64)
     gaps = np.flatnonzero(np.diff(tick) != 1)
-    # A stall of more than 20 ticks is a trip, and the ticks beyond are counted, not made up for.
+    # A stall of more than 20 ticks causes a trip, and further ticks are counted but not made up
+    # for.
     assert (rec.samples["state"][gaps + 1] == STATE["TRIPPED"]).all()
     assert tick[0] == 0
     frozen = rec.samples["state"][-1] == STATE["TRIPPED"]

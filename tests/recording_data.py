@@ -1,4 +1,4 @@
-"""Made-up recordings for the tests: a damped structure under a ground motion, followed by a lag."""
+"""Synthetic recordings for the tests: a damped structure under a ground motion, with a lag."""
 
 from __future__ import annotations
 
@@ -140,13 +140,13 @@ def ground_motion(duration_s: float, seed: int = 1) -> NDArray[np.float64]:
 
 
 def shifted(x: NDArray[np.float64], samples: float) -> NDArray[np.float64]:
-    """The signal later by a fraction of samples."""
+    """The signal delayed by a fractional number of samples."""
     n = np.arange(x.size)
     return np.interp(n - samples, n, x)
 
 
 def recording(duration_s: float = 40.0, *, reference: bool = True, seed: int = 1) -> Recording:
-    """A completed test: lag 1.3 samples left, friction in the loop, a drifting delay estimate."""
+    """A completed test: lag of 1.3 samples, friction in the loop, a drifting delay estimate."""
     rng = np.random.default_rng(seed)
     ag = ground_motion(duration_s, seed)
     n = ag.size

@@ -1,4 +1,4 @@
-"""Rows for a telemetry ring, light enough to import for a process that is killed at once."""
+"""Rows for a telemetry ring, in a module that a process killed at once can import quickly."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from rthyb_rt import core
 from rthyb_rt.core import STATES, RecordArray
 
 CYCLE = 200_000
-"""Ticks after which the rows of a producer at full speed begin again."""
+"""Number of ticks after which the rows of a producer at full speed repeat."""
 
 
 def rows(first: int, count: int, state: int = STATES.index("RUNNING")) -> RecordArray:
-    """Records that show in every field which tick they are of."""
+    """Records in which every field shows its tick."""
     tick = np.arange(first, first + count)
     records = np.zeros(count, dtype=core.RECORD_DTYPE)
     for name in core.RECORD_DTYPE.names or ():

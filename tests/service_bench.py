@@ -1,4 +1,4 @@
-"""The service for the tests: an engine in lockstep with its drive, a daemon in a thread."""
+"""The service for tests: an engine in lockstep with its drive, a daemon in a thread."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from rthyb_rt.service.engine import Engine, Event, Loaded
 from rthyb_rt.service.peers import Peer, Rights
 
 LOOKERS, OPERATORS = 60001, 60002
-"""Groups that no test machine has."""
+"""Groups that do not exist on any test machine."""
 OWNER = 60000
 RIGHTS = Rights(LOOKERS, OPERATORS, OWNER)
 
@@ -47,7 +47,7 @@ def rig_file(changes: dict[str, str] | None = None) -> RigFile:
 
 
 class Bench:
-    """An engine on the stepped clock, and its drive, or the drives of its axes."""
+    """An engine on the stepped clock with its drive, or the drives of its axes."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Bench:
         raise AssertionError(f"never {state}, but {self.engine.state}: {self.said}")
 
     def reach(self, state: str, changes: dict[str, str] | None = None) -> None:
-        """Bring a fresh engine to a state."""
+        """Bring a new engine to a state."""
         engine = self.engine
         if state == "IDLE":
             return
@@ -106,7 +106,7 @@ class Bench:
         assert engine.state == state
 
     def finish(self) -> None:
-        """Let the test end by itself."""
+        """Let the test end normally."""
         self.until("IDLE", 60.0)
         self.engine.wait(0.3)
         assert self.engine.recorded is None
@@ -121,7 +121,7 @@ def bench(
     rig: RigFile | AxesRig | None = None,
     test_of: Callable[[dict[str, str] | None], TestFile] = short_test,
 ) -> Iterator[Bench]:
-    """Give an engine in IDLE, whose drive follows; of another rig than `rig_file`: ``rig``."""
+    """Yield an engine in IDLE, whose drive follows, with `rig_file` or the given ``rig``."""
     rig = rig or rig_file(changes)
     plan = virtual_rig.Plan(faults=tuple(faults), log_ticks=60000)
     events: list[Event] = []
@@ -150,7 +150,7 @@ def pair(rig: RigFile | AxesRig) -> tuple[Opened, Opened]:
 
 
 def left(folder: Path) -> list[Recording]:
-    """Return what the tests have left in their rings, the oldest first."""
+    """Return the recordings left in the rings by the tests, the oldest first."""
     paths = sorted(ring.find(folder), key=lambda path: int(path.suffix[1:]))
     return [ring.recover(path).recording for path in paths]
 
@@ -159,7 +159,7 @@ def left(folder: Path) -> list[Recording]:
 
 
 class InThread:
-    """An event loop in a thread of its own."""
+    """An event loop in a separate thread."""
 
     def __init__(self) -> None:
         self.loop = asyncio.new_event_loop()
@@ -177,7 +177,7 @@ class InThread:
 
 @contextmanager
 def served(folder: Path, **more: Any) -> Iterator[Daemon]:
-    """Give a daemon on the stepped clock that answers at ``folder/control.sock``."""
+    """Yield a daemon on the stepped clock that listens at ``folder/control.sock``."""
     rig = more.pop("rig", None) or rig_file()
     given = {"recorder": "none", "require_realtime": False, "rights": Rights.of_system()} | more
     read_rig: Callable[[], RigFile | AxesRig] | None = given.pop("read_rig", None)
@@ -199,14 +199,14 @@ def served(folder: Path, **more: Any) -> Iterator[Daemon]:
         thread = InThread()
         working = asyncio.run_coroutine_threadsafe(daemon.work(), thread.loop)
         try:
-            # Its file is there a little before anybody listens.
+            # The socket file exists slightly before the daemon listens.
             while daemon._server is None and not working.done():
                 os.sched_yield()
             yield daemon
             thread.loop.call_soon_threadsafe(daemon.stop)
             assert working.result(60.0) == 0
         finally:
-            # What a failed test leaves undone must not be found by the garbage collector later.
+            # Resources left by a failed test must not be found by the garbage collector later.
             if not working.done():
                 thread.loop.call_soon_threadsafe(daemon.stop)
                 wait([working], 20.0)
@@ -216,7 +216,7 @@ def served(folder: Path, **more: Any) -> Iterator[Daemon]:
 
 
 def status(folder: Path) -> dict[str, Any]:
-    """Return what the daemon of `served` says of itself."""
+    """Return the status of the daemon in `served`."""
     with Client(folder / "control.sock") as client:
         found: dict[str, Any] = client.call("GetStatus")["status"]
         return found
@@ -228,7 +228,7 @@ def await_state(folder: Path, state: str) -> None:
 
 @contextmanager
 def listening(path: Path, dispatcher: Dispatcher, **limits: Any) -> Iterator[ControlServer]:
-    """Give a control server with nothing behind it but a dispatcher."""
+    """Yield a control server with only a dispatcher."""
     from rthyb_rt.service.control import Limits
 
     thread = InThread()

@@ -1,10 +1,10 @@
-"""Whose fault it was that a scenario in real time did not end as it should: the machine's, or not.
+"""Decides whether an unexpected end of a real-time scenario was caused by the machine.
 
-A machine that stalls has the program end a test as it then must. A scenario that meets that says
-`Stalled`. In the guest machine this is a suspicion only: it has to be proved by a reference thread,
-which does nothing but sleep and note when it was itself late (``vm/reference.c``). A stall that is
-proved has the scenario begin again; one that was met in every attempt has it *not run*, which is
-counted and told. A stall that nobody else has seen is a failure of the program.
+A stall of the machine makes the program end a test, as it must. A scenario that encounters this
+raises `Stalled`. In the guest machine this is only a suspicion, to be confirmed by a reference
+thread that only sleeps and records when it was late (``vm/reference.c``). After a confirmed stall
+the scenario is repeated; if all attempts encounter one, it is *not run*, which is counted and
+reported. A stall that the reference did not see is a failure of the program.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ import pytest
 
 TICK_S = 1.0 / 1024.0
 CAUSES = ("stalled", "skips", "heartbeat", "drive_stopped", "link_lost", "lost_pairs")
-"""By which a machine that stalls may end a test in real time."""
+"""Causes by which a stall of the machine may end a test in real time."""
 SHARE_MOST = 0.05
-"""Of the scenarios may not run, and one in any case, which of a few would be more than that; with
-more of them the machine has proved nothing."""
+"""Share of the scenarios, but at least one, that need not run; with more, the machine has shown
+nothing."""
 SLACK_S = 0.1
-"""By which what is held against the reference may have been noted too early."""
+"""Time by which an event to compare with the reference may be recorded too early."""
 NAME = "accounts"
 JOB = Path("/run/job")
 
 
 class Stalled(Exception):
-    """It looks as if this machine had stalled, and the program did what it then should.
+    """The machine appears to have stalled, and the program to have reacted correctly.
 
     Args:
-        cause: one of `CAUSES`, or any other word for what was seen.
-        from_s, to_s: when (CLOCK_MONOTONIC), as nearly as known.
+        cause: one of `CAUSES`, or any other description.
+        from_s, to_s: when (CLOCK_MONOTONIC), as far as known.
     """
 
     def __init__(self, cause: str, from_s: float = 0.0, to_s: float = math.inf) -> None:
@@ -46,14 +46,14 @@ class Stalled(Exception):
 
 
 class NotRun(pytest.skip.Exception):
-    """The machine let no attempt come to anything."""
+    """The machine stalled in every attempt."""
 
 
-# ---- the proof ----------------------------------------------------------------------------------
+# ---- confirmation -------------------------------------------------------------------------------
 
 
 class Late(NamedTuple):
-    """Once when a reference thread was late: "fifo" or "other", and when (CLOCK_MONOTONIC)."""
+    """A delay of a reference thread: "fifo" or "other", and when (CLOCK_MONOTONIC)."""
 
     thread: str
     due_s: float
@@ -65,7 +65,7 @@ class Late(NamedTuple):
 
 
 class Needed(NamedTuple):
-    """What proves a stall: a thread that was late by so many ticks within so many."""
+    """What confirms a stall: a thread that was late by this many ticks within this many."""
 
     thread: str
     ticks: float
@@ -73,8 +73,8 @@ class Needed(NamedTuple):
 
 
 UNEXPLAINED_MOST = 2
-"""Ends that no stall explains are the program's when they come twice: the reference is one thread,
-and may not see what holds up another process of the scenario, its drive or the kernel between."""
+"""Unconfirmed ends count as the program's if they occur twice: the reference is a single thread,
+and may not see what delays another process of the scenario, its drive or the kernel."""
 
 TWENTY_TICKS = Needed("fifo", 10, 100)
 NEEDED = {
@@ -83,13 +83,13 @@ NEEDED = {
     "lost_pairs": Needed("fifo", 20, 1024),
     "serial link": Needed("other", 10, 100),
 }
-"""Half of what the program's own watch counts (1024 ticks of silence; 20), and a fifth where it
-adds up single ticks (50 or 102 in 1024): the reference wakes every second tick and talks to nobody,
-so it sleeps through most stalls that are as short as that."""
+"""Half of the program's own limits (1024 ticks of silence; 20), and a fifth where it sums single
+ticks (50 or 102 in 1024): the reference wakes every second tick and does no I/O, so it sleeps
+through most stalls of this length."""
 
 
 def proof(lates: Iterable[Late], cause: str, from_s: float, to_s: float) -> str:
-    """Return in words what the reference saw of a stall at that time; "": it saw none."""
+    """Describe what the reference saw of a stall at that time; "" if nothing."""
     thread, ticks, within = NEEDED.get(cause, TWENTY_TICKS)
     own = [late for late in lates if late.thread == thread]
     inside = (late.woken_s for late in own if from_s < late.woken_s <= to_s + SLACK_S)
@@ -103,7 +103,7 @@ def proof(lates: Iterable[Late], cause: str, from_s: float, to_s: float) -> str:
 
 
 def read(file: Path) -> list[Late]:
-    """Return what reference threads have noted."""
+    """Return the records of reference threads."""
     lines = file.read_text(encoding="ascii").splitlines() if file.exists() else []
     words = (line.split() for line in lines)
     return [Late(name, int(due) * 1e-9, int(woken) * 1e-9) for name, due, woken in words]
@@ -115,7 +115,7 @@ def noted(boot: str = os.environ.get("RTHYB_BOOT", "")) -> Path:
 
 
 def seen(stalled: Stalled) -> str:
-    """Return what proves a stall on this machine; without a reference it is taken as said."""
+    """Return what confirms a stall on this machine; without a reference it is assumed."""
     if "RTHYB_GUEST" not in os.environ:
         return stalled.cause
     return proof(read(noted()), stalled.cause, stalled.from_s, stalled.to_s)
@@ -127,16 +127,16 @@ def seen(stalled: Stalled) -> str:
 def repeated(
     attempt: Callable[[int], None], most: int, proved: Callable[[Stalled], str] = seen
 ) -> None:
-    """Call with 0, 1, 2 ... until no stall is met.
+    """Call with 0, 1, 2 ... until no stall occurs.
 
     Args:
-        attempt: raises `Stalled` where it seems to have met one; begins from a known state.
-        most: attempts.
-        proved: returns what proves the stall; "": nothing does.
+        attempt: raises `Stalled` if it appears to have encountered one; begins in a known state.
+        most: number of attempts.
+        proved: returns what confirms the stall; "" if nothing.
 
     Raises:
-        NotRun: every attempt has met a stall that was proved.
-        AssertionError: one has met what no stall explains.
+        NotRun: every attempt encountered a confirmed stall.
+        AssertionError: an attempt ended without a stall as explanation.
     """
     evidence = ""
     unexplained = 0
@@ -163,10 +163,10 @@ def repeated(
 
 
 class Accounts:
-    """What became of the scenarios, over all boots of a guest machine; a plugin of pytest.
+    """Results of the scenarios over all boots of a guest machine; a plugin of pytest.
 
     Args:
-        file: where it outlives a boot; None: nothing does.
+        file: file in which they persist over a boot; None: none.
     """
 
     def __init__(self, file: Path | None = None) -> None:
@@ -177,7 +177,7 @@ class Accounts:
             self.run, self.not_run = found["run"], dict(found["not_run"])
 
     def add(self, name: str, not_run: str = "") -> None:
-        """Count a scenario; ``not_run``: why."""
+        """Count a scenario; ``not_run``: the reason, if any."""
         if not_run:
             self.not_run[name] = not_run
         else:
@@ -192,11 +192,11 @@ class Accounts:
 
     @property
     def too_many(self) -> bool:
-        """Whether the machine has let too few scenarios run."""
+        """Whether too many scenarios were not run."""
         return len(self.not_run) > max(SHARE_MOST * self.total, 1)
 
     def lines(self) -> Sequence[str]:
-        """Return what is to be told."""
+        """Return the lines to report."""
         if not self.not_run:
             return (f"not run: 0 of {self.total} scenarios",)
         share = 100.0 * len(self.not_run) / self.total
@@ -232,7 +232,7 @@ class Accounts:
 
 
 def of(config: pytest.Config) -> Accounts:
-    """Return the accounts of a session in the guest."""
+    """Return the results of a session in the guest."""
     found = config.pluginmanager.get_plugin(NAME)
     assert isinstance(found, Accounts)
     return found
@@ -242,11 +242,11 @@ def of(config: pytest.Config) -> Accounts:
 
 
 def begin_in_guest(config: pytest.Config) -> None:
-    """Have a reference thread from now on, and what became of the scenarios counted."""
+    """Start a reference thread, and count the results of the scenarios from now on."""
     config.pluginmanager.register(Accounts(JOB / "scenarios.json"), NAME)
     command = [os.environ["RTHYB_REFERENCE"], str(noted())]
     if Path("/run/systemd/system").is_dir():
-        # To the very end of a shutdown, which is looked at in the next boot.
+        # Until the very end of a shutdown, which is examined in the next boot.
         unit = ("--unit=reference", "--collect", "--quiet", "--property=DefaultDependencies=no")
         subprocess.run(["systemd-run", *unit, *command], check=True)
     else:

@@ -1,4 +1,4 @@
-"""What every bench around a station does the same way, whatever stands on it."""
+"""Common procedures of all benches for a station."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rthyb_rt import core
 
 
 class Courses:
-    """A station on the stepped clock, its records, and the ways to a state; ``step`` differs."""
+    """A station on the stepped clock with its records, and ways to a state; ``step`` differs."""
 
     station: core.Station
     records: list[np.ndarray]

@@ -154,10 +154,10 @@ def test_limit_above_the_rigs_is_refused_naming_both() -> None:
     assert found == {
         "limits.force_n": 'found 30000 N; rig "spring" has limits.force_n = 25000 N, action '
         '"trip", and a test may not allow more; remove the key from the test to use the rig\'s',
-        "limits.sensor_stuck_samples": 'found 100 samples; rig "spring" says '
+        "limits.sensor_stuck_samples": 'found 100 samples; rig "spring" has '
         'limits.sensor_stuck_samples = 50 samples, action "trip", and a test may not allow more; '
         "remove the key from the test to use the rig's",
-        "limits.command_acceleration_m_per_s2": 'found 20 m/s^2; rig "spring" says '
+        "limits.command_acceleration_m_per_s2": 'found 20 m/s^2; rig "spring" has '
         "limits.command_acceleration_m_per_s2 = 10 m/s^2, at most; remove the key from the test "
         "to use the rig's",
     }
