@@ -185,7 +185,7 @@ class Limits(Table):
     ) = None
     ramp_in_s: Annotated[float, Range("s", 0.01, 600, "the duration of the ramp-in")] | None = None
     armed_timeout_s: (
-        Annotated[float, Range("s", 1, 3600, "the time after which ARMED ends by itself")] | None
+        Annotated[float, Range("s", 1, 3600, "the time after which ARMED ends automatically")] | None
     ) = None
     tare_s: Annotated[float, Range("s", 0.01, 60, "the averaging time of zeroing")] | None = None
     rest_spread_m: (

@@ -282,7 +282,7 @@ def test_rows_that_stop_coming_are_told_and_found_again(
     with live(place / "rings", folder=place) as said:
         page = open_page(said["url"])
         await_text(page, "#state", "NO ROWS")
-        await_text(page, "#cause", " s no row has come: what is drawn is old.")
+        await_text(page, "#cause", " s: the curves are out of date.")
         assert page.get_attribute("#band", "data-state") == "none"
         done = iter(range(3000, 6000, 100))
 

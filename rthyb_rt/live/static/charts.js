@@ -1,6 +1,6 @@
-// What is drawn: curves over time by uPlot, loop, histogram and outline on canvases of our own.
+// Charts: curves over time by uPlot; loop, histogram and overview on separate canvases.
 
-// Okabe and Ito (2008): told apart with any kind of colour vision; dashes and widths help.
+// Okabe and Ito (2008): distinguishable with any colour vision, together with dashes and widths.
 export const INK = { black: "#1a1a1a", orange: "#e69f00", green: "#009e73", blue: "#0072b2", sky: "#56b4e9", red: "#d55e00", purple: "#cc79a7", grey: "#555", grid: "#e7e7e3" };
 const FONT = '14px "Liberation Sans", "Noto Sans", Arial, system-ui, sans-serif';
 
@@ -10,14 +10,14 @@ export function text(value, digits) {
   return (Number(shown) === 0 ? shown.replace("-", "") : shown).replace("-", "−");
 }
 
-// Of sizes with few digits, the first that is not smaller.
+// The smallest size with few digits that is not below `size`.
 function nice(size, steps) {
   const power = 10 ** Math.floor(Math.log10(size));
   return steps.find((step) => step * power >= size * (1 - 1e-9)) * power;
 }
 const BOUNDS = [1, 1.2, 1.6, 2, 3, 4, 5, 6, 8, 10], STEPS = [1, 2, 5, 10];
 
-// A range that grows at once and shrinks only when it is far too large, so that it stands still.
+// A range that grows at once and shrinks only when it is far too large, so that it rarely changes.
 class Steady {
   constructor(least, symmetric) { this.least = least; this.symmetric = symmetric; this.low = 0; this.high = 0; }
 
@@ -174,7 +174,7 @@ export class LoopChart {
     const py = (f) => box.bottom - (f + fMax) / (2 * fMax) * (box.bottom - box.top);
     this.#axes(c, box, xMax, fMax, px, py);
     c.lineJoin = "round";
-    // The older, the paler.
+    // Older parts are paler.
     const parts = [["#b9d5e6", 1.2, 0, 0.5], ["#66a9cf", 1.4, 0.5, 0.8], [INK.blue, 2, 0.8, 1]];
     for (const [ink, width, from, to] of parts) {
       c.strokeStyle = ink;
@@ -258,7 +258,7 @@ export class Histogram {
   }
 }
 
-// The whole test, small, with a window that can be dragged.
+// An overview of the whole test, with a window that can be dragged.
 export class Outline {
   constructor(canvas, channel, on) {
     this.channel = channel;
@@ -273,7 +273,7 @@ export class Outline {
     const at = (e) => this.#position(e.offsetX), [first, last] = this.window, begin = at(event);
     const near = 8 * this.#position(1) - 8 * this.#position(0);
     const edge = Math.abs(begin - first) < near ? "first" : Math.abs(begin - last) < near ? "last" : "";
-    // Somewhere else in the outline: the window comes there.
+    // A click elsewhere in the overview moves the window there.
     const shift = begin < first || begin > last ? begin - (first + last) / 2 : 0;
     const move = (e) => {
       const by = at(e) - begin;

@@ -1,4 +1,4 @@
-// The page: what is shown, what was said, and the buttons.
+// The page: view, status and buttons.
 
 import { Histogram, INK, LoopChart, Outline, TimeChart, text } from "./charts.js";
 import { NO_STATE, OUTLINE, Store, connect } from "./stream.js";
@@ -13,10 +13,10 @@ let hello = null, status = null, store = null, send = () => false, connected = f
 let following = true, seconds = 10, shown = [0, 0], playing = 0;
 let dirty = false, numbersDue = 0, rowsCame = 0, lastRow = -1, shownState = NO_STATE;
 let heard = 0, deafLooks = 0;
-// Of several axes one is shown, with the channels of a rig of one.
+// With several axes, one is shown at a time, with the channels of a rig with one axis.
 let axes = [], axis = 0;
 
-// What the tests and the benchmark look at: newest row painted, and when (Unix time, ms).
+// For the tests and the benchmark: newest row painted, and when (Unix time, ms).
 const drawn = [];
 window.rthybLive = { drawn, frames: 0, get store() { return store; }, get shown() { return shown; } };
 
@@ -55,7 +55,7 @@ function draw() {
   if (!head) return;
   const range = following ? [store.seconds(head.last) - seconds, store.seconds(head.last)] : shown.map((p) => store.seconds(p));
   if (following) shown = [head.last - seconds * hello.fs_hz, head.last];
-  // What changes slowly is drawn in turn, one a frame; so every frame is in time.
+  // Slowly changing parts are drawn in turn, one per frame, so that no frame is late.
   const slow = window.rthybLive.frames % SLOW.length;
   charts.forEach((chart, i) => { if (!following || i < charts.length - SLOW.length || i === charts.length - SLOW.length + slow) chart.draw(store, range); });
   loop.draw(store.loop, [head.values[CHANNEL.measured], head.values[CHANNEL.force]]);
@@ -73,7 +73,7 @@ function animate() {
   if (draws) {
     draw();
     window.rthybLive.frames++;
-    // The browser paints when this callback has ended; then comes the message.
+    // The browser paints after this callback; the message arrives after that.
     painted.port2.postMessage(newest);
   }
   requestAnimationFrame(animate);
@@ -81,7 +81,7 @@ function animate() {
 
 // ---- numbers and words --------------------------------------------------------------------------
 
-// What was said of the axis that is shown.
+// Newest values of the axis shown.
 function newest() { const n = hello.channels.length; return status.now.slice(axis * n, (axis + 1) * n); }
 
 function peak(channel) {
@@ -102,10 +102,10 @@ function numbers(values) {
 
 function flows() { return connected && performance.now() - rowsCame < STILL_MS; }
 
-// An open socket is no proof: behind it may be a tunnel whose network has gone.
+// An open socket proves nothing: it may belong to a tunnel whose network is down.
 function deaf() { return deafLooks >= DEAF_LOOKS && !hello.past; }
 
-// State and first cause: of the newest row while rows come, else as the service says.
+// State and first cause: of the newest row while rows arrive, else as reported by the service.
 function tell() {
   if (!hello) return;
   const of = (number) => (number === NO_STATE ? "" : hello.states[number] || "");
@@ -114,7 +114,7 @@ function tell() {
   else if (deaf()) { state = "none"; words = "NO CONNECTION"; cause = `No data for ${ago(performance.now() - heard)}. The curves are out of date.`; }
   else if (status && !status.reachable) { state = "none"; words = "NO SERVICE"; cause = status.trouble || "rthyb serve does not answer."; }
   else if (status) {
-    // Whoever looks back must still see what is now.
+    // The present state must be visible even while an earlier view is shown.
     if (!hello.past && !(following && flows())) state = status.state || state;
     cause = state === status.state || status.mode !== "service" ? status.cause : "";
     if (hello.past) {
@@ -124,7 +124,7 @@ function tell() {
       $("band").dataset.past = "";
     }
     else if (status.ended) cause = ended(state);
-    else if (state === "TRIPPED") cause = cause ? `first cause: ${cause}` : "first cause: being looked for";
+    else if (state === "TRIPPED") cause = cause ? `first cause: ${cause}` : "first cause: not yet determined";
     else if (state === "" && status.trouble) { state = "none"; words = "NO TEST"; cause = status.trouble; }
     else if (!status.flows) { words = "NO ROWS"; cause = standing(state); state = "none"; }
     else if (state === "") words = "WAITING";
@@ -141,16 +141,16 @@ function tell() {
   $("band").classList.toggle("doubt", Boolean(status) && status.attention.length > 0);
 }
 
-// Coarser as it grows: whoever has the page read out need not hear every second.
+// Coarser as it grows, so that a screen reader does not announce every second.
 function ago(ms) {
   const s = Math.floor(ms / 1000);
   return s < 10 ? `${s} s` : s < 120 ? `${s - s % 10} s` : `${Math.floor(s / 60)} min`;
 }
 
-// The curves are old; what the service says is not.
+// The curves are out of date, but the status of the service is not.
 function standing(state) {
-  const says = status.mode === "service" && state ? ` The service says ${state.replace("_", " ")}.` : "";
-  return `${status.trouble || `For ${ago(1000 * status.still_s)} no row has come: what is drawn is old.`}${says}`;
+  const says = status.mode === "service" && state ? ` The service reports ${state.replace("_", " ")}.` : "";
+  return `${status.trouble || `No rows for ${ago(1000 * status.still_s)}: the curves are out of date.`}${says}`;
 }
 
 function ended(state) {
@@ -211,7 +211,7 @@ function turnTo(k) {
   ask(true);
 }
 
-// Only what is new: whoever has the page read out hears each sentence once.
+// Only new sentences, so that a screen reader announces each once.
 function attend(sentences) {
   const list = $("attention"), shown = [...list.children].map((item) => item.textContent);
   list.hidden = !sentences.length;
@@ -234,7 +234,7 @@ function micro(us) { return us < 1000 ? `${us < 10 ? us.toFixed(1) : us.toFixed(
 
 const buttons = [...document.querySelectorAll("[data-command]")];
 
-// A button that is of no use now keeps its place in the order of the keyboard, and the focus.
+// A button that is not available keeps its place in the tab order, and the focus.
 function enable() {
   for (const button of buttons) {
     const command = button.dataset.command;
@@ -246,23 +246,23 @@ function enable() {
 }
 
 function why(command, may) {
-  if (!connected || deaf() || !status || !status.reachable) return "There is no service to send this to.";
-  if (status.role === "none") return "The user of this live view is not in a group that may do this.";
+  if (!connected || deaf() || !status || !status.reachable) return "The service cannot be reached.";
+  if (status.role === "none") return "The user of this live view is not in a group with this permission.";
   if (!may) return "Use the operator's address of this page.";
-  return `Not in ${status.state}.`;
+  return `Not available in ${status.state}.`;
 }
 
-// The page may know less than the service for a moment: what is safe goes out in any case.
+// The page may briefly be behind the service: safe commands are always sent.
 const SAFE = ["hold", "stop"];
 
 function mayTry(command) { return SAFE.includes(command) && connected && status && status.reachable && status.role !== "none"; }
 
-// One activation more than was meant must not start a test: not a double click, nor a key that is held.
+// An accidental second activation, such as a double click or a held key, must not start a test.
 const asking = { button: null, since: 0, label: "", timer: 0 };
 
 function askBack(button) {
   settle();
-  // Its words change and its size does not: no other button comes under the pointer.
+  // Its text changes but not its size, so that no other button moves under the pointer.
   const { width, height } = button.getBoundingClientRect();
   Object.assign(button.style, { flex: "none", width: `${width}px`, height: `${height}px` });
   Object.assign(asking, { button, label: button.textContent, timer: setTimeout(settle, SURE_MS), since: performance.now() });
@@ -305,7 +305,7 @@ for (const button of buttons) {
   button.addEventListener("keydown", (event) => { if (event.repeat && event.key === "Enter") event.preventDefault(); });
 }
 
-// ---- what is shown ------------------------------------------------------------------------------
+// ---- the view -----------------------------------------------------------------------------------
 
 function position(atSeconds) { return store.zero + atSeconds * hello.fs_hz; }
 
@@ -429,7 +429,7 @@ send = connect({
     $("foot").textContent = `rthyb ${found.version}`;
     if (found.past) {
       following = false;
-      // The whole test first; then whoever looks goes closer.
+      // The whole test first; the user can then zoom in.
       if (!again) shown = [found.first, Math.max(found.last, found.first + 1)];
     }
     press();
@@ -452,8 +452,8 @@ send = connect({
   },
 });
 
-// When nothing comes, that is to be seen as well. Looks are counted, not time: a page that the browser
-// has put to sleep looks once, then hears what has come meanwhile.
+// Missing data must be visible as well. Checks are counted rather than time: a page that the browser
+// has suspended checks once, then receives what has arrived meanwhile.
 setInterval(() => {
   deafLooks++;
   if (!hello) return;

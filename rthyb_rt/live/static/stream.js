@@ -1,4 +1,4 @@
-// The socket, its frames, and what of them is at hand.
+// The socket, its frames, and the data available from them.
 // The layout of a frame is in rthyb_rt/live/frames.py.
 
 const MORE = 0, OUTLINE = 2, NO_STATE = 255;
@@ -17,7 +17,7 @@ export function parse(buffer) {
   };
 }
 
-// The columns of all channels, two points a column, as uPlot wants them; and the loop.
+// The columns of all channels, two points per column, in the format of uPlot; and the loop.
 export class Store {
   constructor(channels, fs) {
     this.fs = fs;
@@ -69,7 +69,7 @@ export class Store {
       for (let i = 2 * k * n; i < 2 * (k + 1) * n; i += 2) {
         const low = frame.extremes[i], high = frame.extremes[i + 1];
         if (Number.isNaN(low)) { y.push(null, null); before = null; continue; }
-        // Which came first inside a pixel nobody sees; the shorter way looks best.
+        // The order within a pixel is invisible; the shorter line looks best.
         if (before !== null && Math.abs(high - before) < Math.abs(low - before)) { y.push(high, low); before = low; }
         else { y.push(low, high); before = high; }
       }
@@ -95,7 +95,7 @@ export class Store {
   }
 }
 
-// Tries again by itself; the page says meanwhile that nothing comes.
+// Reconnects automatically; meanwhile the page shows that there are no data.
 export function connect(on) {
   const address = new URL("socket", location.href.replace(/^http/, "ws"));
   let socket = null, pause = 500;
