@@ -184,9 +184,7 @@ class Limits(Table):
         Annotated[float, Range("m/s^2", 1e-4, 1e4, "the deceleration of HOLD and ramp-out")] | None
     ) = None
     ramp_in_s: Annotated[float, Range("s", 0.01, 600, "the duration of the ramp-in")] | None = None
-    armed_timeout_s: (
-        Annotated[float, Range("s", 1, 3600, "the time after which ARMED ends automatically")] | None
-    ) = None
+    armed_timeout_s: Annotated[float, Range("s", 1, 3600, "the timeout of ARMED")] | None = None
     tare_s: Annotated[float, Range("s", 0.01, 60, "the averaging time of zeroing")] | None = None
     rest_spread_m: (
         Annotated[float, Range("m", 1e-9, 10, "the movement at rest that zeroing tolerates")] | None

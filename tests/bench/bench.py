@@ -1,8 +1,8 @@
-"""Computing times of rthyb on this machine, beside what they are meant to be.
+"""Computing times of rthyb on this machine, compared with targets.
 
-Prints the machine's facts and a table, and writes both to runs/bench-<UTC>.json. An absolute time
-says as much about the machine as about the program, so a figure over its target is shown and
-nothing more; what must hold on any machine stands in tests/test_speed.py.
+Prints the machine's properties and a table, and writes both to runs/bench-<UTC>.json. An absolute
+time depends on the machine as much as on the program, so a figure above its target is only marked;
+requirements for any machine are in tests/test_speed.py.
 """
 
 from __future__ import annotations
@@ -37,16 +37,16 @@ BUILD = ROOT / "build" / "bench"
 EXAMPLE = ROOT / "examples" / "section5-T0.5.toml"
 MIB = 2**20
 CORE_DOES_MORE = "the core also gates, limits, monitors and writes the record"
-"""Why the loop under numba, which does none of that, is a little faster."""
+"""Why the numba loop, which does none of that, is slightly faster."""
 
-# Targets: ns for one sample, ms for a test of 60 s. Keys are (group, name) of the C driver.
+# Targets: ns per sample, ms per test of 60 s. Keys are (group, name) of the C driver.
 SAMPLE_TARGETS_NS = {("sample", "paper"): 60.0, ("sample", "alpha-beta"): 150.0}
 TEST_TARGETS_MS = {"pure delay": 15.0, "first order": 15.0, "servo-hydraulic": 60.0}
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One line of the table; ``target`` is a most, or with ``at_least`` a least."""
+    """One row of the table; ``target`` is a maximum, or with ``at_least`` a minimum."""
 
     name: str
     measured: float
@@ -57,7 +57,7 @@ class Figure:
 
     @property
     def verdict(self) -> str:
-        """Return "ok", "over", or nothing where no target is set."""
+        """Return "ok", "over", or nothing if there is no target."""
         if self.target is None:
             return ""
         good = self.measured >= self.target if self.at_least else self.measured <= self.target
@@ -68,7 +68,7 @@ class Figure:
 
 
 def machine_facts() -> dict[str, Any]:
-    """Return what a computing time depends on."""
+    """Return the properties on which computing times depend."""
     return {
         "cpu": _cpu_model(),
         "cores": os.cpu_count(),
@@ -123,7 +123,7 @@ def run_c_driver() -> list[dict[str, Any]]:
 
 
 def c_figures(rows: list[dict[str, Any]]) -> list[Figure]:
-    """Turn the driver's rows into lines of the table."""
+    """Convert the driver's rows to rows of the table."""
     figures = []
     for row in rows:
         group, name, median = row["group"], row["name"], row["median_ns"]
@@ -157,7 +157,7 @@ def c_figures(rows: list[dict[str, Any]]) -> list[Figure]:
 
 
 def call_figure() -> Figure:
-    """Time rthyb_controller_step called from Python, one sample a call."""
+    """Time rthyb_controller_step called from Python, one sample per call."""
     controller, _ = loops.core_pair()
     struct = controller._c
     sample = ffi.new("rthyb_input *")
@@ -176,7 +176,7 @@ def call_figure() -> Figure:
 
 
 def virtual_time_figures() -> list[Figure]:
-    """Time a test of 60 s in virtual time, as the rest of the program runs it."""
+    """Time a test of 60 s in virtual time, as run by the rest of the program."""
     hydraulic = experiment.rig_config(
         config.load_rig(ROOT / "hw/rigs/shaking-table-portal-frame.toml")
     )
@@ -228,7 +228,7 @@ def loop_figures() -> list[Figure]:
 
 @dataclass(frozen=True)
 class Command:
-    """What one command took."""
+    """Resources used by one command."""
 
     seconds: float
     table_s: float
@@ -239,7 +239,7 @@ class Command:
 def run_command(
     arguments: list[str], folder: Path, last_table_line: str, expected: int = 0
 ) -> Command:
-    """Run ``rthyb`` as a shell would; ``last_table_line`` begins the line that ends its table."""
+    """Run ``rthyb`` as from a shell; ``last_table_line``: start of the table's last line."""
     start = time.perf_counter()
     rthyb = Path(sys.executable).with_name("rthyb")
     with subprocess.Popen(
@@ -253,7 +253,7 @@ def run_command(
         for line in process.stdout or ():
             if line.startswith(last_table_line):
                 table_s = time.perf_counter() - start
-        # wait4 knows this child's own processor time and peak; Popen.wait would forget them.
+        # wait4 returns this child's own processor time and peak memory; Popen.wait does not.
         _, status, usage = os.wait4(process.pid, 0)
         process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode != expected:
@@ -267,7 +267,7 @@ def run_command(
 
 
 def command_figures() -> list[Figure]:
-    """Time `rthyb run` and `rthyb --help`, the first call of each left out."""
+    """Time `rthyb run` and `rthyb --help`, without the first call of each."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         runs = [run_command(["run"], folder, "Recording") for _ in range(4)][1:]
@@ -315,7 +315,7 @@ def interface_figures() -> list[Figure]:
 
 
 def diagnosis_figures() -> list[Figure]:
-    """Time `rthyb diagnose` on a short and on a long recording with friction left out."""
+    """Time `rthyb diagnose` on a short and a long recording with friction not in the model."""
     figures = []
     for seconds, target_s, repetitions in ((15.0, 5.0, 3), (600.0, 60.0, 1)):
         with tempfile.TemporaryDirectory() as name:
@@ -335,7 +335,7 @@ def diagnosis_figures() -> list[Figure]:
 
 
 def timing_figures() -> list[Figure]:
-    """Time 1024 ticks a second in C beside a bare thread, and the same loop in Python."""
+    """Time 1024 ticks per second in C with a bare thread, and the same loop in Python."""
     figures = []
     for result in punctuality.in_core():
         name, wake, sent = result.case.title, result.measured.wake, result.measured.sent
@@ -404,7 +404,7 @@ def structure_figures() -> list[Figure]:
 
 
 def screen_figures() -> list[Figure]:
-    """Time the live view from a sample to the screen, if there is a browser to look with."""
+    """Time the live view from a sample to the screen, if a browser is installed."""
     missing = screen.missing()
     if missing:
         print(f"Not measured: the live view needs {missing}; make test-live installs it\n")
@@ -434,7 +434,7 @@ def screen_figures() -> list[Figure]:
 
 
 def print_table(figures: list[Figure]) -> None:
-    """Print figure, measured, target and ok or over."""
+    """Print figure, measured value, target and ok or over."""
     width = max(len(f.name) for f in figures)
     print(f"{'figure':{width}}  {'measured':>10}  {'target':>14}")
     for f in figures:
@@ -450,7 +450,7 @@ def main() -> None:
     for key, value in facts.items():
         print(f"{key:13} {value}")
     print("\nMeasuring for four minutes ...\n", flush=True)
-    # First, while this process is small: a child's peak counts what it was before its exec.
+    # First, while this process is small: a child's peak includes its memory before exec.
     commands = [*command_figures(), *diagnosis_figures(), *interface_figures()]
     rows = run_c_driver()
     ratio = loops.counting_ratio()

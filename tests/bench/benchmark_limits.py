@@ -1,8 +1,8 @@
-"""The benchmark's goals for the law `inverse`, held: ``python tests/bench/benchmark_limits.py``.
+"""Check the goals for the law `inverse`: ``python tests/bench/benchmark_limits.py``.
 
-All 21 plants, both rates: El Centro in cases 1 and 4 against the figures that were set before the
-law was written, every case and motion for runs that are unstable, plants drawn three times as
-wide, a specimen that yields. Three minutes of computing time. Exit code 1 where a goal is missed.
+All 21 plants at both rates: El Centro in cases 1 and 4 compared with figures set before the law was
+written; every case and motion for unstable runs; plants with three times the spread; a yielding
+specimen. Three minutes of computing time. Exit code 1 if a goal is missed.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ GOALS = {
     (1024, 1): {"J2": 1.30, "J4": 1.32},
     (1024, 4): {"J2": 1.02, "J4": 1.05},
 }
-"""Most that the mean of the plants may be, %, El Centro, by rate and case."""
+"""Largest mean over the plants, %, for El Centro, by rate and case."""
 EVERYWHERE = {"J6": 0.20, "J8": 0.15, "true": 0.15, "high": 2.0}
 """The same at both rates and in both cases; ``high`` in um."""
 WORST = {"J2": 0.1, "J4": 0.1}
-"""Points by which the worst plant may lie above the mean."""
+"""Largest excess of the worst plant over the mean, percentage points."""
 YIELDING = {4096: {"J4": 3.6}, 1024: {"J4": 2.65}}
-"""The same of a specimen that yields, case 1, by rate."""
+"""The same for a yielding specimen, case 1, by rate."""
 WIDE_WORST = 1.05
-"""Times the mean: most that the tracking error may be on the worst of the plants drawn three times
-as wide. J2 is over the plant's own motion, which in case 4 is 8.6 % less than the mean on one of
-them: J2 of a perfect law, the sensor's noise alone, is 9 % above its mean there. So the error is
-taken as a length."""
+"""Largest ratio of the tracking error on the worst plant to the mean, with three times the spread.
+J2 is relative to the plant's own motion, which in case 4 is 8.6 % below the mean for one of them:
+J2 of a perfect law, the sensor's noise alone, is 9 % above its mean there. The error is therefore
+compared as a length."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """One figure against what it may be at most."""
+    """One figure and its upper limit."""
 
     what: str
     found: float
@@ -50,19 +50,19 @@ class Goal:
 
     @property
     def met(self) -> bool:
-        """Whether it is; what is no number is not."""
+        """Whether it is met; NaN is not."""
         return self.found <= self.most
 
 
 def goals(
     usual: Sequence[Outcome], wide: Sequence[Outcome], yielding: Sequence[Outcome]
 ) -> list[Goal]:
-    """Return every goal with the figure measured.
+    """Return every goal with the measured figure.
 
     Args:
-        usual: plants as the benchmark draws them; all cases and motions.
-        wide: plants drawn three times as wide.
-        yielding: plants whose specimen yields.
+        usual: plants with the benchmark's spread; all cases and motions.
+        wide: plants with three times the spread.
+        yielding: plants with a yielding specimen.
     """
     found: list[Goal] = []
     lines = table.lines(usual)

@@ -1,4 +1,4 @@
-"""Recordings to time the diagnosis with: sweep after sweep on a lag, with dry friction left out."""
+"""Recordings for timing the diagnosis: repeated sweeps with a lag and missing dry friction."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""One hybrid test three ways: in the C core, as a NumPy-Python loop, and that loop under numba.
+"""One hybrid test in three ways: in the C core, as a NumPy-Python loop, and that loop with numba.
 
 The test is that of the paper's Section 4.2: phase lead with the delay estimator of Eqn 2.9, tangent
 stiffness of Eqn 3.3 and central difference, on a 10-sample pure delay with a Bouc-Wen specimen.
 The loop is written from the equations, as a laboratory would script it, and shares nothing with the
-core: it is its second formulation as well as its rival.
+core: it is an independent formulation as well as a reference for speed.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ def excitation(duration_s: float) -> np.ndarray:
 
 
 def build(compiled: Callable[[Any], Any]) -> Loop:
-    """Return the loop as ``compiled`` makes it; the identity leaves it to Python and NumPy.
+    """Return the loop processed by ``compiled``; the identity leaves it to Python and NumPy.
 
-    The loop takes ag in m/s^2 and gives x_num_m, x_meas_m and alpha, all (n,).
+    The loop takes ag in m/s^2 and returns x_num_m, x_meas_m and alpha, all (n,).
     """
 
     @compiled
@@ -94,7 +94,7 @@ def build(compiled: Callable[[Any], Any]) -> Loop:
         alpha, ratio, z = 0.0, K_E, 0.0
         x_m1 = x_m2 = x_p1 = x_p2 = f1 = 0.0
         for n in range(n_total):
-            # the rig: ten samples late, and it yields
+            # the rig: a delay of ten samples, and yielding
             x_m = x_cmd[n - DELAY] if n >= DELAY else 0.0
             z = yielded(z, x_m - x_m1)
             f = POST_YIELD_RATIO * K_E * x_m + (1.0 - POST_YIELD_RATIO) * K_E * z
@@ -150,7 +150,7 @@ def core_pair(config: core.RigConfig | None = None) -> tuple[core.Controller, co
 
 
 def in_core(ag: np.ndarray, records: np.ndarray, rig: core.RigConfig | None = None) -> float:
-    """Run a test in the C core into ``records``; return how long the computing took, s."""
+    """Run a test in the C core into ``records``; return the computing time, s."""
     controller, virtual_rig = core_pair(rig)
     start = time.perf_counter()
     done, _ = controller.run_virtual(virtual_rig, ag, records)
@@ -162,10 +162,10 @@ def in_core(ag: np.ndarray, records: np.ndarray, rig: core.RigConfig | None = No
 
 @dataclass(frozen=True)
 class Comparison:
-    """Least computing time of one test each way, s, and how far the results are apart.
+    """Least computing time of one test each way, s, and the difference of the results.
 
     ``difference`` is the largest |difference| of x_num, x_meas and alpha between any two of the
-    three, as a fraction of the signal's largest value.
+    three, relative to the signal's largest value.
     """
 
     core_s: float
@@ -176,16 +176,16 @@ class Comparison:
 
 
 def timed(call: Callable[[], Any]) -> float:
-    """Return how long a call takes, s."""
+    """Return the duration of a call, s."""
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
 
 
 def compare(duration_s: float, repetitions: int = 10) -> Comparison:
-    """Run the test all three ways and compare time and result.
+    """Run the test in all three ways and compare time and result.
 
-    Of each way the least time counts: what a stall of the machine adds is not the program's.
+    The least time of each is used: delays due to stalls of the machine are excluded.
     """
     import numba
 
@@ -214,7 +214,7 @@ def _apart(one: Iterable[np.ndarray], other: Iterable[np.ndarray]) -> float:
 
 
 def counting_ratio(seconds: float = 300.0) -> float:
-    """Return how fast a Python thread counts while a test runs, against its speed alone."""
+    """Return the counting speed of a Python thread during a test, relative to its speed alone."""
     ag = excitation(seconds)
     records = np.zeros(ag.size, core.RECORD_DTYPE)
     count, stop = [0], threading.Event()

@@ -1,7 +1,7 @@
-"""1024 ticks a second: in C, bare, as the whole loop, and in Python; with and without a burner.
+"""1024 ticks per second: in C, bare, as the whole loop, and in Python; with and without load.
 
 The Python loop is written as a laboratory would: sleep until the tick is due, one sample of rig and
-controller, again. It has the same priority, skips as the C loop does, and is timed by the same
+controller, repeat. It has the same priority, skips like the C loop, and is timed by the same
 histogram.
 """
 
@@ -32,10 +32,10 @@ def in_core() -> list[jitter.Result]:
 
 
 def in_loop() -> tuple[Run, int]:
-    """Return a run of the whole tick with its ring, the drive in a process of its own.
+    """Return a run of the whole tick with its ring, and the drive in a separate process.
 
-    Frames go over an AF_UNIX socket pair. Second: how often it was run, because the bare thread was
-    late.
+    Frames are sent over an AF_UNIX socket pair. The second value is the number of attempts, which
+    are repeated when the bare thread was late.
     """
     return repeated([Plan("bench", SECONDS)])["bench"]
 

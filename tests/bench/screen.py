@@ -1,7 +1,7 @@
 """From a sample to the screen: a ring that is filled at 1024 Hz, `rthyb live`, and a browser.
 
-The page notes when each frame was on the screen; a sample is there with the first frame that has
-it. Both clocks are this machine's.
+The page records when each frame was on the screen; a sample is visible with the first frame that
+contains it. Both clocks are this machine's.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ PROGRAM = [sys.executable, "-c", "import sys; from rthyb_rt.cli import main; sys
 
 @dataclass(frozen=True)
 class Screen:
-    """What a live view took.
+    """Resources and delays of a live view.
 
     Attributes:
         p50_ms, p95_ms: from a sample to the screen.
-        server_share: of one core.
-        page_share: what the page computes, of one core.
-        browser_share: of one core, all of the browser, painting too.
-        frames_per_s: that were drawn.
+        server_share: load of one core.
+        page_share: load of one core by the page's scripts.
+        browser_share: load of one core by the entire browser, including painting.
+        frames_per_s: frames drawn.
     """
 
     p50_ms: float
@@ -52,14 +52,14 @@ class Screen:
 
 
 def missing() -> str:
-    """Return what is not there to measure with, or nothing."""
+    """Return what is missing for the measurement, or an empty text."""
     if not CHROMIUM:
         return "chromium"
     return "" if importlib.util.find_spec("playwright") else "playwright"
 
 
 def rows(first: int, count: int) -> np.ndarray:
-    """Return rows of a test that swings in a loop."""
+    """Return rows of a test with periodic motion."""
     tick = np.arange(first, first + count)
     made = np.zeros(count, core.RECORD_DTYPE)
     phase = 2.0 * np.pi * 2.0 * tick / core.FS_HZ
@@ -75,7 +75,7 @@ def rows(first: int, count: int) -> np.ndarray:
 
 
 class Producer(threading.Thread):
-    """Fills a ring at 1024 rows a second, and notes when each row was there."""
+    """Fills a ring at 1024 rows per second, and records when each row was available."""
 
     def __init__(self, ring: Ring) -> None:
         super().__init__(daemon=True)
@@ -106,7 +106,7 @@ def cpu_s(pids: list[int]) -> float:
 
 
 def family(pid: int) -> list[int]:
-    """Return a process and all that come from it."""
+    """Return a process and all its descendants."""
     parents = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -121,7 +121,7 @@ def family(pid: int) -> list[int]:
 
 
 def measure() -> Screen:
-    """Measure for a quarter of a minute."""
+    """Measure for 15 seconds."""
     test = config.load_test(config.builtin_test_path())
     rec = virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
     memory = Path("/dev/shm")
@@ -183,7 +183,7 @@ def _watch(url: str, server: int, producer: Producer) -> Screen:
 
 
 def _script_s(counters: Any) -> float:
-    """Return how long the page's scripts have run so far."""
+    """Return the run time of the page's scripts so far."""
     found = counters.send("Performance.getMetrics")["metrics"]
     return float(next(one["value"] for one in found if one["name"] == "ScriptDuration"))
 

@@ -1,6 +1,6 @@
-"""Computing times of structures of many degrees of freedom, beside dense matrices in the same run.
+"""Computing times of structures of many degrees of freedom, compared with dense matrices.
 
-Run as a program of its own, so that the linear algebra it is compared with has one thread as well.
+Run as a separate program, so that the linear algebra library is limited to one thread as well.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ STEPS = 1500
 
 @dataclass(frozen=True)
 class Times:
-    """What one run has measured.
+    """Results of one run.
 
     Attributes:
         frame_us: a step of the 3-D frame of 1008 degrees of freedom with 200 Bouc-Wen elements.
         dense_us: a linear step of the same frame by the printed method, with its full matrices: the
             inverse, K, C, and the three matrices of integration, by OpenBLAS in one thread.
-        product_us: one such product of the six, and nothing else.
-        large_us: a step of a linear 3-D frame of 3024.
+        product_us: one such product of the six alone.
+        large_us: a step of a linear 3-D frame with 3024 degrees of freedom.
         squat_us: the same number of degrees of freedom, in 12 wide storeys.
-        large_mb: what that one's arrays and state take.
-        answer_us: from force to command with 3024 degrees of freedom, beyond that of one.
+        large_mb: memory of the arrays and state of the former.
+        answer_us: from force to command with 3024 degrees of freedom, in excess of that of one.
     """
 
     frame_us: float
@@ -44,7 +44,7 @@ class Times:
 
 
 def measure() -> Times:
-    """Measure in a process of its own."""
+    """Measure in a separate process."""
     env = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     done = subprocess.run(
         [sys.executable, str(HERE / "structures.py")], env=env, capture_output=True, text=True,
@@ -81,7 +81,7 @@ def _frame(columns: tuple[int, int], storeys: int, elements: int) -> Any:
     each = 6 * columns[0] * columns[1]
     joints = []
     for e in range(elements):
-        # 168 stand in every column of every storey, what is beyond them beside the first ones.
+        # 168 are in every column of every storey, the others beside the first ones.
         above = 6 * (e // storeys % (columns[0] * columns[1])) + each * (e % storeys)
         joints.append(Joint(above - each if e % storeys else GROUND, above, law, 2e7))
     return SparsePart(

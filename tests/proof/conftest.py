@@ -20,7 +20,7 @@ Note = Callable[..., None]
 
 @pytest.fixture(scope="session")
 def note() -> Note:
-    """Put a figure into the table: group, name, measured, unit, and what is allowed in words."""
+    """Add a figure to the table: group, name, measured value, unit, and allowed range in words."""
 
     def add(group: str, name: str, measured: Any, unit: str = "", allowed: str = "") -> None:
         FIGURES.append(
@@ -31,7 +31,7 @@ def note() -> Note:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Keep what became of each proof."""
+    """Record the result of each proof."""
     if report.when == "call" or report.failed:
         OUTCOMES[report.nodeid.partition("::")[2]] = report.outcome
 

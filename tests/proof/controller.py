@@ -1,8 +1,8 @@
-"""The controller as a process of its own: a whole real-time run, from loop.start to its join.
+"""The controller as a separate process: a whole real-time run, from loop.start to its join.
 
-    python controller.py '{"fd": 3, "clock": "host", "seconds": 60, "cpu": 1, "out": "c.npz", ...}'
+python controller.py '{"fd": 3, "clock": "host", "seconds": 60, "cpu": 1, "out": "c.npz", ...}'
 
-Prints the time of tick 0 once that is known. Rows come through the ring, as a recorder gets them.
+Prints the time of tick 0 once that is known. Rows are read from the ring, as by a recorder.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ NEXT: dict[str, core.Command] = {
     "ARMED": "start",
     "TRIPPED": "reset",
 }
-"""What an operator does who wants the test to run, whatever happened."""
+"""Commands of an operator who keeps the test running, whatever happens."""
 
 
 class Allocations:
-    """Count of one thread's allocations, where counting.c is preloaded; None where it is not."""
+    """Count of one thread's allocations, if counting.c is preloaded; else None."""
 
     def __init__(self) -> None:
         self._library = ctypes.CDLL(None) if "LD_PRELOAD" in os.environ else None
@@ -49,14 +49,14 @@ class Allocations:
         return ctypes.c_uint64.in_dll(self._library, name)
 
     def watch(self, thread: int) -> None:
-        """Count this thread's from now on, beginning with 0."""
+        """Count this thread's allocations from now on, starting at 0."""
         if self._library:
             self._word("counting_allocations").value = 0
             self._word("counting_thread").value = thread
 
     @property
     def count(self) -> int | None:
-        """How many there were."""
+        """Number of allocations."""
         return self._word("counting_allocations").value if self._library else None
 
     def works(self) -> bool:
@@ -73,7 +73,7 @@ class Allocations:
 
 
 class Follower:
-    """Beats the heart and takes every row out of the ring, 50 times a second."""
+    """Sends heartbeats and reads every row from the ring, 50 times per second."""
 
     def __init__(self, running: loop.Loop, reader: Reader) -> None:
         self._loop, self._reader = running, reader
@@ -87,7 +87,7 @@ class Follower:
         while not last:
             last = self._done.wait(0.02)
             self._loop.beat()
-            # A copy: behind the rows is a buffer for 8192 of them, and all of it is locked.
+            # A copy: the rows refer to a buffer for 8192 of them, all of which is locked in memory.
             self.parts.append(self._reader.read().samples.copy())
 
     def finish(self) -> np.ndarray:
@@ -105,12 +105,12 @@ def command(running: loop.Loop, wanted: core.Command) -> None:
 
 
 def operate(running: loop.Loop, seconds: float) -> None:
-    """Keep a test going for so long, then end it in good order."""
+    """Keep a test running for this long, then end it properly."""
     end, again = time.monotonic() + seconds, 0.0
     last: core.Command = "none"
     while time.monotonic() < end:
         wanted = NEXT.get(running.state, "none")
-        # A tare takes 64 ticks: it must not be begun anew all the time.
+        # A tare takes 64 ticks, so it must not be restarted continually.
         if wanted != "none" and (wanted != last or time.monotonic() > again):
             command(running, wanted)
             again = time.monotonic() + 0.5
@@ -123,7 +123,7 @@ def operate(running: loop.Loop, seconds: float) -> None:
 
 
 def main(spec: dict[str, Any]) -> None:
-    """Run the test of ``structure`` for ``spec["seconds"]`` and write what there is to know."""
+    """Run the test of ``structure`` for ``spec["seconds"]`` and write the results."""
     allocations = Allocations()
     counted = allocations.works()
     seconds = spec["seconds"]
@@ -148,7 +148,7 @@ def main(spec: dict[str, Any]) -> None:
             time.sleep(0.001)
         print(running._c.ticker.t0_ns, flush=True)
         follower = Follower(running, reader)
-        sys.stdin.readline()  # the drive is there
+        sys.stdin.readline()  # the drive is ready
         with jitter.busy_python() if spec["burner"] else nullcontext():
             operate(running, seconds)
             running.stop()

@@ -1,8 +1,8 @@
-"""Clients of a control socket who mean no good, as a process; until stdin ends.
+"""Malicious clients of a control socket, as a process; runs until stdin ends.
 
-    python crowd.py SOCKET ask|deaf|garbage COUNT
+python crowd.py SOCKET ask|deaf|garbage COUNT
 
-Prints how many answers came, and which of them granted anything.
+Prints the number of answers, and those that granted anything.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def connected(path: str) -> socket.socket | None:
 
 
 def garbage(chance: random.Random) -> bytes:
-    """Return what is no request of any kind, or one that is far too long or deep."""
+    """Return invalid requests, or ones that are far too long or deep."""
     kind = chance.randrange(5)
     if kind == 0:
         return chance.randbytes(chance.randrange(1, 2000))
@@ -48,7 +48,7 @@ def garbage(chance: random.Random) -> bytes:
 
 
 class Crowd:
-    """So many connections, each made anew when the service has hung up."""
+    """A number of connections, each re-established when the service has closed it."""
 
     def __init__(self, path: str, kind: str, count: int) -> None:
         self.path, self.kind = path, kind
@@ -58,7 +58,7 @@ class Crowd:
         self.granted: list[str] = []
 
     def turn(self) -> None:
-        """Have everybody say something."""
+        """Send something on every connection."""
         for i, one in enumerate(self.made):
             one = one or connected(self.path)
             self.made[i] = one
@@ -76,7 +76,7 @@ class Crowd:
                 self.made[i] = None
 
     def take(self, data: bytes) -> None:
-        """Count answers; what a request without sense was granted is kept."""
+        """Count answers; keep those that granted an invalid request."""
         if not data:
             raise ConnectionResetError
         for answer in filter(None, data.split(b"\0")):

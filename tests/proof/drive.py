@@ -1,8 +1,8 @@
-"""The drive as a process of its own, on its own clock, until its standard input ends.
+"""The drive as a separate process, on its own clock, until its standard input ends.
 
-    python drive.py '{"fd": 3, "t0_ns": ..., "ppm": 100, "timed": false, "cpu": 0, "out": "d.npz"}'
+python drive.py '{"fd": 3, "t0_ns": ..., "ppm": 100, "timed": false, "cpu": 0, "out": "d.npz"}'
 
-``timed``: the tick is called from Python, which notes when it was; else the core's own loop runs.
+``timed``: the tick is called from Python, which records its times; else the core's own loop runs.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from rthyb_rt.core import loop, ticker, wire
 
 
 def main(spec: dict[str, Any]) -> None:
-    """Run, then write log, times (due, woken, done; ns) and what the clock counted."""
+    """Run, then write log, times (due, woken, done; ns) and the counts of the clock."""
     ticks = round((spec["seconds"] + 30.0) * core.FS_HZ)
     drive = loop.Drive(
         structure.rig(),

@@ -1,8 +1,8 @@
-"""Pages of a live view that take every frame, as a process; until stdin ends.
+"""Pages of a live view that read every frame, as a process; runs until stdin ends.
 
-    python pages.py URL COUNT
+python pages.py URL COUNT
 
-Prints how many messages came, and how long they were together.
+Prints the number of messages, and their total length.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ VIEW = json.dumps({"view": {"follow": True, "seconds": 10, "columns": 1024}})
 
 
 class Taken:
-    """What the pages took.
+    """What the pages received.
 
     Attributes:
-        messages, size: how many, and how many bytes or letters.
+        messages, size: number of messages, and of bytes or characters.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Taken:
 
 
 async def page(url: str, taken: Taken) -> None:
-    """Follow the running test, as the page does, and count what comes."""
+    """Follow the running test, like the page, and count what arrives."""
     address = urlsplit(url)
     origin = f"{address.scheme}://{address.netloc}"
     socket = f"ws://{address.netloc}{address.path}socket"

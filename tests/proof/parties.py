@@ -1,4 +1,4 @@
-"""Controller, drive and bare reference thread as processes, joined by a socket pair."""
+"""Controller, drive and bare reference thread as processes, connected by a socket pair."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STATE: Final = {name: number for number, name in enumerate(core.STATES)}
 
 @cache
 def compiled(name: str, *sources: str, shared: bool = False) -> Path:
-    """Build one of the C programs here with what it needs of the core."""
+    """Build one of the C programs in this folder with the necessary parts of the core."""
     BUILD.mkdir(parents=True, exist_ok=True)
     target = BUILD / name
     kind = ["-shared", "-fPIC"] if shared else []
@@ -49,7 +49,7 @@ def compiled(name: str, *sources: str, shared: bool = False) -> Path:
 
 @dataclass(frozen=True)
 class Reference:
-    """What the bare thread went through."""
+    """Timing of the bare thread."""
 
     executed: int
     skipped: int
@@ -61,15 +61,15 @@ class Reference:
 
 @dataclass
 class Run:
-    """What a finished run left behind.
+    """Results of a completed run.
 
     Attributes:
-        rows: of the ring, from the first tick on.
+        rows: rows of the ring, from the first tick on.
         facts: counters of the controller, by name.
-        log: of the drive, one entry a tick of its own.
-        times: due, woken and done of each of these ticks, ns, (n, 3); zeros where not noted.
-        t0_ns: when the controller's tick 0 was due.
-        began_ns: when, after that, drive and bare thread began.
+        log: log of the drive, one entry per tick of its own.
+        times: due, woken and done for each of these ticks, ns, (n, 3); zeros if not recorded.
+        t0_ns: due time of the controller's tick 0.
+        began_ns: later time at which drive and bare thread began.
     """
 
     rows: np.ndarray
@@ -88,13 +88,13 @@ class Run:
 
     @property
     def disturbed(self) -> bool:
-        """Whether the machine itself was over 10 ms late."""
+        """Whether the machine itself was more than 10 ms late."""
         return self.reference.longest_ns > REPEAT_ABOVE_NS
 
 
 @dataclass(frozen=True)
 class Plan:
-    """How a run is to be."""
+    """Settings of a run."""
 
     name: str
     seconds: float
@@ -120,7 +120,7 @@ class Parties:
             self._cpu, self._drive_cpu = self._drive_cpu, self._cpu
 
     def start(self) -> Parties:
-        """Start controller, drive and reference; the test is under way."""
+        """Start controller, drive and reference, and the test."""
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         with ours, theirs:
             self.controller = self._controller(ours.fileno())
@@ -188,7 +188,7 @@ class Parties:
         return line
 
     def finish(self) -> Run:
-        """Wait for the end of the test and return what there is to know."""
+        """Wait for the end of the test and return its results."""
         with self._owned:
             patience = self.plan.seconds + PATIENCE_S
             self.controller.communicate(timeout=patience)
@@ -208,10 +208,10 @@ class Parties:
 def repeated(
     plans: list[Plan], folder: Path = BUILD, beside: Callable[[list[Parties]], None] | None = None
 ) -> dict[str, tuple[Run, int]]:
-    """Run all plans at the same time; again, at most three times, what the machine disturbed.
+    """Run all plans at the same time; repeat disturbed ones, up to three attempts.
 
     Returns:
-        each plan's last run and how often it was run, by name.
+        the last run of each plan and its number of attempts, by name.
     """
     found: dict[str, tuple[Run, int]] = {}
     for attempt in range(1, ATTEMPTS + 1):

@@ -1,11 +1,12 @@
 """Two minutes with a drive whose clock is 100 ppm off, on the host clock and on the link's.
 
-All runs go on at the same time, each with processes of its own. On the host clock the two clocks
-pass each other every 9.77 s: while they meet, a pair comes now before and now after its tick, and
-then for good. What is settled is judged by whole seconds; each single change is flagged in its row.
+All runs take place at the same time, each with its own processes. On the host clock, the two clocks
+pass each other every 9.77 s: while they coincide, a pair arrives sometimes before and sometimes
+after its tick, then always after it. Settled offsets are evaluated for whole seconds; each single
+change is flagged in its row.
 
 The drive of these runs is a process on the same machine. When it sleeps through one of its own
-ticks, its count slips as well; when that was is known here, and taken out.
+ticks, its count slips as well; these times are known here, and are excluded.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from rthyb_rt.core import ticker
 SECONDS = 120.0
 WINDOW = round(SECONDS * core.FS_HZ)
 LOCKED = 15 * 1024
-"""Ticks until the link's clock has locked and, in each test anew, alpha has settled."""
+"""Ticks until the link's clock has locked and, in each new test, alpha has settled."""
 BLOCK = 1024
 SETTLED = 0.9
-"""Share of the pairs of a second that has to agree on where the two clocks stand."""
+"""Share of the pairs in a second that must agree on the offset of the two clocks."""
 AFTER = 16
-"""Ticks in which the clocks may still feel that a party was late."""
+"""Ticks in which the clocks may still be affected by a late party."""
 LATE_NS = 150_000
-"""The link's clock has pairs come 200 us before their tick: later than this, one may miss it."""
+"""The link's clock makes pairs arrive 200 us before their tick: if later, one may miss it."""
 JUDGED = 2 * 256
-"""Ticks in which a slip is flagged: a majority of the last 256 that were punctual must see it."""
+"""Ticks in which a slip is flagged: a majority of the last 256 punctual ones must see it."""
 JUMP = 0.5
 PLANS = [
     Plan(f"{clock}{ppm:+g}", SECONDS, clock, ppm, timed=True, swapped=ppm < 0)
@@ -45,7 +46,7 @@ BOTH = pytest.mark.parametrize("sign", [1, -1])
 
 
 def settle(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the offset in each second that agrees on it, and which second that is."""
+    """Return the offset in each second in which the pairs agree, and these seconds."""
     blocks = offset[: offset.size // BLOCK * BLOCK].reshape(-1, BLOCK)
     middle = np.median(blocks, axis=1)
     agreed = (blocks == middle[:, None]).mean(axis=1) >= SETTLED
@@ -54,13 +55,13 @@ def settle(offset: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass
 class Drift:
-    """A run, and its rows that brought a pair: two minutes of them, from a second after the first.
+    """A run, and its rows with a pair: two minutes, beginning a second after the first.
 
     Attributes:
-        offset: the drive's samples less the tick, (n,), those that it slept through included.
-        heard: the same without those: where the clocks stand as far as the controller can know.
+        offset: the drive's samples less the tick, (n,), including those that it slept through.
+        heard: the same without those: the offset as seen by the controller.
         late: a party slept through a tick or was late for it, just before, (n,).
-        missed: the drive slept through a tick so lately that its slip may be flagged now, (n,).
+        missed: the drive slept through a tick so recently that its slip may be flagged now, (n,).
     """
 
     name: str
@@ -74,9 +75,9 @@ class Drift:
 
     @classmethod
     def of(cls, name: str, run: Run, attempts: int) -> Drift:
-        """Cut a run to what is looked at."""
+        """Select the rows to be evaluated."""
         fresh = np.flatnonzero(run.rows["flags"] & FLAGS["fresh"])
-        # The controller was there first: the first count that it saw is the drive's own.
+        # The controller was there first, so the first count that it saw is the drive's own.
         count = np.unwrap(run.rows["count"][fresh].astype(np.int64), period=256).astype(np.int64)
         missed = np.rint(np.diff(run.times[:, 0]) / ticker.PERIOD_NS).astype(np.int64) - 1
         missed = np.concatenate([[0], np.cumsum(missed)])
@@ -99,7 +100,7 @@ class Drift:
 
     @cached_property
     def settled(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the clocks stand in each second that agrees on it, and which second that is."""
+        """Offset in each second in which the pairs agree, and these seconds."""
         return settle(self.offset)
 
     @property
@@ -109,12 +110,12 @@ class Drift:
 
     @property
     def unexplained(self) -> int:
-        """How many slips were flagged that no sleeping drive made."""
+        """Number of slips flagged that were not caused by a sleeping drive."""
         return int(np.count_nonzero((self.slipped & ~self.missed)[LOCKED:]))
 
     @property
     def slipped(self) -> np.ndarray:
-        """Which of the rows say that the count slipped, (n,)."""
+        """Rows with a slip of the count, (n,)."""
         return np.asarray(self.rows["flags"] & FLAGS["slip"] != 0)
 
     @property
@@ -126,7 +127,7 @@ class Drift:
         return float(np.median(delay[rows["flags"] & FLAGS["fresh"] != 0]))
 
     def tests(self) -> list[np.ndarray]:
-        """Which rows belong to each test once alpha has settled."""
+        """Rows of each test after alpha has settled."""
         running = np.concatenate([[0], self.rows["state"] == STATE["RUNNING"], [0]]).astype(int)
         begin, end = (np.flatnonzero(np.diff(running) == way) for way in (1, -1))
         return [np.arange(b + LOCKED, e) for b, e in zip(begin, end, strict=True) if e > b + LOCKED]
@@ -134,7 +135,7 @@ class Drift:
 
 @pytest.fixture(scope="module")
 def drifts() -> dict[str, Drift]:
-    """All runs, by name. One in which the machine was late every time must hold all the same."""
+    """All runs, by name. A run in which the machine was late every time must pass nevertheless."""
     return {name: Drift.of(name, *found) for name, found in repeated(PLANS).items()}
 
 
@@ -167,17 +168,17 @@ def test_run_is_whole_and_every_tick_accounted_for(drift: Drift, note: Note) -> 
 def test_each_slip_of_the_count_is_counted_and_flagged(drift: Drift) -> None:
     flagged = drift.run.rows["flags"] & FLAGS["slip"] != 0
     assert drift.run.facts["counters"]["slips"] == np.count_nonzero(flagged)
-    # A drive that sleeps through a tick as its fast clock gains one leaves the count as it was.
+    # If a drive sleeps through a tick while its fast clock gains one, the count is unchanged.
     settled, seconds = settle(drift.heard)
     at = np.flatnonzero(drift.slipped) / BLOCK
     for n in np.flatnonzero(np.diff(settled)):
-        # A slip is one that has lasted: its flag may come in the second after.
+        # A slip must persist before it is flagged: the flag may be in the following second.
         between = (at >= seconds[n]) & (at < seconds[n + 1] + 2)
         assert between.any(), f"the slip after second {seconds[n]} has no flag"
 
 
 def judged(drift: Drift) -> Drift:
-    """Return a run that two clocks can be judged by, unless the machine stalled in all of them."""
+    """Return a run that can be evaluated, unless the machine stalled in all of them."""
     if drift.run.disturbed:
         late_ms = drift.run.reference.longest_ns / 1e6
         pytest.skip(f"the bare thread was {late_ms:.0f} ms late, in {drift.attempts} runs out of 3")

@@ -1,8 +1,9 @@
-"""A storm of a million bad frames into a running test leaves no trace but in the counters.
+"""A storm of a million bad frames during a test changes nothing but the counters.
 
-Two tests side by side on the stepped clock, one in the storm: their records are the same to the
-last bit. Frames are genuine ones with bits turned over, random ones with our identifiers, strangers
-and frames of a wrong length. What is right to refuse is decided here by a CRC written anew.
+Two tests side by side on the stepped clock, one in the storm: their records are identical to the
+last bit. The bad frames are genuine ones with flipped bits, random ones with our identifiers,
+frames with other identifiers and of a wrong length. An independent CRC decides which must be
+rejected.
 """
 
 from __future__ import annotations
@@ -62,13 +63,13 @@ def genuine_can(chance: np.random.Generator, n: int) -> tuple[np.ndarray, np.nda
 
 
 def bad_can(n: int) -> tuple[list[bytes], dict[str, int]]:
-    """Return n packets that no controller may take, and how many are bad in which way."""
+    """Return n packets that every controller must reject, and the number of each kind."""
     chance = np.random.default_rng(1)
     ids, data = genuine_can(chance, n)
     lengths = np.full(n, 8)
     kind = chance.choice(4, n, p=(0.5, 0.2, 0.2, 0.1))
     turned, random, strange, cut = (kind == k for k in range(4))
-    for _ in range(3):  # one to three bits, or the same one twice: then it is made bad below
+    for _ in range(3):  # one to three bits, or the same bit twice, in which case it is fixed below
         bit = chance.integers(0, 64, n)
         data[turned, bit[turned] // 8] ^= (1 << (bit[turned] % 8)).astype(np.uint8)
     data[random] = chance.integers(0, 256, (int(random.sum()), 8), np.uint8)
@@ -92,7 +93,7 @@ def cobs(data: bytes) -> bytes:
 
 
 def bad_serial(n: int) -> tuple[list[bytes], dict[str, int]]:
-    """Return n packets that no controller may take, and how many are bad in which way."""
+    """Return n packets that every controller must reject, and the number of each kind."""
     chance = np.random.default_rng(2)
     body = chance.integers(0, 256, (n, FEEDBACK_BYTES), np.uint8)
     wrong = chance.integers(1, 1 << 16, n)
@@ -112,7 +113,7 @@ def bad_serial(n: int) -> tuple[list[bytes], dict[str, int]]:
 
 
 class Pair:
-    """Controller and drive in lockstep over a socket pair that knows no delay."""
+    """Controller and drive in lockstep over a socket pair without delay."""
 
     def __init__(self, medium: str) -> None:
         stream = medium == "serial"
@@ -130,7 +131,7 @@ class Pair:
         self.parts: list[np.ndarray] = []
 
     def step(self, storm: list[bytes], command: core.Command = "none") -> None:
-        """One tick; half of the storm comes before the drive's frames, half after."""
+        """One tick; half of the storm arrives before the drive's frames, half after."""
         far, half = self._ends[1].fileno(), len(storm) // 2
         for packet in storm[:half]:
             os.write(far, packet)
@@ -156,7 +157,7 @@ def medium(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture
 def pairs(medium: str) -> Iterator[tuple[Pair, Pair]]:
-    """One for the storm, one for comparison."""
+    """One pair for the storm, one for comparison."""
     made = Pair(medium), Pair(medium)
     yield made
     for pair in made:
@@ -164,7 +165,7 @@ def pairs(medium: str) -> Iterator[tuple[Pair, Pair]]:
 
 
 def script(tick: int) -> core.Command:
-    """Make a test run from tick 400 to the end."""
+    """Run a test from tick 400 to the end."""
     commands: dict[int, Any] = {5: "zero", 90: "arm", 95: "start"}
     return commands.get(tick, "none")
 

@@ -1,4 +1,4 @@
-"""The tick thread wakes as punctually as a bare one in the same minute, whatever runs beside it."""
+"""The tick thread is as punctual as a bare one at the same time, whatever else is running."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ RATIO, MORE_NS = 1.25, 20_000
 
 @pytest.fixture(scope="module")
 def load() -> jitter.Load:
-    """What the built-in test asks of a tick."""
+    """The work of one tick in the built-in test."""
     return jitter.Load.built_in()
 
 

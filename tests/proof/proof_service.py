@@ -1,8 +1,8 @@
-"""The tick thread of a service wakes as punctually as a bare one, whoever comes to its socket.
+"""The tick thread of a service is as punctual as a bare one, whatever its clients do.
 
-Fifty clients ask as often as they may, ten never take their answers, ten talk nonsense; somebody
-holds the ring open and never reads it, and the recorder stands before a full disk, or before one
-that takes 3 s to have on it what it is given. And so while pages of the live view follow the test.
+Fifty clients send requests at the maximum rate, ten never read their answers, ten send garbage; one
+holds the ring open without reading it, and the recorder has a full disk, or one that takes 3 s for
+each write. The same is measured while pages of the live view follow the test.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from rthyb_rt.service.recorder import read_index
 SECONDS = 11.0
 RATIO, MORE_NS = 1.25, 20_000
 DISK_MB = 80
-"""The test is let begin, with two minutes to spare; then ballast takes what is left."""
+"""Space for the start of the test, with two minutes to spare; ballast then fills the rest."""
 CROWD = (("ask", 25), ("ask", 25), ("deaf", 10), ("garbage", 10))
 PATIENCE_S = 60.0
 FAULTS_S = 4.0
 BALLAST = "ballast"
 SLOW = {"RTHYB_SLOW_FSYNC_MS": "3000", "RTHYB_SLOW_PWRITE_MS": "10"}
-"""What slow_disk.c takes."""
+"""Settings of slow_disk.c."""
 
 
 @pytest.fixture
@@ -87,7 +87,7 @@ def line(made: subprocess.Popen[str]) -> str:
 
 
 def tell(made: subprocess.Popen[str]) -> str:
-    """Say something to a process; return its next line."""
+    """Send a line to a process; return its next line."""
     assert made.stdin is not None
     made.stdin.write("\n")
     made.stdin.flush()
@@ -108,7 +108,7 @@ def status(socket: Path) -> dict[str, Any]:
 
 
 def start_test(socket: Path) -> str:
-    """Have a test of half a minute run; return its run. A stall before its motion is forgiven."""
+    """Run a test of half a minute; return its run. A stall before its motion is permitted."""
     for _ in range(ATTEMPTS):
         with contextlib.suppress(Refusal):
             return begin_test(socket)
@@ -120,7 +120,7 @@ def start_test(socket: Path) -> str:
 
 
 def at_rest(socket: Path) -> bool:
-    """Return whether the drive follows; what a stall has tripped is reset."""
+    """Return whether the drive follows; a trip caused by a stall is reset."""
     found = status(socket)
     if found["state"] == "TRIPPED":
         with Client(socket) as client, contextlib.suppress(Refusal):
@@ -136,7 +136,7 @@ def begin_test(socket: Path) -> str:
         digest = client.call("Load", test_toml=config.dump(test), record=record)["digest"]
         client.call("Zero")
         until(lambda: status(socket)["state"] == "ZEROED", "ZEROED")
-        # A slow disk takes its time to begin with, and arming would be refused for that.
+        # A slow disk delays the recorder's start, during which arming would be refused.
         until(lambda: is_recorded(socket), "the recorder")
         client.call("Start", token=client.call("Arm", digest=digest)["token"])
     until(lambda: status(socket)["state"] not in ("ARMED", "RAMP_IN"), "RUNNING")
@@ -149,27 +149,27 @@ def is_recorded(socket: Path) -> bool:
 
 
 def fill(folder: Path) -> None:
-    """Leave nothing of a disk that others write to meanwhile."""
+    """Fill a disk to which others are writing meanwhile."""
     with (folder / BALLAST).open("wb") as file:
         while left := disk.free_bytes(folder):
             try:
                 os.posix_fallocate(file.fileno(), os.fstat(file.fileno()).st_size, left)
             except OSError as error:
-                # Between the look and the taking somebody else has taken some.
+                # Some of the space may have been used since it was determined.
                 if error.errno != errno.ENOSPC:
                     raise
 
 
 @dataclass
 class Found:
-    """What a run of the proof measured.
+    """Results of a run.
 
     Attributes:
-        service: of the tick thread, as serving.py says it.
+        service: timing of the tick thread, from serving.py.
         longest_ns, p99_ns, fifo: of the bare thread.
-        crowd: what each of `CROWD` came to.
-        faults: what the recorder said of the disk meanwhile.
-        entry: of the test in the index, once there was room again.
+        crowd: result of each of `CROWD`.
+        faults: faults of the disk reported by the recorder meanwhile.
+        entry: entry of the test in the index, once there was space again.
     """
 
     service: dict[str, Any]
@@ -184,7 +184,7 @@ class Found:
 def beside_a_bare_thread(
     serving: subprocess.Popen[str], t0_ns: int
 ) -> tuple[dict[str, Any], int, int, bool]:
-    """Measure both for a while, half a tick apart; return the first four fields of `Found`."""
+    """Measure both at the same time, half a tick apart; return the first four fields of `Found`."""
     begin = t0_ns + math.ceil((ticker.now_ns() - t0_ns) / 1e9 + 1.0) * 10**9
     program = compiled("reference", "ticker.c", "latency.c", "thread.c")
     cpu = jitter.choose_cpu(jitter.machine_facts())
@@ -277,7 +277,7 @@ PAGES = 3
 
 
 def watched(folder: Path) -> tuple[tuple[dict[str, Any], int, int, bool], dict[str, Any]]:
-    """Measure a service whose test is looked at; return that and what the pages took."""
+    """Measure a service while its test is viewed; return the result and what pages received."""
     socket = folder / "control.sock"
     spec = json.dumps({"folder": str(folder), "runs": str(folder / "runs")})
     with ExitStack() as owned:
@@ -309,7 +309,7 @@ def test_wake_up_is_as_punctual_while_pages_of_the_live_view_follow_the_test(
     note("service", f"wake-up p99 with {PAGES} pages open", service["p99_ns"] / 1e3, "us", allowed)
     note("service", f"frames of {PAGES} pages", taken["messages"])
     assert service["executed"] + service["skipped"] == service["elapsed"]
-    # Each page has frames all the time, if fewer on a busy machine.
+    # Each page receives frames continually, but fewer on a busy machine.
     assert taken["messages"] > PAGES * SECONDS
     if longest_ns > REPEAT_ABOVE_NS:
         pytest.skip(f"the bare thread was over 10 ms late in {attempts} runs")

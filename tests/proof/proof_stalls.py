@@ -1,8 +1,8 @@
-"""A minute of real time with a controller that is stopped again and again, among busy neighbours.
+"""A minute of real time with a controller that is stopped repeatedly, among busy processes.
 
-The controller's process gets SIGSTOP four times a second at random, mostly for 1 to 8 ms, now and
-then for up to 60; a Python thread in it burns the GIL and two processes burn the processors. The
-operator begins a new test whenever the last one was ended. Counted is everything.
+The controller's process receives SIGSTOP four times per second at random, mostly for 1 to 8 ms,
+occasionally for up to 60; a Python thread in it occupies the GIL and two processes occupy the
+processors. The operator starts a new test whenever the last one has ended. Everything is counted.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from rthyb_rt.core import ticker
 SECONDS = 60.0
 QUIET_SECONDS = 10.0
 RATIO, MORE_NS = 1.25, 20_000
-"""What the p99 of the wake-up may be: so many times the bare thread's, and so much more."""
+"""Largest p99 of the wake-up: a factor on that of the bare thread, plus a constant."""
 A_SECOND = 4.0
 LENGTHS_MS = ((0.85, 1.0, 8.0), (0.12, 8.0, 15.0), (0.03, 25.0, 60.0))
-"""Share of the stalls, and between what their lengths lie."""
+"""Share of the stalls, and range of their lengths."""
 BLIND_MAX = 20
 PUNCTUAL_NS = HALF_NS - 50_000
-"""Later than this after its due time, a party may meet the other one's next tick."""
+"""Lateness beyond which a party may coincide with the other one's next tick."""
 MOVING = [STATE[name] for name in ("RAMP_IN", "RUNNING", "HOLD")]
 PERIOD_NS = ticker.PERIOD_NS
 
@@ -49,7 +49,7 @@ def burners(count: int = 2) -> Iterator[None]:
 
 
 def stall(party: Parties, seconds: float, given: list[float]) -> None:
-    """Stop and continue the controller's process for so long; lengths go to ``given``, s."""
+    """Stop and continue the controller's process for this long; add lengths to ``given``, s."""
     chance = random.Random(1024)
     ticker.become_real_time(ticker.PRIORITY + 10)
     end = time.monotonic() + seconds
@@ -65,13 +65,13 @@ def stall(party: Parties, seconds: float, given: list[float]) -> None:
 
 @pytest.fixture(scope="module")
 def stalls() -> list[float]:
-    """Lengths of the stalls that were made, s."""
+    """Lengths of the stalls, s."""
     return []
 
 
 @pytest.fixture(scope="module")
 def run(stalls: list[float]) -> Run:
-    """The minute, once for all proofs below. What the machine adds in stalls is welcome here."""
+    """The minute, run once for all proofs below. Stalls of the machine itself do no harm here."""
     plan = Plan("stalls", SECONDS, burner=True, timed=True, count_allocations=True)
     with burners():
         party = Parties(plan, BUILD).start()
@@ -103,7 +103,7 @@ def test_executed_and_skipped_are_elapsed_and_each_has_its_record(
     assert counts["elapsed"] > SECONDS * 1024
     assert (counts["executed"], counts["skipped"]) == (gaps.size, gaps.sum())
     assert counts["longest_skip"] == gaps.max()
-    unrecorded = int(np.maximum(gaps - BLIND_MAX, 0).sum())  # of a stall that trips the test
+    unrecorded = int(np.maximum(gaps - BLIND_MAX, 0).sum())  # during a stall that trips the test
     assert run.facts["counters"]["records"] == run.rows.size == counts["elapsed"] - unrecorded
     assert run.facts["ring_lost"] == 0
     assert (np.diff(run.rows["tick"].astype(np.int64)) > 0).all()
@@ -142,7 +142,7 @@ def test_drive_never_sees_a_burst(run: Run, note: Note) -> None:
     first = np.flatnonzero(log["frames"])[0]
     frames = log["frames"].astype(np.int64)
     slots = np.rint(np.diff(due, prepend=due[0] - PERIOD_NS) / PERIOD_NS).astype(np.int64)
-    # Which commands came in which tick of the drive, by their number.
+    # Which commands arrived in which tick of the drive, by their number.
     tick_of = np.searchsorted(np.cumsum(frames), np.arange(commands.size), side="right")
     assert (done[tick_of] >= run.t0_ns + commands["due_ns"]).all(), "a command came before its time"
     late_command = commands["sent_late_ns"] > PUNCTUAL_NS
@@ -163,7 +163,7 @@ def test_drive_never_sees_a_burst(run: Run, note: Note) -> None:
 
 
 def skipped_before(tick: np.ndarray) -> np.ndarray:
-    """How many of the 1024 ticks before each executed one were skipped, (n,)."""
+    """Number of the 1024 ticks before each executed one that were skipped, (n,)."""
     skipped = np.ones(tick[-1] + 1, np.int64)
     skipped[tick] = 0
     before = np.concatenate([np.zeros(1025, np.int64), np.cumsum(skipped)])
@@ -184,7 +184,7 @@ def test_station_ends_a_test_for_skips_as_designed_and_for_nothing_else(
     assert np.isin(state[was_moving & skips], list(ended.values())).all()
     left = was_moving & np.isin(state, list(ended.values()))
     left[np.flatnonzero(left)[-1]] &= bool(skips[np.flatnonzero(left)[-1]])  # the operator's stop
-    # A drive that heard nothing for 20 of its ticks stops by itself, and says so.
+    # A drive that received nothing for 20 of its ticks stops on its own, and reports it.
     silent = np.array([gaps[max(i - 25, 0) : i + 1].max() >= 17 for i in np.flatnonzero(left)])
     assert (skips[left] | silent).all()
     note("stalls", "tests tripped as stalled", int((was_moving & stalled).sum()))
@@ -208,15 +208,15 @@ def test_tick_thread_reads_no_page_from_disk_and_allocates_nothing(run: Run, not
 
 
 def waits_on_the_clock(run: Run) -> tuple[int, int]:
-    """How often the thread had to wait for the clock, least and most.
+    """Number of times the thread had to wait for the clock, least and most.
 
-    Once before each tick and once more before it is stopped; not at all before a tick that was due
-    already when the one before was done.
+    Once before each tick and once before it is stopped, but not before a tick that was already due
+    when the previous one was completed.
     """
     rows = executed_of(run.rows)
     done = rows["due_ns"] + np.maximum(rows["sent_late_ns"], rows["wake_late_ns"])
     next_due = (rows["tick"].astype(np.int64) + 1) * 1953125 // 2
-    margin_ns = 30_000  # what comes after the sending
+    margin_ns = 30_000  # work after sending
     surely, perhaps = (int((done + extra >= next_due).sum()) for extra in (0, margin_ns))
     return rows.size - perhaps, rows.size + 1 - surely
 
@@ -226,7 +226,7 @@ def test_tick_thread_gives_the_processor_away_for_the_clock_alone(
 ) -> None:
     waits = run.facts["usage"]["waits"]
     least, most = waits_on_the_clock(run)
-    # A SIGSTOP ends one wait, is one itself, and leaves the rest of the wait to be waited for.
+    # A SIGSTOP ends one wait, is one itself, and the remaining wait is another.
     assert least <= waits <= most + 2 * len(stalls)
     note("stalls", "voluntary switches", waits, "", f"{least} to {most} + 2 a SIGSTOP")
 
@@ -236,7 +236,7 @@ def test_tick_thread_gives_the_processor_away_for_the_clock_alone(
 
 @pytest.fixture(scope="module")
 def quiet() -> tuple[Run, int]:
-    """Ten seconds in which nobody stops anybody, and how often they were run."""
+    """Ten seconds without stops, and the number of attempts."""
     return repeated([Plan("quiet", QUIET_SECONDS, count_allocations=True)])["quiet"]
 
 

@@ -1,10 +1,10 @@
-"""A service as a process of its own, whose wake-ups are counted between two lines on its stdin.
+"""A service as a separate process, whose wake-ups are counted between two lines on its stdin.
 
-    python serving.py '{"folder": "...", "runs": "...", "recorder": {"NAME": "VALUE"}}'
+python serving.py '{"folder": "...", "runs": "...", "recorder": {"NAME": "VALUE"}}'
 
-The virtual rig is another process at a socket pair, the recorder a third one, with what it is to
-find in its environment. Prints the time of
-tick 0 once that is known; after each line on stdin a line of what there is to know since the last.
+The virtual rig is another process on a socket pair, the recorder a third one, with the given
+variables in its environment. Prints the time of tick 0 once that is known; after each line on
+stdin, prints a line with the results since the previous one.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from rthyb_rt.service.daemon import Daemon, Options
 
 
 class Watched:
-    """The daemon, and what its tick thread went through since the last time."""
+    """The daemon, and the timing of its tick thread since the last report."""
 
     def __init__(self, daemon: Daemon) -> None:
         self.daemon, self._loop = daemon, daemon.engine.loop
         self._wake, self._counts = self._loop.wake.copy(), self._loop.counts
 
     def said(self) -> dict[str, Any]:
-        """Return it, and begin anew."""
+        """Return the timing, and reset it."""
         wake, counts = self._loop.wake.copy(), self._loop.counts
         since = wake.since(self._wake)
         found = {
@@ -57,7 +57,7 @@ def main(spec: dict[str, Any]) -> int:
     folder = Path(spec["folder"])
     ours, theirs = opening.socket_pair()
     rig = rig_file()
-    # What counts for programs that are started from here on.
+    # This applies to programs started from here on.
     os.environ.update(spec.get("recorder", {}))
     options = Options(
         socket=folder / "control.sock",

@@ -1,11 +1,11 @@
-"""A service for a long time: one test after another, and nothing that grows.
+"""A service over a long time: one test after another, and no growth.
 
-    python tests/proof/soak.py SECONDS
+python tests/proof/soak.py SECONDS
 
-Daemon, recorder and virtual rig are processes of their own, joined by a socket; tests are begun at
-the control socket, whatever ended the one before. Twice a second the memory, the descriptors and
-the threads of each are looked at, and the counters of the ticks. What is over is held against the
-index and deleted, so that an hour needs no more disk than a minute.
+Daemon, recorder and virtual rig are separate processes, connected by a socket; tests are started
+through the control socket, whatever ended the previous one. Twice per second, memory, descriptors
+and threads of each process and the counters of the ticks are sampled. Completed recordings are
+compared with the index and deleted, so that an hour needs no more disk space than a minute.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from rthyb_rt.service.recorder import read_index
 LOOK_S = 0.5
 TEST_S = 10.0
 WARM_UP = 0.25
-"""Share of the time after which nothing may grow any more; three tests at least. The pools of the
-allocator have settled after some 80 tests."""
+"""Share of the time after which nothing may grow any more; at least three tests. The pools of the
+allocator have settled after about 80 tests."""
 PARTS = 6
-"""Parts of the time after that, each with its median."""
+"""Number of parts of the remaining time, each with its median."""
 GROWTH_MB = 0.5
-"""Of the memory, from the second part to the last, less the largest step: pages come and go, and a
-pool that grows once is no leak. One of 1.4 MB in five minutes shows in five, one of 1.4 MB an hour
-in an hour."""
+"""Largest growth of memory, from the second part to the last, without the largest step: pages vary,
+and a pool that grows once is no leak. A leak of 1.4 MB in five minutes is detected in five minutes,
+one of 1.4 MB per hour in an hour."""
 PARTIES = ("daemon", "recorder", "rig")
 
 
@@ -59,7 +59,7 @@ PARTIES = ("daemon", "recorder", "rig")
 
 @contextmanager
 def process(folder: Path, name: str, *arguments: object) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a command of the program; what it says goes to a file."""
+    """Run a command of the program; its output is written to a file."""
     with (folder / f"{name}.log").open("wb") as log:
         made = subprocess.Popen(
             [*PROGRAM, *map(str, arguments)], cwd=folder, stdout=log, stderr=log
@@ -76,7 +76,7 @@ def process(folder: Path, name: str, *arguments: object) -> Iterator[subprocess.
 
 
 def facts(pid: int) -> tuple[float, int, int]:
-    """Return memory that is resident, MB, descriptors and threads of a process."""
+    """Return resident memory, MB, and the numbers of descriptors and threads of a process."""
     said = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
     found = dict(line.split(":", 1) for line in said.splitlines() if ":" in line)
     resident_mb = int(found["VmRSS"].split()[0]) / 1024.0
@@ -87,7 +87,7 @@ def facts(pid: int) -> tuple[float, int, int]:
 
 
 class Operator:
-    """Has one test after another run, for as long as there is time."""
+    """Runs one test after another, as long as there is time."""
 
     def __init__(self, socket: Path, runs: Path) -> None:
         self.client, self.runs = Client(socket), runs
@@ -101,7 +101,7 @@ class Operator:
         self.resets = 0
 
     def turn(self) -> dict[str, Any]:
-        """Look, and do what is to be done next; return the status."""
+        """Check the status, and do what is necessary next; return the status."""
         found: dict[str, Any] = self.client.call("GetStatus")["status"]
         # What is not possible yet will be in half a second.
         with contextlib.suppress(Refusal):
@@ -121,14 +121,14 @@ class Operator:
             call("Start", token=call("Arm", digest=self.digest)["token"])
 
     def recorded_all(self) -> bool:
-        """Return whether nothing is left that will be recorded."""
+        """Return whether everything has been recorded."""
         self.tidy()
         found = self.client.call("GetStatus")["status"]
         time.sleep(LOOK_S)
         return not found["run_id"] and not found["recorder"]["run_id"]
 
     def tidy(self) -> None:
-        """Count what is recorded, and delete it."""
+        """Count the completed recordings, and delete them."""
         for entry in read_index(self.runs):
             if entry["run_id"] in self.gone:
                 continue
@@ -141,7 +141,7 @@ class Operator:
 
 
 def unexplained(rec: Recording) -> int:
-    """Return how many ticks have no row. Of a stall the first `core.LOST_TICKS` have one each."""
+    """Return the number of ticks without a row; in a stall, `core.LOST_TICKS` have one each."""
     tick = rec.samples["tick"].astype(np.int64)
     blind = np.cumsum(rec.samples["flags"] & core.FLAGS["blind"] != 0)
     before = np.flatnonzero(np.diff(tick) > 1)
@@ -156,7 +156,7 @@ def unexplained(rec: Recording) -> int:
 
 
 class Soak:
-    """What was seen, and what is wrong with it."""
+    """The samples taken, and the faults found."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -180,7 +180,7 @@ class Soak:
             self._judge_party(name)
         at_s, executed, skipped, elapsed = np.array(self.ticks).T
         due = (at_s - at_s[0]) * core.FS_HZ
-        # A look takes its time, and a machine that stalls takes more.
+        # Sampling takes time, and more on a machine that stalls.
         off = np.abs(elapsed - elapsed[0] - due)
         print(
             f"ticks: {int(elapsed[-1])} elapsed = {int(executed[-1])} executed + "
@@ -205,7 +205,7 @@ class Soak:
         )
         if grown_mb > GROWTH_MB:
             self.faults.append(f"{name}: memory grows by {grown_mb:.2f} MB")
-        # Not the most that was seen: a file that is open for a millisecond is met by chance.
+        # Not the maximum: a file that is open for a millisecond may be seen by chance.
         for column, what in ((2, "descriptors"), (3, "threads")):
             before, after = first[column], last[column]
             if after > before:
@@ -213,16 +213,16 @@ class Soak:
 
 
 def grown(medians_mb: list[float]) -> float:
-    """Return how much a run grows from its second part to the last but for the largest step, MB.
+    """Return the growth from the second part of a run to the last without the largest step, MB.
 
-    In the first the pools still fill: less from part to part, and no more after an hour.
+    In the first part the pools still fill, at a decreasing rate, and no more after an hour.
     """
     steps = np.diff(medians_mb[1:])
     return float(steps.sum() - max(steps.max(), 0.0)) if steps.size else 0.0
 
 
 def soak(seconds: float, folder: Path, memory: Path) -> list[str]:
-    """Run the service for so long; return all that was wrong."""
+    """Run the service for this long; return all faults."""
     rings, runs, wire = memory / "rings", folder / "runs", memory / "wire"
     rings.mkdir()
     socket = rings / "control.sock"

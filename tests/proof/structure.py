@@ -1,4 +1,4 @@
-"""The test that the proofs run: a small structure, a spring, a drive of six samples."""
+"""The test that the proofs run: a small structure, a spring, a drive with six samples' delay."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SPEED_LIMIT_M_PER_S = 0.5
 
 
 def shaking(seconds: float) -> np.ndarray:
-    """Ground motion of four steady sines, m/s^2, (n,): the delay estimator always has work."""
+    """Ground motion of four sines, m/s^2, (n,), so that the delay estimator always adapts."""
     t = np.arange(round(seconds * core.FS_HZ)) * core.PERIOD_S
     rise = 1.0 - np.exp(-((t / 1.0) ** 2))
     return rise * sum(
@@ -21,7 +21,7 @@ def shaking(seconds: float) -> np.ndarray:
 
 
 def station() -> core.StationConfig:
-    """A station without limits of its own; faults of link and clock end a test as always."""
+    """A station without its own limits; faults of link and clock end a test as always."""
     controller = core.ControllerConfig(
         law=core.LawConfig(
             "alpha-beta", {"alpha0": 7.0, "beta0": 24.0, "delay_estimator.memory_s": 4.0}

@@ -1,4 +1,4 @@
-"""Print what the diagnosis says of folders with an answer: python score_diagnosis.py FOLDER..."""
+"""Print the diagnosis of folders with known answers: python score_diagnosis.py FOLDER..."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rthyb_rt.diagnose import engine, reading
 
 
 def right(d: engine.Diagnosis, answer: dict[str, Any]) -> bool:
-    """Return whether verdict and names are the answer's."""
+    """Return whether verdict and names equal the answer's."""
     verdict = answer.get("verdict")
     if verdict is not None and d.verdict != verdict:
         return False
