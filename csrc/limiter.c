@@ -18,7 +18,7 @@
  * of the axis that brakes worst. Where direction and limit cannot both be kept (a reversal in front
  * of a limit, a gap), the limit is kept.
  *
- * The same holds for the pose that corresponds to the commands of all axes: |q_j| <= limit_j along
+ * The same applies to the pose that corresponds to the commands of all axes: |q_j| <= limit_j along
  * each interface that has a limit, with priority over the limits of velocity and acceleration. */
 #include "limiter.h"
 

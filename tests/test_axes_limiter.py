@@ -170,7 +170,7 @@ POLE_PER_S = 60.0
 
 
 def feeling() -> StateSpace:
-    """Two actuators of first order that feel one another, gain and all."""
+    """Two coupled first-order actuators, including their gains."""
     a = -POLE_PER_S * np.eye(2)
     return StateSpace(a, POLE_PER_S * np.eye(2), COUPLED, (0.1, 0.1))
 

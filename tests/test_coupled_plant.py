@@ -21,7 +21,7 @@ MATRIX = np.array([[1.0, 0.13], [1.0, -0.13]])
 
 
 def discrete() -> tuple[Floats, Floats, Floats]:
-    """Two axes of second order that feel one another, held input."""
+    """Two coupled second-order axes with a held input."""
     k = np.array([[9e3, -2e3], [-2e3, 7e3]])
     c = np.array([[90.0, -8.0], [-8.0, 80.0]])
     a = np.block([[np.zeros((2, 2)), np.eye(2)], [-k, -c]])

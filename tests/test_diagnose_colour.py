@@ -60,7 +60,7 @@ def colour_left_by(y, sheet=1.0, rows=None, v=None):
 
 @pytest.mark.parametrize("colour", COLOURS)
 def test_noise_within_the_band_of_the_motion_is_told_from_beside_it(colour):
-    """From 0.7 to 3.3 Hz nothing is looked at; what stands there is within a factor of 2.5."""
+    """From 0.7 to 3.3 Hz nothing is evaluated; the extrapolated level is within a factor of 2.5."""
     inside = (F_GRID > 0.7) & (F_GRID < 3.3)
     ratios = []
     for seed in range(8):

@@ -30,7 +30,7 @@ LAG = ActuatorModel(cases.DELAY, cases.F_HZ, cases.ZETA)
 
 @pytest.fixture(autouse=True)
 def at_the_rate_of_a_station(monkeypatch):
-    """What is held against closed forms here costs nothing, and is finer."""
+    """Comparison with closed forms takes little time, so it uses smaller steps."""
     monkeypatch.setattr(cases, "FS", core.FS_HZ)
 
 

@@ -151,7 +151,7 @@ def test_a_campaign_has_it_in_its_processes_and_in_the_workers_of_a_cluster(
 def test_workers_that_have_it_not_are_refused_before_anything_runs(
     built: Path, tmp_path: Path
 ) -> None:
-    """And the other way round: a cluster with a law of a lab's own, a PC without."""
+    """And the other way round: a cluster with a user-defined law, a PC without."""
     pytest.importorskip("distributed")
     (tmp_path / "campaign.toml").write_text(CAMPAIGN.replace('"slope", ', ""), encoding="utf-8")
     plan = campaigns.read(tmp_path / "campaign.toml")

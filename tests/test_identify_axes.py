@@ -66,7 +66,7 @@ def test_the_matrix_of_responses_is_that_of_the_plant() -> None:
     found = identify_axes.identify_rig(rig(), SWEEP).response
     for f_hz, matrix in zip(found.frequency_hz, found.response, strict=True):
         assert np.abs(matrix - exact(f_hz)).max() < 2e-4
-    # Rows are readings: the axes feel one another differently.
+    # Rows are readings: the coupling of the axes is not symmetric.
     assert np.abs(exact(1.0) - exact(1.0).T).max() > 0.01
 
 

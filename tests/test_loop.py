@@ -679,7 +679,7 @@ def test_drive_that_stopped_by_itself_waits_for_a_reset_whoever_commands(
             tell(bench, last + 1 + n, state)
             bench.drive_ticks()
             assert bench.drive.phase == "stopped"
-        # Another controller that has begun anew, for a second.
+        # Another controller that has restarted, for a second.
         for n in range(1024):
             tell(bench, first_seq + n, "IDLE")
             bench.drive_ticks()

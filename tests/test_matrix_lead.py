@@ -1,5 +1,5 @@
-"""Axes that feel one another: matrices of gain, delay and curvature are learnt, an identified
-inverse goes before them, and nothing senseless that comes in goes out."""
+"""Coupled axes: matrices of gain, delay and curvature are learnt, an identified inverse follows
+them, and implausible inputs never lead to implausible outputs."""
 
 from __future__ import annotations
 

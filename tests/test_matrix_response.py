@@ -1,4 +1,4 @@
-"""Axes that feel one another are swept in turn; what undoes them is fitted to what that shows."""
+"""Coupled axes are swept in turn, and their inverse is fitted to the response."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """`rthyb serve` and its recorder as processes: signals, kill -9, systemd's words, units.
 
-Every row that a killed test leaves is held against the log of the drive at the other end.
+Every row that a killed test leaves is compared with the log of the drive at the other end.
 """
 
 from __future__ import annotations

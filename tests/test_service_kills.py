@@ -1,8 +1,8 @@
 """kill -9 at random moments of real tests, and at each write of the recorder's file.
 
 Rig, daemon and recorder are processes of their own, as in a lab. The rig's log has each reading as
-it left and each command as it came; no line of it goes through what is tested here, and every row
-is held against it.
+it left and each command as it came; no line of it passes through the tested parts, and every row
+is compared with it.
 
     RTHYB_KILLS=500 python -m pytest tests/test_service_kills.py -s
 """

@@ -1,4 +1,4 @@
-"""Thresholds moved one at a time: what is tried, what it is held against, what the page counts."""
+"""Thresholds moved one at a time: what is tried, its reference, and the counts on the page."""
 
 from __future__ import annotations
 
