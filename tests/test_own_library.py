@@ -333,6 +333,12 @@ def test_another_version_and_too_many_interfaces_are_refused(build: Build) -> No
     assert "returns 9; it must be from 1 to 8" in problem.message
 
 
+def test_a_library_for_two_actuators_is_refused_where_the_test_file_names_it(build: Build) -> None:
+    (problem,) = refused(of_test(build("two", INTERFACES="2")))
+    assert "numerical.library.file" in problem.where
+    assert "rthyb_part_interfaces returns 2; it must be 1" in problem.message
+
+
 def test_parameters_that_are_missing_or_unknown_are_refused_with_those_that_there_are(
     tmp_path: Path,
 ) -> None:

@@ -28,10 +28,10 @@ class Check:
     def figures(self) -> dict[str, Any]:
         """Computed figures by name, which includes the unit; None where a figure does not apply.
 
-        For several axes: ``modes_hz``, and by name ``axes`` and ``directions``.
+        For several axes: ``modes_hz``, ``modes``, and by name ``axes`` and ``directions``.
         """
         if "figures" not in self.document:
-            return {name: self.document[name] for name in ("modes_hz", "axes", "directions")}
+            return {name: self.document[name] for name in ("modes_hz", "modes", "axes", "directions")}
         figures: dict[str, Any] = self.document["figures"]
         return figures
 

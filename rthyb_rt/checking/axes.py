@@ -50,7 +50,9 @@ class ExaminedAxes:
         rows: Rows = [("Rate", quantity(self.setup.derived.fs_hz, "Hz"), labels)]
         for i, mode in enumerate(structure.modes()[:MODES]):
             damping = f"damping {percent(mode.damping_ratio)} of critical"
-            rows.append((f"Mode {i + 1}", quantity(mode.frequency_hz, "Hz", digits=4), damping))
+            mass = f"{percent(mode.effective_mass, 3)} of the mass"
+            frequency = quantity(mode.frequency_hz, "Hz", digits=4)
+            rows.append((f"Mode {i + 1}", frequency, f"{damping}, {mass}"))
         return rows
 
     def _axis(self, i: int) -> Rows:
@@ -98,11 +100,13 @@ class ExaminedAxes:
     def document(self) -> dict[str, Any]:
         """Return the same as plain values."""
         group = self.group
+        modes = group.derived.structure.modes()
         return {
             "schema": SCHEMA,
             "test_name": self.setup.test.test.name,
             "rig_name": group.rig.rig.name,
-            "modes_hz": [mode.frequency_hz for mode in group.derived.structure.modes()],
+            "modes_hz": [mode.frequency_hz for mode in modes],
+            "modes": [mode.document() for mode in modes],
             "axes": {
                 name: {
                     "law_settings": dict(own.law_settings),

@@ -102,11 +102,7 @@ def figures_of(setup: Setup) -> Figures:
         peak_phi=phi,
         estimator_loop_gain=loop_gain,
         modes=tuple(
-            {
-                "frequency_hz": mode.frequency_hz,
-                "damping_ratio": mode.damping_ratio,
-                "effective_mass": mode.effective_mass,
-            }
+            mode.document()
             for mode in (derived.structure.modes() if derived.structure is not None else ())
         ),
     )

@@ -45,6 +45,14 @@ class Mode:
     at_interface: float
     effective_mass: float
 
+    def document(self) -> dict[str, float]:
+        """Return frequency, damping ratio and effective mass as plain values."""
+        return {
+            "frequency_hz": self.frequency_hz,
+            "damping_ratio": self.damping_ratio,
+            "effective_mass": self.effective_mass,
+        }
+
 
 def linear_and_others(
     elements: Sequence[ElementConfig],

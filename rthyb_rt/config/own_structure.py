@@ -17,7 +17,7 @@ from rthyb_rt.core import CoreError, ElementConfig
 from rthyb_rt.core.numerical_parts import Part
 from rthyb_rt.core.own import PythonPartConfig
 from rthyb_rt.core.own_fmu import FmuConfig
-from rthyb_rt.core.own_library import FEW_STEPS, LibraryConfig, tried
+from rthyb_rt.core.own_library import FEW_STEPS, LibraryConfig, load, tried
 from rthyb_rt.core.own_parts import OwnPartConfig
 from rthyb_rt.errors import InputError
 
@@ -99,6 +99,8 @@ def build(
     try:
         part = _config(given, k_e_n_per_m, period_s)
         names = tuple(one.name for one in part.responses)
+        if isinstance(part, LibraryConfig):
+            _require_one_interface(part)
     except CoreError as error:
         raise InputError(str(error), f"{place}.{_key(given)}") from error
     try:
@@ -108,6 +110,15 @@ def build(
     except CoreError as error:
         raise InputError(str(error), place) from error
     return OwnStructure(part, names)
+
+
+def _require_one_interface(part: LibraryConfig) -> None:
+    found = load(part.path).interfaces
+    if found != 1:
+        raise CoreError(
+            f"{part.path}: rthyb_part_interfaces returns {found}; it must be 1, because a test with a "
+            "user-defined numerical part has one actuator"
+        )
 
 
 def _key(given: LibraryFile | FmuFile | PythonClass) -> str:
