@@ -18,7 +18,7 @@ MUCH_DAMPING: Final = 0.5
 """Implausible fraction of critical damping; a value of 2 was probably meant in per cent."""
 
 RUN_ON_TOLERANCE: Final = 1.005
-"""Tolerance for an overshoot: a smooth brake so near a peak takes effect after the peak."""
+"""Factor on a peak up to which braking is no overshoot: so near, it takes effect after it."""
 
 NOISE_SPAN: Final = 7
 """Range of 1024 samples of noise, in standard deviations."""

@@ -54,7 +54,7 @@ PHASES: Final = tuple(words("rthyb_drive_phase", "RTHYB_DRIVE_"))
 LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
 
 _FAREWELLS: Final = 3
-"""A single lost frame does not matter."""
+"""Number of farewell frames, so that a single lost one does not matter."""
 
 _KINDS: Final = options("rthyb_link_kind", "RTHYB_LINK_")
 _CLOCKS: Final = options("rthyb_clock", "RTHYB_CLOCK_")

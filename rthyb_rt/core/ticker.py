@@ -24,7 +24,7 @@ Clock = Literal["host", "stepped"]
 Payload = Literal["none", "sample", "exchange"]
 
 PERIOD_NS: Final = 1e9 / core.FS_HZ
-"""Rate of a ticker for which none is given."""
+"""Period of a ticker for which no rate is given."""
 PRIORITY: Final = 80
 """Priority of the tick thread: above interrupt threads (50), below the kernel's own (99)."""
 TRIM_MAX_NS: Final[int] = lib.rthyb_ticker_trim_max_ns(core.STANDARD_RATE_HZ)

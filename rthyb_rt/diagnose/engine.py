@@ -57,7 +57,7 @@ from rthyb_rt.errors import InputError
 Progress = Callable[[str], None]
 
 PAST = 400
-"""Number of rows over which a yielding spring is led to its initial state."""
+"""Number of steps, each way, of the assumed past that leads a yielding spring to its start."""
 FEWER = 2
 """Number of sets with fewer laws whose motion is examined."""
 PASSES = 2

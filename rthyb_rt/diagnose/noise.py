@@ -27,7 +27,7 @@ TRIED = 12
 FADE_S = 0.25
 """Time over which the data are faded out beside rows that are not evaluated."""
 EULER = 0.5772156649015329
-"""Mean of the logarithm of a line's power less the logarithm of its mean."""
+"""Logarithm of the mean of a line's power less the mean of its logarithm."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Colour:
         power: power of each, relative to that of the white noise, (m,).
         red: the spectrum below: a floor, an addition at 1 Hz, and its exponent of 1 / f.
         from_hz: frequency from which the levels apply.
-        least_hz: lower limit of the slope: half of the lowest line observed.
+        least_hz: frequency below which it is constant: half of the lowest line observed.
     """
 
     f_hz: Floats
@@ -209,7 +209,7 @@ def _faded(rows: NDArray[np.bool_], fs_hz: float) -> Floats:
 def _levels(f_hz: Floats, power: Floats, below: float = EULER) -> tuple[Floats, Floats]:
     """Return the levels of a spectrum, `OCTAVE` wide each if there are enough lines.
 
-    ``below``: mean of a line's logarithm less the logarithm of its mean, negated.
+    ``below``: logarithm of a line's mean less the mean of its logarithm.
     """
     cuts = [0]
     for i in range(1, f_hz.size):

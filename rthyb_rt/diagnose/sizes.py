@@ -363,7 +363,7 @@ def _inputs(c: Channels, model: Model) -> Iterator[Relation]:
 
 
 def _energy(name: str, push: Floats, x: Floats, model: Model, mass: float) -> Iterator[Relation]:
-    """Yield the work of a force over the energy that a body gained, if above one.
+    """Yield the work of a force relative to the energy that a body gained, or 1 if it is more.
 
     A specimen may absorb energy but cannot supply any; this also holds at resonance, where forces
     are inconclusive.

@@ -24,7 +24,7 @@ BEGUN = [(f, change) for f in (-0.02, 0.0, 0.03) for change in (-0.04, -0.01, 0.
 STEPS = 8
 STEP = np.array([1e-4, 1e-2, 1e-4])
 REACH = np.array([0.03, 0.5, 0.03])
-"""Step sizes: logarithms of frequency and damping, change of the spring."""
+"""Steps of the slopes, and largest steps: logarithms of frequency and damping, change of spring."""
 TRIED = 4
 """Largest number of times that a step is shortened."""
 

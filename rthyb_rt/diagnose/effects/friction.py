@@ -137,7 +137,8 @@ LINEAR = 3e-3
 """Fraction of the largest velocity below which such a damper is linear."""
 
 CONTACT = (2e-5, 4e-3)
-"""Displacement before a dry contact slips, relative to the amplitude; more is bristle friction."""
+"""Range of the displacement before a dry contact slips, relative to the amplitude; beyond it,
+friction is that of bristles."""
 
 SHARP = 1e-4
 """Width of the step of a dry contact in a rig file, relative to the largest velocity."""

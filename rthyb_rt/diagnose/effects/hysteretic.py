@@ -389,7 +389,7 @@ class Pinching(Effect):
 
 
 SOONEST = 0.01
-"""Smallest travel in which stiffness is lost, as a fraction of the total; less looks like none."""
+"""Least travel in which stiffness is lost, relative to the total; with less, it was never there."""
 
 
 class Degradation(Effect):
