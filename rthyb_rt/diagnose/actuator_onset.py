@@ -24,7 +24,7 @@ from rthyb_rt.diagnose.select import inflation
 BLOCKS = 48
 """Number of intervals between trial onsets: a quarter of a second each in twelve seconds."""
 MOST = 3
-"""Number of effects that are simulated beside one set."""
+"""Number of effects that are simulated in addition to one set."""
 STEP = 1e-3
 """Relative step of a parameter for the numerical slope."""
 NEAR = 25
@@ -52,7 +52,7 @@ def propose(task: Actuation, null: ActuatorFit, fits: Sequence[ActuatorFit]) -> 
 
 
 def propose_beside(task: Actuation, fits: Sequence[ActuatorFit]) -> list[ActuatorFit]:
-    """Fit effects with an onset beside the best sets, or with the same onset in a set that has one.
+    """Fit effects with an onset added to the best sets; a set that has an onset keeps it.
 
     Returns:
         The fits; none if the residual of the best set is white.
@@ -70,7 +70,7 @@ def _missing(fits: Sequence[ActuatorFit]) -> bool:
 
 
 def _beside(task: Actuation, base: ActuatorFit) -> list[ActuatorFit]:
-    """Fit the most promising onset beside a set; if the set has one, with the same onset."""
+    """Fit the most promising onset added to a set; if the set has one, with the same onset."""
     promises: dict[str, _Promise] = {}
     for effect in CATALOGUE:
         for promise in _promising(task, base, effect) if effect.name not in base.names else ():

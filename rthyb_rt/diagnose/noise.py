@@ -25,7 +25,7 @@ SCORINGS = 12
 TRIED = 12
 """Number of sets that are tried with the colour of their residual."""
 FADE_S = 0.25
-"""Time over which the data are faded out beside rows that are not evaluated."""
+"""Time over which the data are faded out next to rows that are not evaluated."""
 EULER = 0.5772156649015329
 """Logarithm of the mean of a line's power less the mean of its logarithm."""
 
@@ -170,7 +170,7 @@ def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | 
 
     Args:
         lines, power, sheet: as for `colour_of`.
-        lines, power, sheet: as of `colour_of`.
+        lines, power, sheet: as for `colour_of`.
     """
     if power is None or not sheet:
         return None

@@ -26,9 +26,9 @@ from rthyb_rt.diagnose.select import (
 FEW = 2
 """Number of effects in a set that is considered no more complex than one onset."""
 SINGLES = 3
-"""Number of single effects beside which onsets are tried; the best pair is one more."""
+"""Number of single effects with which onsets are combined; the best pair is one more."""
 MOST = 5
-"""Number of effects examined more closely beside one set."""
+"""Number of effects examined more closely in addition to one set."""
 NEAR = 25
 """Number of onset times tried between the blocks around the best one."""
 
@@ -145,7 +145,7 @@ class Fitter(Protocol):
 
 
 def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
-    """Fit effects that begin in mid-recording, alone and beside the best sets.
+    """Fit effects that begin in mid-recording, alone and in combination with the best sets.
 
     Returns:
         The best sets with one onset, best first; they may lack other effects.
@@ -180,7 +180,7 @@ def settle(fitter: Fitter, most: int) -> None:
 
 
 def _beside(dictionary: Dictionary, fitter: Fitter, base: Fit) -> list[Fit]:
-    """Fit the most promising effects with an onset beside a set."""
+    """Fit the most promising effects with an onset, each added to a set."""
     problem, groups = fitter.problem, dictionary.groups
     promising: dict[str, tuple[float, float, int]] = {}
     free = [
