@@ -31,7 +31,8 @@ class Check:
         For several axes: ``modes_hz``, ``modes``, and by name ``axes`` and ``directions``.
         """
         if "figures" not in self.document:
-            return {name: self.document[name] for name in ("modes_hz", "modes", "axes", "directions")}
+            names = ("modes_hz", "modes", "axes", "directions")
+            return {name: self.document[name] for name in names}
         figures: dict[str, Any] = self.document["figures"]
         return figures
 

@@ -116,8 +116,8 @@ def _require_one_interface(part: LibraryConfig) -> None:
     found = load(part.path).interfaces
     if found != 1:
         raise CoreError(
-            f"{part.path}: rthyb_part_interfaces returns {found}; it must be 1, because a test with a "
-            "user-defined numerical part has one actuator"
+            f"{part.path}: rthyb_part_interfaces returns {found}; it must be 1, because a test "
+            "with a user-defined numerical part has one actuator"
         )
 
 
