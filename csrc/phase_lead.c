@@ -7,8 +7,8 @@ int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why)
     const double low = p[LEAD_ALPHA_MIN], high = p[LEAD_ALPHA_MAX], beta_max = 0.5 * high * high;
     if (!rthyb_plc_is_stable(w1, w2)) {
         *why = (rthyb_law_complaint){
-            "w1 = {}, w2 = {} make the phase-lead compensator unstable; needed are |w1| > 1 and "
-            "|w2| < |w1 + 1| = {}; the paper uses w1 = 3, w2 = 2",
+            "w1 = {}, w2 = {} make the phase-lead compensator unstable; a stable one needs "
+            "|w1| > 1 and |w2| < |w1 + 1| = {}; the paper uses w1 = 3, w2 = 2",
             {w1, w2, fabs(w1 + 1.0)}};
         return LEAD_W1;
     }
@@ -20,7 +20,7 @@ int rthyb_lead_check(const double *p, double period_s, rthyb_law_complaint *why)
     /* NaN: neither the test file nor the rig file has a value yet. */
     if (alpha0 < low || alpha0 > high) {
         *why = (rthyb_law_complaint){"found {}; must be from alpha_min = {} to alpha_max = {} "
-                                     "samples of controller.delay_estimator",
+                                     "samples, as set in controller.delay_estimator",
                                      {alpha0, low, high}};
         return LEAD_ALPHA0;
     }

@@ -33,7 +33,7 @@ _DIMENSION_NAMES: dict[Dimension, str] = {
     _ACCELERATION: "an acceleration",
     _ENERGY: "an energy",
     _COUNT: "a number of samples",
-    _RATIO: "a plain number or ratio",
+    _RATIO: "a number without a unit (or with %)",
     (0, 1, -1, 0): "a velocity",
     (0, 2, -1, 0): "an area per time",
     (1, 0, -2, 0): "a stiffness",

@@ -164,7 +164,7 @@ def test_rig_from_keywords_runs_like_one_from_a_file() -> None:
         (lambda t: t.with_(controller={"typ": "x"}),
          ['with_: controller.typ: unknown key (did you mean "type"?)', "allowed here: type"]),
         (lambda t: t.with_({"numerical.mass_kg": "3 kN"}),
-         ['with_: numerical.mass_kg: found "3 kN" (that is a force)', "must be a mass from"]),
+         ['with_: numerical.mass_kg: found "3 kN" (that is a force)', "the mass must be from"]),
         (lambda t: t.with_({"rig.actuator.kind": "pure-delay"}),
          ['with_: rig.actuator.kind: "pure-delay" has different keys',
           'with_({"rig.actuator": {"kind": "pure-delay", "delay_samples": ...}})']),

@@ -128,7 +128,7 @@ def test_recordings_of_two_rates_are_compared_at_the_lower_one(
     found = rt.compare(rec, rt.run(short.with_({"test.sample_rate_hz": 2048})))
     assert found.rows[1]["x_difference_nrmse"] < 0.05
     assert any("2048 Hz; compared at 1024 Hz" in note for note in found.notes)
-    with pytest.raises(rt.InputError, match=r"compare: found 0 recordings; give two to 10"):
+    with pytest.raises(rt.InputError, match=r"compare: found 0 recordings; give 2 to 10"):
         rt.compare()
 
 

@@ -432,7 +432,7 @@ def test_faults_of_both_files_come_at_once_one_line_each(rthyb: Rthyb, tmp_path:
 def test_setting_without_a_value_is_refused(rthyb: Rthyb) -> None:
     answer = rthyb("run", "--set", "controller.w1")
     assert answer.code == 3
-    assert "key=value" in answer.err
+    assert "KEY=VALUE" in answer.err
 
 
 # ---- check --------------------------------------------------------------------------------------
@@ -597,16 +597,16 @@ def test_run_that_diverges_without_limits_is_not_reported_as_fine(rthyb: Rthyb) 
     settings = ("controller.type=none", "rig=delay-10-elastic", "limits={}")
     answer = rthyb("run", "--no-report", *(word for s in settings for word in ("--set", s)))
     assert answer.code == 0
-    for alarm in ("The motion diverged", "Response NRMSE", "The tracking error exchanged"):
+    for alarm in ("The motion diverged", "Response NRMSE", "The tracking error transferred"):
         assert f"Attention: {alarm}" in answer.out
 
 
 @pytest.mark.parametrize(
     ("limit", "words"),
     [
-        ("force_n=1000", "force_n = 1000 N is below"),
-        ("command_position_m=0.002", "command_position_m = 0.002 m is below"),
-        ("command_velocity_m_per_s=0.01", "command_velocity_m_per_s = 0.01 m/s is below"),
+        ("force_n=1000", "force_n = 1 kN is below"),
+        ("command_position_m=0.002", "command_position_m = 2 mm is below"),
+        ("command_velocity_m_per_s=0.01", "command_velocity_m_per_s = 10 mm/s is below"),
     ],
 )
 def test_limit_below_the_expected_response_is_warned_of(

@@ -94,8 +94,8 @@ def test_jog_names_a_wrong_sign(rthyb: Rthyb, tmp_path: Path, stepped: None) -> 
     path = rig_file(tmp_path, NO_LINK.replace("k_n_per_m = 500000", "k_n_per_m = -500000"))
     answer = rthyb("jog", path, "1 mm", "--speed", "5 mm/s")
     assert answer.code == 8
-    assert "Attention: the force falls with displacement: -" in answer.out
-    assert "N/m, k_e < 0; " in answer.out
+    assert "Attention: the force falls as the displacement rises: k_e = -" in answer.out
+    assert " kN/m; check the polarity of the load cell" in answer.out
     assert "force = { polarity = -1 }" in answer.out
     found = rthyb("jog", path, "1 mm", "--speed", "5 mm/s", "--json").json
     assert found["reversed"] is True
@@ -145,15 +145,15 @@ def test_check_says_whether_the_rig_is_commissioned_as_its_file_stands(
     )
     certificate.write(certificate.place(path), failed)
     assert found()["commissioned"] is False
-    assert "has passed: polarity FAILED, limits was not made" in found()["why_not"]
+    assert "has passed: polarity FAILED, limits was not done" in found()["why_not"]
     passed = certificate.Step("polarity", True, "2026-11-21T09:30:00+00:00")
     signs_alone = failed.with_step(passed)
     certificate.write(certificate.place(path), signs_alone)
     assert found()["commissioned"] is False
     assert found()["steps"]["trip"] is None
     plain = rthyb(*check).out
-    assert re.search(r"^Check of the watchdog +not made", plain, re.MULTILINE)
-    assert "limits was not made, watchdog was not made, trip was not made" in plain
+    assert re.search(r"^Check of the watchdog +not done", plain, re.MULTILINE)
+    assert "limits was not done, watchdog was not done, trip was not done" in plain
     whole = signs_alone
     for name in ("limits", "watchdog", "trip"):
         whole = whole.with_step(certificate.Step(name, True, "2026-11-20T08:02:00+00:00"))
@@ -187,7 +187,7 @@ def test_commissioning_keeps_what_passed_beside_the_rig_file(
     first = rthyb("commission", path, "--yes", "--steps", "link,polarity", "--distance", "0.5 mm")
     assert first.code == 0, first.err
     assert "polarity  passed" in first.out
-    assert "watchdog  not made" in first.out
+    assert "watchdog  not done" in first.out
     assert set(json.loads(place.read_text())["steps"]) == {"link", "polarity"}
     second = rthyb("commission", path, "--yes", "--steps", "watchdog, trip", "--json")
     assert second.code == 0, second.err

@@ -666,6 +666,15 @@ def test_fault_in_a_table_given_with_set_is_at_that_set(
     assert problem["message"].startswith(begins)
 
 
+def test_key_that_a_set_makes_necessary_is_named(rthyb: Rthyb) -> None:
+    answer = rthyb(
+        "check", config.builtin_test_path(), "--set", "limits.energy_error_j.action=hold", "--json"
+    )
+    (problem,) = problems(answer)
+    assert problem["where"] == "--set limits.energy_error_j.action"
+    assert problem["message"].startswith("limits.energy_error_j.value: missing; the limit must be")
+
+
 def test_value_set_behind_its_table_is_blamed_itself(rthyb: Rthyb) -> None:
     answer = rthyb(
         *("check", config.builtin_test_path(), "--json"),
@@ -689,6 +698,14 @@ def test_value_set_behind_its_table_is_blamed_itself(rthyb: Rthyb) -> None:
         ),
         (("recover", "a", "b"), "Error: Got unexpected extra argument(s) (b)"),
         (("run", "--relatime"), "Error: No such option: --relatime (Possible options: --realtime)"),
+        (
+            ("jitter", "--rate", "10"),
+            "Error: Invalid value for '--rate': found 10; must be at least 256",
+        ),
+        (
+            ("sweep", "--over", "seed=1,2", "--jobs", "two"),
+            "Error: Invalid value for '--jobs': found two; must be a whole number",
+        ),
     ],
 )
 def test_command_line_that_is_not_understood_is_answered_once(

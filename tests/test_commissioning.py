@@ -259,8 +259,8 @@ def commissioned(given: config.RigFile, wired: config.RigFile, *steps: str) -> C
         (REVERSED_SENSOR, r"moved against the command: -[01.\d]* mm when 1 mm", REVERSED_SENSOR),
         (REVERSED_COMMAND, "If it was wrong, invert the drive: command = { polarity = -1 }",
          REVERSED_COMMAND),
-        (REVERSED_FORCE, "force falls with displacement: -[45].*force = { polarity = -1 }",
-         REVERSED_FORCE),
+        (REVERSED_FORCE, "force falls as the displacement rises: k_e = -[45].*"
+         "force = { polarity = -1 }", REVERSED_FORCE),
     ],
 )  # fmt: skip
 def test_wrong_sign_is_found_and_cured_by_the_key_that_the_message_names(
@@ -813,7 +813,7 @@ def test_motion_that_this_pc_spoils_every_time_is_a_matter_of_timing(
 
 def test_limited_command_is_no_sweep() -> None:
     limit = {"limits.command_velocity_m_per_s": "0.009"}
-    with at(rig(limit)) as there, pytest.raises(InputError, match=r"altered it at 4 Hz"):
+    with at(rig(limit)) as there, pytest.raises(InputError, match=r"altered the command at 4 Hz"):
         identify_live(there.connection, QUICK)
 
 
@@ -821,7 +821,7 @@ def test_limited_command_is_no_sweep() -> None:
     ("wired", "message"),
     [
         (REVERSED_SENSOR, r"moves against the command; .*displacement = { polarity = -1 }"),
-        (REVERSED_FORCE, r"force falls with displacement .*force = { polarity = -1 }"),
+        (REVERSED_FORCE, r"force falls as the displacement rises .*force = { polarity = -1 }"),
     ],
 )
 def test_identification_names_a_wrong_sign_with_its_remedy(

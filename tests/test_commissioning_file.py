@@ -241,7 +241,7 @@ def test_old_certificate_is_read_and_names_the_checks_it_lacks(tmp_path: Path) -
     old = dataclasses.replace(made, version="0.9.0", steps={"polarity": made.steps["polarity"]})
     certificate.write(certificate.place(path), old)
     assert certificate.read(certificate.place(path)) == old
-    told = "link was not made, limits was not made, watchdog was not made, trip was not made"
+    told = "link was not done, limits was not done, watchdog was not done, trip was not done"
     with pytest.raises(RefusedError, match=told):
         demanded(path)
 

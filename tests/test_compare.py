@@ -119,7 +119,7 @@ def test_differences_are_those_of_the_closed_form() -> None:
 
 def test_courses_that_share_nothing_or_are_too_many_are_refused() -> None:
     one = course("a", sine(1, FS_HZ))
-    with pytest.raises(rt.InputError, match="found 1 recording; give two to 10"):
+    with pytest.raises(rt.InputError, match="found 1 recording; give 2 to 10"):
         overlay.Overlay.of([one])
     with pytest.raises(rt.InputError, match="found 11 recordings"):
         overlay.Overlay.of([one] * 11)

@@ -590,7 +590,7 @@ def test_override_reaches_into_the_rig_file() -> None:
 
 
 def test_setting_without_a_value_is_refused() -> None:
-    with pytest.raises(InputError, match=r'found "controller\.w1"; must be key=value'):
+    with pytest.raises(InputError, match=r'found "controller\.w1"; must be KEY=VALUE'):
         config.split_overrides(["controller.w1"])
 
 

@@ -227,8 +227,8 @@ def test_own_frames_take_41_percent_of_1_mbit() -> None:
 
 def test_slow_bus_is_refused_with_the_bit_rate_that_suffices() -> None:
     message = refused(CAN + "bitrate = 500_000\n")["rig.toml:14: link.bitrate"]
-    assert "frame rate over 80 % bus load" in message
-    assert "take 83 %" in message
+    assert "and at most 80 % is allowed" in message
+    assert "load the bus to 83 %" in message
     assert message.endswith("; 800000 bit/s is enough")
     assert link_of(CAN + "bitrate = 800_000\n").bitrate == 800000
     # 3 x 135 bits x 1024 / 0.8
@@ -324,7 +324,7 @@ def test_long_frames_of_a_dbc_need_can_fd_and_a_fast_data_phase(tmp_path: Path) 
     path = lab(tmp_path, 'dbc = "drive.dbc"\nfd = true\nbitrate = 1_000_000\n')
     # 135 bits of the command and 712 of the answer, 1024 times a second
     message = faults_of(path)["16: link.bitrate"]
-    assert "take 87 %" in message
+    assert "load the bus to 87 %, and at most 80 %" in message
     assert "shorter frames, or set data_bitrate" in message
     assert config.load_rig(path, {"rig.link.data_bitrate": "2000000"}).link
 

@@ -117,8 +117,8 @@ def test_trip_is_reset(rthyb: Rthyb, place: Path, daemon: Daemon) -> None:
     assert rthyb("ctl", "stop", "--now").out == "Tripped\n"
     refused = rthyb("ctl", "stop")
     assert refused.code == 5
-    assert "the state is TRIPPED, stop is allowed in IDLE or ZEROED" in refused.err
-    assert "once its cause is gone, reset leaves this state" in refused.err
+    assert "the state is TRIPPED; stop is allowed in IDLE, ZEROED" in refused.err
+    assert "remove the cause, then reset" in refused.err
     assert "TRIPPED, the operator" in rthyb("ctl", "status").out
     assert rthyb("ctl", "reset").out == "Reset\n"
     assert status(place)["state"] == "IDLE"

@@ -293,7 +293,7 @@ def test_binary_file_is_refused_with_a_hint(tmp_path: Path, content: bytes, says
 
 
 def test_prose_is_an_unknown_format(written: Callable[..., Path]) -> None:
-    assert "format is not recognized" in refusal(written("Dear colleague,\nhere is the record.\n"))
+    assert "format is not recognised" in refusal(written("Dear colleague,\nhere is the record.\n"))
 
 
 def test_huge_file_is_refused_without_reading_it_all(tmp_path: Path) -> None:

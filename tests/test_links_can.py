@@ -230,7 +230,7 @@ def test_all_that_is_wrong_is_said_at_once_with_one_remedy() -> None:
 
 def test_bit_rate_too_low_for_the_samples() -> None:
     slow = dataclasses.replace(CAN0, bitrate=500_000)
-    with pytest.raises(InputError, match=r"can0: .*bus load"):
+    with pytest.raises(InputError, match=r"can0: .*load the bus"):
         can_bus.check_load(slow, wire.can())  # 3 frames of 135 bits, 1024 times: 83 %
     can_bus.check_load(CAN0, wire.can())
     can_bus.check_load(VCAN0, wire.can())

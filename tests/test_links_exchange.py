@@ -414,7 +414,7 @@ def test_driver_that_fails_half_way_leaves_nothing(monkeypatch: pytest.MonkeyPat
 
 def test_bit_rate_too_low_for_the_samples_of_a_dbc(channel: str) -> None:
     more = {"dbc": str(FD_DBC), "fd": True, "names": {"x_cmd": "SetPos"}}
-    assert "bus load" in refusal("virtual", channel, bitrate=125_000, **more)
+    assert "load the bus" in refusal("virtual", channel, bitrate=125_000, **more)
 
 
 def test_errors_of_python_can_are_not_printed_beside_ours(

@@ -343,7 +343,9 @@ def linked(setup: Setup, **link: Any) -> Setup:
 
 def test_unstable_loop_is_refused_on_a_real_link_and_nowhere_else() -> None:
     setup = table("none")
-    with pytest.raises(InputError, match=r"unstable: its largest root is 1\.000") as caught:
+    with pytest.raises(
+        InputError, match=r"unstable, so the motion will grow: its largest root is 1\.000"
+    ) as caught:
         loop_roots.demand(linked(setup, virtual=False))
     assert "shaking-table-portal-frame" in str(caught.value)
     for harmless in (setup, linked(setup, virtual=True)):

@@ -202,7 +202,7 @@ def test_refusal_says_why_and_where_it_is_allowed(real: daemon.Daemon) -> None:
     assert found["error"] == f"{INTERFACE}.Refused"
     assert found["parameters"] == {
         "reason": (
-            "hold: not possible in this state; the state is IDLE, hold is allowed in "
+            "hold: not possible in this state; the state is IDLE; hold is allowed in "
             "RUNNING or HOLD"
         ),
         "state": "IDLE",

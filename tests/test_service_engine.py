@@ -130,7 +130,7 @@ def test_every_command_is_refused_outside_its_states_with_the_reason(
         for command in COMMANDS:
             if state in allowed_states(command):
                 continue
-            with pytest.raises(StateError, match=f"the state is {state}, {command} is allowed in"):
+            with pytest.raises(StateError, match=f"the state is {state}; {command} is allowed in"):
                 give(made, command)
             assert made.engine.state == state
         assert made.engine.loop.counters()["refused"] == 0

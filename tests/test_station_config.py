@@ -535,18 +535,18 @@ def test_check_warns_of_sensor_limits_that_good_readings_exceed(rthyb: Rthyb, fi
     answer = rthyb("check", "test.toml", *(w for t in tight for w in ("--set", f"limits.{t}")))
     assert answer.code == 0
     for words in (
-        "limits.rest_spread_m = 0.0001 m is below the span of the noise at rest, 0.00014 m",
-        "limits.command_increment_m = 1e-06 m is below the",
+        "limits.rest_spread_m = 0.1 mm is below the span of the noise at rest, 0.14 mm",
+        "limits.command_increment_m = 0.001 mm is below the peak of",
     ):
         assert f"Warning: {words}" in answer.out
     # Eight times the noise, and the way of one sample at the peak velocity.
     found = re.search(
-        r"Warning: limits\.sensor_jump_m = 0\.0001 m is below ([0-9.e-]+) m, the most that "
+        r"Warning: limits\.sensor_jump_m = 0\.1 mm is below ([0-9.e-]+) mm, the most that "
         "displacement and noise together change",
         answer.out,
     )
     assert found is not None
-    assert 1.6e-4 < float(found[1]) < 4e-4
+    assert 0.16 < float(found[1]) < 0.4
 
 
 def test_type_checker_and_header_know_the_same_commands_and_reactions() -> None:

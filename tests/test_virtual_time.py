@@ -251,7 +251,7 @@ def test_not_finite_ground_motion_trips_and_nothing_of_it_reaches_the_rig() -> N
     setup = prepared()
     setup.ag_mps2[700] = np.nan
     rec = virtual_time.run(setup)
-    assert rec.meta["end_reason"] == "tripped: not finite"
+    assert rec.meta["end_reason"] == "tripped: a value was not a number"
     assert np.isfinite(rec.samples["x_cmd_m"]).all()
 
 
@@ -337,7 +337,7 @@ def test_force_beyond_its_limit_is_rehearsed_with_every_action(rthyb: Any, tmp_p
 
 def test_two_faults_at_once_each_do_their_part(rthyb: Any, tmp_path: Path) -> None:
     _, rec = rehearsed(rthyb, tmp_path, "delay:ticks=3,from=1,to=2", "not-finite:from=3")
-    assert rec.meta["end_reason"].startswith("tripped: not finite")
+    assert rec.meta["end_reason"].startswith("tripped: a value was not a number")
     rows = proper(rec)
     assert np.flatnonzero(np.isnan(rows["x_read_m"]))[0] == pytest.approx(3 * 1024, abs=2)
 

@@ -404,8 +404,8 @@ def remark(found: Verdict | None) -> str | None:
     remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else _FAST
     return (
         "the whole loop (numerical part, control law, rig, force compensation; specimen elastic) "
-        f"is unstable: its largest root is {found.radius:.5f} at {found.frequency_hz:.3g} Hz, and "
-        f"must be below 1: the motion will grow; {known}; {remedy}"
+        f"is unstable, so the motion will grow: its largest root is {found.radius:.5f} at "
+        f"{found.frequency_hz:.3g} Hz, and must be below 1; {known}; {remedy}"
     )
 
 

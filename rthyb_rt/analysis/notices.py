@@ -89,12 +89,12 @@ def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding])
         return f"{found}; {_remedy_of_delay(given)}."
     if one.kind == "damping":
         found = (
-            f"Negative damping: {span} the tracking error fed {number(one.value, 2)} times the "
-            "energy that the numerical damping removed"
+            f"Negative damping: {span} the tracking error supplied {number(one.value, 2)} times "
+            "the energy that the numerical damping removed"
         )
         return f"{found}; {_remedy_of_damping(given, beside)}."
     found = (
-        f"No force compensation for {percent(one.value)} of the motion, {allowed}: the tangent "
+        f"No force compensation for {percent(one.value)} of the motion ({allowed}): the tangent "
         "stiffness was zero"
     )
     return f"{found}; {_remedy_of_stiffness(given)}."
@@ -117,7 +117,7 @@ def axis_attention_in_words(axis: str, one: Finding, controller: str) -> str:
 def _departed(what: str, one: Finding) -> str:
     return (
         f"{what} departed from the reference simulation: {_span(one)} the rms difference was "
-        f"{percent(one.value)} of the reference, {_allowed(one)}"
+        f"{percent(one.value)} of the reference ({_allowed(one)})"
     )
 
 

@@ -718,9 +718,7 @@ def notices(s: Summary) -> list[Notice]:
         if s.live is not None and s.live.remedy:
             found.append(Notice("note", s.live.remedy))
     if s.interrupted:
-        found.append(
-            Notice("alarm", "The test was held and resumed: it is not one continuous motion.")
-        )
+        found.append(Notice("alarm", "The test was held, so it is not one continuous motion."))
     found += not_finite_notices(s.not_finite_rows)
     found += _useless(s)
     found += [Notice("alarm", attention_in_words(one, s.setup, s.attention)) for one in s.attention]
@@ -791,8 +789,9 @@ def _useless(s: Summary) -> list[Notice]:
     input_j = s.input_energy_j
     if input_j is not None and 0.0 < input_j < s.energy_error_largest_j:
         texts.append(
-            f"The tracking error exchanged {quantity(s.energy_error_largest_j, 'J')}, more than "
-            f"the {quantity(input_j, 'J')} that the ground motion supplied."
+            f"The tracking error transferred {quantity(s.energy_error_largest_j, 'J')} to or from "
+            f"the structure, more than the {quantity(input_j, 'J')} that the ground motion "
+            "supplied."
         )
     return [Notice("alarm", text) for text in texts]
 
@@ -967,7 +966,9 @@ def _end(s: Summary) -> str:
     if s.live is not None:
         from rthyb_rt.lab.end_reasons import in_words
 
-        words.append(f"cause {in_words(s.live.cause)}")
+        cause = in_words(s.live.cause)
+        if cause not in s.end_reason:
+            words.append(f"cause {cause}")
     if s.interrupted:
         words.insert(1, "interrupted")
     return ", ".join(words)

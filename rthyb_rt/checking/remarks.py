@@ -23,6 +23,9 @@ RUN_ON_TOLERANCE: Final = 1.005
 NOISE_SPAN: Final = 7
 """Range of 1024 samples of noise, in standard deviations."""
 
+_LABORATORY_UNITS: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "N": ("kN", 1e-3)}
+"""Unit in which a laboratory reads a quantity, and its factor from SI."""
+
 
 def remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[str]]:
     """Return notes and warnings."""
@@ -88,14 +91,14 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise
     if jump is not None and jump.acts and setup.rate.leap(jump.value) < step:
         warnings.append(
-            f"limits.sensor_jump_m = {setup.rate.leap(jump.value):g} m is below {step:.2g} m, the "
-            "most that displacement and noise together change from one sample to the next: valid "
-            "readings will be rejected"
+            f"limits.sensor_jump_m = {_told(setup.rate.leap(jump.value), 'm')} is below "
+            f"{_told(step, 'm')}, the most that displacement and noise together change from one "
+            "sample to the next: valid readings will be rejected"
         )
     if spread is not None and spread < NOISE_SPAN * noise:
         warnings.append(
-            f"limits.rest_spread_m = {spread:g} m is below the span of the noise at rest, "
-            f"{NOISE_SPAN * noise:.2g} m: zeroing will be refused"
+            f"limits.rest_spread_m = {_told(spread, 'm')} is below the span of the noise at rest, "
+            f"{_told(NOISE_SPAN * noise, 'm')}: zeroing will be refused"
         )
     return notes, warnings
 
@@ -145,14 +148,14 @@ def _oscillation(setup: Setup, f: Figures) -> tuple[bool, str] | None:
     )
     if g > OSCILLATES and not f.rig_is_lag:
         return True, (
-            f"the delay estimate will oscillate on a pure delay: its loop gain is {g:.2f}, at "
-            f"most {OSCILLATES:.2f} is allowed; {remedy}"
+            f"the delay estimate will oscillate on a pure delay: its loop gain is {g:.2f}, "
+            f"and must not exceed {OSCILLATES:.2f}; {remedy}"
         )
     lag = (
         ", although a lag such as this rig's is less critical than a delay" if f.rig_is_lag else ""
     )
     return False, (
-        f"little margin for the delay estimate: its loop gain is {g:.2f}, at most "
+        f"little margin for the delay estimate: its loop gain is {g:.2f}; at most "
         f"{LITTLE_MARGIN:g} is advised{lag}; {remedy}"
     )
 
@@ -164,11 +167,17 @@ def within_reach(given: Iterable[tuple[str, Limit | None, float, str]]) -> list[
         given: key, limit, peak, and the unit of both, for each.
     """
     return [
-        f"{key} = {limit.value:g} {unit} is below the {peak:.3g} {unit} of the reference "
-        "simulation: the test will reach it"
+        f"{key} = {_told(limit.value, unit)} is below the peak of {_told(peak, unit)} in the "
+        "reference simulation: the test will reach it"
         for key, limit, peak, unit in given
         if limit is not None and limit.acts and peak > limit.value
     ]
+
+
+def _told(value: float, unit: str) -> str:
+    """Return a limit or a peak in the unit that laboratories use for it."""
+    shown, factor = _LABORATORY_UNITS.get(unit, (unit, 1.0))
+    return f"{value * factor:.4g} {shown}"
 
 
 def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
@@ -184,14 +193,15 @@ def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
     peak_m_per_s = f.reference_peak_m_per_s
     if velocity is not None and velocity.enable and peak_m_per_s > velocity.value:
         found.append(
-            f"limits.command_velocity_m_per_s = {velocity.value:g} m/s is below the "
-            f"{peak_m_per_s:.3g} m/s of the reference simulation: the command will be limited"
+            f"limits.command_velocity_m_per_s = {_told(velocity.value, 'm/s')} is below the peak "
+            f"of {_told(peak_m_per_s, 'm/s')} in the reference simulation: the command will be "
+            "limited"
         )
     peak_m = peak_m_per_s / STANDARD_HZ
     if increment is not None and increment.acts and peak_m > increment.value:
         found.append(
-            f"limits.command_increment_m = {increment.value:g} m is below the {peak_m:.3g} m per "
-            "sample of the reference simulation: the test will reach it"
+            f"limits.command_increment_m = {_told(increment.value, 'm')} is below the peak of "
+            f"{_told(peak_m, 'm')} per sample in the reference simulation: the test will reach it"
         )
     return found
 

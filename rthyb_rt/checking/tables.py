@@ -48,7 +48,7 @@ def _structure_rows(f: Figures) -> list[tuple[str, str, str]]:
         (
             "Damping",
             f"{quantity(f.damping_n_s_per_m, 'N s/m', digits=4)} ({percent(f.damping_ratio, 3)})",
-            "computed; part of critical",
+            "computed; fraction of critical",
         ),
     ]
 
@@ -191,12 +191,12 @@ def run_on_rows(found: RunOn) -> list[tuple[str, str, str]]:
     """Return the rows for the overshoot when the test is braked."""
     return [
         (
-            "Run-on, displacement",
+            "Peak displacement if stopped",
             quantity(found.displacement_m, "mm", 1e3),
             f"HOLD, STOP or ramp-out at the worst instant, {found.displacement_at_s:.2f} s",
         ),
         (
-            "Run-on, force",
+            "Peak force if stopped",
             quantity(found.force_n, "kN", 1e-3),
             f"the same at {found.force_at_s:.2f} s, braking with {found.brake_m_per_s2:.3g} m/s²",
         ),
@@ -249,7 +249,7 @@ def commissioning_rows(found: dict[str, Any] | None) -> list[tuple[str, str, str
         if step is not None:
             rows.append((f"Check of {_CHECKS[name]}", words[step["passed"]], step["date"]))
         elif any(found["steps"].values()):
-            rows.append((f"Check of {_CHECKS[name]}", "not made", ""))
+            rows.append((f"Check of {_CHECKS[name]}", "not done", ""))
     return rows
 
 

@@ -163,5 +163,5 @@ def _print_result(made: Certificate, people: IO[str]) -> None:
         for name in STEPS
         if (step := made.steps.get(name)) is not None
     ]
-    missing = [(name, "not made", "") for name in STEPS if name not in made.steps]
+    missing = [(name, "not done", "") for name in STEPS if name not in made.steps]
     terminal.print_table([*rows, *missing], people)

@@ -20,7 +20,7 @@ def compare_laws(
     test: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[TEST.toml]",
+            metavar="TEST.toml",
             help="Test file, or name of a shipped test. Default: the built-in test.",
             show_default=False,
         ),

@@ -392,7 +392,7 @@ def arm(
     """
     if digest is not None and not re.fullmatch("[0-9a-f]{8,64}", digest):
         raise typer.BadParameter(
-            f"found {digest!r}, expected at least the first 8 digits of the one printed by load",
+            f"found {digest!r}; give at least the first 8 digits of the digest that load printed",
             param_hint="--digest",
         )
     with _client(socket) as client:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def effects(
     name: Annotated[
-        str | None, typer.Argument(metavar="[NAME]", help="Name of an effect.", show_default=False)
+        str | None, typer.Argument(metavar="NAME", help="Name of an effect.", show_default=False)
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

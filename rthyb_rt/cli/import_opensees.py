@@ -22,7 +22,7 @@ def import_opensees(
     ],
     out: Annotated[
         Path | None,
-        typer.Argument(metavar="[FILE.npz]", help="File to write. Default: beside MODEL.py."),
+        typer.Argument(metavar="FILE.npz", help="File to write. Default: beside MODEL.py."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

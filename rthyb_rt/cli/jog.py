@@ -97,10 +97,10 @@ def _print_result(name: str, found: Jogged, file: IO[str]) -> None:
     print(f"{name}: {found.end_reason}\n", file=file)
     terminal.print_table(
         [
-            ("Start", quantity(found.start_m, "mm", 1e3, 6), "reading of the displacement"),
-            ("End", quantity(found.end_m, "mm", 1e3, 6), "the same"),
+            ("Start", f"{1e3 * found.start_m:.4f} mm", "reading of the displacement"),
+            ("End", f"{1e3 * found.end_m:.4f} mm", "the same"),
             ("Moved", quantity(found.moved_m, "mm", 1e3, 4),
-             f"{quantity(found.asked_m, 'mm', 1e3)} were requested"),
+             f"{quantity(found.asked_m, 'mm', 1e3)} requested"),
             ("Force", f"{quantity(found.start_n, 'N', 1.0, 4)} to "
              f"{quantity(found.end_n, 'N', 1.0, 4)}", "reading of the load cell"),
             ("Stiffness", stiffness, "change of force over displacement"),

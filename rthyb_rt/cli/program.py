@@ -18,6 +18,16 @@ from rthyb_rt.errors import Problem, RthybError
 
 INTERRUPTED = 128 + signal.SIGINT
 
+_BOUNDS = {
+    re.compile(r"Input should be greater than or equal to (.*)"): "at least ",
+    re.compile(r"Input should be less than or equal to (.*)"): "at most ",
+    re.compile(r"Input should be greater than (.*)"): "above ",
+    re.compile(r"Input should be less than (.*)"): "below ",
+    re.compile(r"Input should be a valid integer()"): "a whole number",
+    re.compile(r"Input should be a valid number()"): "a number",
+}
+"""What a library says of an option's number, and how this program says it."""
+
 _UNIT = re.compile(r"[( ](?:[munk]?m|cm|in|mm/s|m/s|k?N|Hz)[ )]")
 
 
@@ -111,6 +121,12 @@ def _parser_message(error: Any) -> str:
         return str(error.format_message()) if hasattr(error, "format_message") else ""
     # Its prefix for a word that is not one of the choices.
     message = message.removeprefix("Value error, ")
+    for theirs, ours in _BOUNDS.items():
+        if match := theirs.match(message):
+            inputs: list[Any] = getattr(error.__cause__, "errors", list)()
+            found = f"found {inputs[0]['input']}; " if inputs else ""
+            message = f"{found}must be {ours}{match[1]}"
+            break
     if message.startswith("Got unexpected extra argument") and _UNIT.search(message):
         message += '; write a value and its unit as one argument: "2 mm"'
     error.message = message

@@ -40,7 +40,7 @@ def sweep(
     test: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[TEST.toml]",
+            metavar="TEST.toml",
             help="Test file, or name of a shipped test. Default: the built-in test.",
             show_default=False,
         ),

@@ -60,7 +60,7 @@ class Overlay:
         """
         if not 2 <= len(courses) <= MOST:
             raise InputError(
-                f"found {count(len(courses), 'recording')}; give two to {MOST}", "compare"
+                f"found {count(len(courses), 'recording')}; give 2 to {MOST}", "compare"
             )
         named = named_apart(courses)
         fs_hz = min(course.fs_hz for course in named)

@@ -130,8 +130,8 @@ def bus_fault(
         if rate_hz > STANDARD_HZ:
             remedy += f"; {bitrate} bit/s has room for {most_hz(load, rate_hz)} Hz"
     return (
-        f"found {bitrate} bit/s: frame rate over 80 % bus load ({len(frames)} frames, {rate_hz:g} "
-        f"times a second, take {math.ceil(100 * load)} %); {remedy}"
+        f"found {bitrate} bit/s; {len(frames)} frames, {rate_hz:g} times per second, load the bus "
+        f"to {math.ceil(100 * load)} %, and at most 80 % is allowed; {remedy}"
     )
 
 

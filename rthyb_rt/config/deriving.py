@@ -356,7 +356,7 @@ def _check_stability(structure: Structure, problems: list[Problem], most: float)
         Problem(
             "numerical.matrices.integrator",
             f"the step is unstable: with {structure.part.integrator} at {rate_hz:g} Hz the "
-            f"largest root of the assembled structure is {radius:.6g}, at most 1 is allowed; its "
+            f"largest root of the assembled structure is {radius:.6g} and must be at most 1; its "
             f'highest mode is at {highest:.4g} Hz; use integrator = "cr" or a higher '
             "test.sample_rate_hz",
         )

@@ -136,7 +136,10 @@ class Range(Reader):
         below = number < self.high if self.open_high else number <= self.high
         if not fault and above and below:
             return number
-        kind = f"{units.dimension_name(self.unit)} " if fault else ""
+        quantity = units.dimension_name(self.unit)
+        # "the mass must be from ...", not "the mass must be a mass from ...".
+        named = quantity.partition(" ")[2] in self.what
+        kind = f"{quantity} " if fault and not named else ""
         raise explained(f"found {written(value)}{fault}; {self.allowed(kind)}")
 
     def __get_pydantic_json_schema__(

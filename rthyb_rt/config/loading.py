@@ -40,6 +40,7 @@ _SCHEMAS: dict[type[Table], str] = {
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$")
+_TWICE = re.compile(r"Cannot (overwrite a value|declare .* twice)$")
 
 # Tables in which an override of one key replaces the alternatives to it.
 _EXCLUSIVE: dict[KeyPath, tuple[Choice, ...]] = {
@@ -555,7 +556,9 @@ def split_overrides(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, 
         key = key.strip()
         if not equals or not key:
             problems.append(
-                Problem("--set", f"found {written(setting)}; must be key=value (controller.w1=3)")
+                Problem(
+                    "--set", f"found {written(setting)}; must be KEY=VALUE, such as controller.w1=3"
+                )
             )
         else:
             (rig if key.startswith("rig.") else test)[key] = value.strip()
@@ -621,7 +624,7 @@ def _named(kind: Literal["rig", "test"], name: str) -> Path:
     known = ", ".join(files) or "none"
     raise InputError(
         f"found {written(name)}; no file and no {kind} of that name{nearest(name, list(files))}; "
-        f"give the path of a {kind} file, or one that comes with the program: {known}",
+        f"give the path of a {kind} file, or the name of one that comes with the program: {known}",
         where=kind,
     )
 
@@ -775,8 +778,10 @@ def _parse(
             involved: list[KeyPath] = [place[:-1] + tuple(each.split(".")) for each in names]
             culprit = _override_to_blame(place, involved, given, lines)
             if culprit:
-                inner = place[len(_by_name(raw, _override_path(model, culprit))) :]
-                name = ".".join(str(part) for part in inner)
+                at = _by_name(raw, _override_path(model, culprit))
+                name = ".".join(str(part) for part in place[len(at) :])
+                if message.startswith("missing") and place[: len(at)] != at:
+                    name = _shown(raw, place)
                 problems.append(
                     Problem(wording.place(culprit), f"{name}: {message}" if name else message)
                 )
@@ -867,9 +872,11 @@ def _toml(text: str, source: str) -> dict[str, Any]:
         line = int(match[1]) if match and match[1] else len(rows)
         what = str(error)[: match.start()] if match else str(error)
         row = rows[min(line, len(rows)) - 1].strip()
+        how = "keys are written as key = value, text in double quotes"
+        if _TWICE.match(what):
+            what, how = "the key or table is given twice", "keep only one of them"
         raise InputError(
-            f"not valid TOML: {what}; found {written(row)}; keys are written as key = value, "
-            "text in double quotes",
+            f"not valid TOML: {what}; found {written(row)}; {how}",
             f"{source}:{line}",
         ) from None
 

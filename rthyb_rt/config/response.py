@@ -184,7 +184,7 @@ def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
     if inverse.worst > LARGEST_ERROR or inverse.b[0] <= -1.0:
         raise InputError(
             f"no inverse of order {ORDER} fits the response: at {inverse.worst_hz:g} Hz the "
-            f"error is {100 * inverse.worst:.0f} %, at most {100 * LARGEST_ERROR:g} % is "
+            f"error is {100 * inverse.worst:.0f} %; at most {100 * LARGEST_ERROR:g} % is "
             "allowed; check the table of rthyb identify for an outlier, and sweep again with "
             "another --amplitude, or use the law gain-alpha-beta",
             where,

@@ -105,7 +105,13 @@ class GroundMotion(Table):
     pga_g: (
         Annotated[
             float,
-            Range("g", 1e-6, 5, "the peak ground acceleration", "5 m/s2 is 0.51 g: check the unit"),
+            Range(
+                "g",
+                1e-6,
+                5,
+                "the peak ground acceleration",
+                'check the unit: 5 m/s2 is 0.51 g, and may be given as "5 m/s2"',
+            ),
         ]
         | None
     ) = None

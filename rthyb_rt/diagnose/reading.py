@@ -318,7 +318,7 @@ def _usable(
         elif name == "f_in" and model.family == "forced" and not good.any():
             pass  # a freely decaying body: no force acts, which is valid
         elif good.size > 2 and np.all(good == good[0]):
-            reasons[name] = f"is constant ({good[0]:g} {CHANNELS[name]})"
+            reasons[name] = f"is constant at {good[0] + 0.0:g} {CHANNELS[name]}"
         elif judged and good.size < POLICY.numbers_least * values.size:
             reasons[name] = (
                 f"contains numbers in only {100 * good.size / values.size:.0f} % of its rows"
@@ -330,10 +330,11 @@ def _usable(
             notes.append(f"{name}: {values.size - good.size} rows without a number; not evaluated")
     choices = NEEDED[model.family]
     if judged and not any(set(choice) <= set(out) for choice in choices):
-        asked = " or ".join(" and ".join(choice) for choice in choices)
+        asked = ", or ".join(" and ".join(choice) for choice in choices)
         why = "; ".join(f"{name} {reason}" for name, reason in reasons.items())
         raise InputError(
-            f"family {model.family!r} needs {asked}; found {', '.join(out) or 'none of them'}"
+            f"family {model.family!r} needs {asked}; "
+            f"found {'only ' + ', '.join(out) if out else 'none of them'}"
             + (f" ({why})" if why else "")
             + _offers(lab, choices),
             where,
@@ -347,9 +348,9 @@ def _offers(lab: Lab | None, choices: tuple[tuple[str, ...], ...]) -> str:
         return ""
     found = proposals(lab.table, lab.sources, dict.fromkeys(n for c in choices for n in c))
     if found:
-        return f"; to assign columns to channels, for example: {' '.join(found)}"
+        return f"; to assign a column to a channel, for example: {' '.join(found)}"
     if len(lab.sources) < len(lab.table.columns):
-        return f"; to assign columns to channels: {EXAMPLE}"
+        return f"; to assign a column to a channel: {EXAMPLE}"
     return ""
 
 

@@ -109,8 +109,9 @@ def _read_table(text: Text) -> _Table:
             break
     if not rows:
         raise text.error(
-            "the format is not recognized: neither PEER AT2, COSMOS, CSMIP, K-NET nor columns "
-            "of numbers"
+            "the format is not recognised: it is neither PEER AT2, COSMOS, CSMIP or K-NET, nor "
+            "columns of numbers; check that this is the right file, and that its numbers have a "
+            "decimal point"
         )
     if len(rows) > MAX_POINTS:
         raise text.error(f"holds {len(rows)} rows; at most {MAX_POINTS} are accepted")

@@ -116,7 +116,8 @@ class GroundMotion:
         length = self.duration_s - start_s if duration_s is None else duration_s
         if not (0.0 <= start_s < self.duration_s):
             raise InputError(
-                f"start {start_s} s lies outside {self.name}, which lasts {self.duration_s:g} s",
+                f"found {start_s:g} s, but {self.name} lasts only {self.duration_s:g} s; give an "
+                "earlier start",
                 "ground_motion.start_s",
             )
         if not length > 0.0:

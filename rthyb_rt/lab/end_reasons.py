@@ -31,6 +31,7 @@ WORDS: Final[dict[str, str]] = {
     "velocity and acceleration limits, and the compensator",
     "apart": "the drives' sample counts drifted apart",
     "no_pose": "the displacements of the axes fit no position of the specimen",
+    "not_finite": "a value was not a number",
 }
 _STOPPED: Final = "has stopped by itself, and may have to be released at its panel."
 REMEDIES: Final[dict[str, str]] = {
@@ -54,7 +55,7 @@ REMEDIES: Final[dict[str, str]] = {
     "skips": "This PC was late too often: `rthyb jitter` says what to change.",
     "stalled": "This PC stalled for 20 ticks: `rthyb jitter` says what to change.",
     "apart": "One drive lost samples, or runs on another clock: check the link of each drive and "
-    "what synchronizes them.",
+    "what synchronises them.",
     "no_pose": "The displacements measured on the axes fit no position of the specimen: check "
     "signs, scales and zeros of the displacement sensors, and pins and bases in the rig file.",
     "heartbeat": "Something blocked the program for a second, such as a full disk, a suspended "

@@ -408,7 +408,7 @@ def _range_notes(rig: RigFile, expected: NDArray[np.void]) -> list[str]:
             notes.append(
                 f"sensors.{key} = {reach * factor:g} {unit} is less than the peak of "
                 f"{peak * factor:.3g} {unit} in the reference simulation: samples beyond the "
-                "range are lost; use a sensor with a longer range, or scale the ground motion down"
+                "range are lost; use a sensor with a larger range, or scale the ground motion down"
             )
     return notes
 

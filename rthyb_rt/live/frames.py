@@ -85,7 +85,7 @@ def _number(asked: dict[str, Any], name: str, least: float, most: float) -> floa
     value: Any = asked.get(name)
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if not is_number or not least <= value <= most:
-        raise ValueError(f"{name}: found {value!r}; allowed is {least:g} to {most:g}")
+        raise ValueError(f"{name}: found {value!r}; must be from {least:g} to {most:g}")
     return float(value)
 
 

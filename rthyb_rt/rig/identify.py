@@ -643,7 +643,7 @@ def check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
     limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
     if limited.size:
         raise InputError(
-            "the rig's limits on the command's velocity or acceleration altered it at "
+            "the rig's limits on velocity or acceleration altered the command at "
             f"{_frequency_at(parts, int(limited[0])):g} Hz; identify with a smaller amplitude "
             "(--amplitude), or up to a lower frequency (--max-frequency)",
             "identify",
@@ -657,8 +657,8 @@ def check_read(read: Mask, parts: list[Part]) -> None:
         if share < READ_SHARE:
             raise InputError(
                 f"only {100 * share:.0f} % of the samples at {part.frequency_hz:g} Hz had a "
-                f"reading, {100 * READ_SHARE:g} % is needed; check the link, and this PC with "
-                "`rthyb jitter`",
+                f"reading; at least {100 * READ_SHARE:g} % must have one; check the link, and "
+                "this PC with `rthyb jitter`",
                 "identify",
             )
 
@@ -704,7 +704,7 @@ def _check_specimen(rig: RigFile, part: Part, slowest: Tone, noise_n: float) -> 
         )
     if in_phase < 0:
         raise InputError(
-            f"the force falls with displacement ({in_phase:.4g} N/m at "
+            f"the force falls as the displacement rises ({1e-3 * in_phase:.4g} kN/m at "
             f"{slowest.frequency_hz:g} Hz); {polarity.force_remedy(rig)}; or make sure that a "
             "specimen is mounted",
             "identify",

@@ -684,7 +684,7 @@ def _record(given: dict[str, Any]) -> GroundMotion:
         raise ReplyError("org.varlink.service.InvalidParameter", parameter="record.dt_s")
     assert isinstance(dt_s, (int, float))
     if not _DT_S[0] <= dt_s <= _DT_S[1]:
-        raise InputError(f"found {dt_s} s, allowed is {_DT_S[0]} to {_DT_S[1]} s", "record.dt_s")
+        raise InputError(f"found {dt_s} s; must be from {_DT_S[0]} to {_DT_S[1]} s", "record.dt_s")
     if len(samples) > MAX_POINTS or len(samples) * dt_s > MAX_DURATION_S:
         raise InputError(
             f"found {len(samples)} points, {len(samples) * dt_s:.6g} s; at most {MAX_POINTS} "

@@ -82,9 +82,11 @@ class StateError(RefusedError):
         self.state, self.allowed = state, allowed_states(command)
         text = f"{command}: {why}; the state is {state}"
         if state not in self.allowed:
-            text += f", {command} is allowed in {' or '.join(self.allowed)}"
+            *others, last = self.allowed
+            states = f"{', '.join(others)} or {last}" if others else last
+            text += f"; {command} is allowed in {states}"
             if state == "TRIPPED":
-                text += "; once its cause is gone, reset leaves this state"
+                text += "; remove the cause, then reset"
         super().__init__(text)
 
 

@@ -81,7 +81,7 @@ def program() -> Path:
                 raise RthybError(
                     f"{needed} is in {folder}, which the service cannot see; install into /opt "
                     "with the system's Python, for example: /usr/bin/python3 -m venv "
-                    "/opt/rthyb, /opt/rthyb/bin/pip install, and /opt/rthyb/bin/rthyb "
+                    "/opt/rthyb, /opt/rthyb/bin/pip install WHEEL, and /opt/rthyb/bin/rthyb "
                     "install-service"
                 )
     return path

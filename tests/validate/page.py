@@ -238,7 +238,7 @@ def _instead(results: Results) -> str:
 
 def written(results: Results, state: str, solver: str) -> str:
     """The whole page; `state` says of which program, with which seed and how many cases a kind."""
-    return f"""# Proof of the diagnosis
+    return f"""# Validation of the diagnosis
 
 Written by `make validate-diagnosis`. {state}
 

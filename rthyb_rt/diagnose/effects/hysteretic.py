@@ -473,6 +473,7 @@ class WornColumn(Effect):
     """
 
     name = "hysteresis+pinching+degradation"
+    plain = "yielding with pinching and degradation"
     params = (
         Param("xy_m", "m", 1e-9, 10.0),
         Param("alpha", "", -1.0, 1.0),

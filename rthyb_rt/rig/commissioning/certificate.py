@@ -106,7 +106,7 @@ class Certificate:
     def _why(self, name: str) -> str:
         step = self.steps.get(name)
         if step is None:
-            return "was not made"
+            return "was not done"
         return "FAILED" if step.passed is False else "could not be checked"
 
     @property

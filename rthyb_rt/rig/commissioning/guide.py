@@ -138,7 +138,7 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
     if figures["fresh_share"] < FRESH_SHARE:
         faults.append(
             f"{100 * figures['fresh_share']:.1f} % of the ticks had a new pair of displacement "
-            f"and force, at least {100 * FRESH_SHARE:g} % is needed; check the wiring and the "
+            f"and force; at least {100 * FRESH_SHARE:g} % must have one; check the wiring and the "
             "drive's sample rate"
         )
     setup = experiment.prescribed(connection.rig, rest.name, rest.path_m)

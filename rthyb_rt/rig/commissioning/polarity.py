@@ -45,7 +45,7 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
     faults = []
     if abs(x_m) <= moved.certain("x_meas_m"):
         faults.append(
-            f"the displacement did not follow: {_mm(x_m)} when {_mm(command_m)} were commanded; is "
+            f"the displacement did not follow: {_mm(x_m)} when {_mm(command_m)} was commanded; is "
             "the actuator on and its sensor connected?"
         )
     elif slope < 0.0:
@@ -55,8 +55,8 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
         )
     elif abs(slope - 1.0) > SLOPE_TOLERANCE:
         faults.append(
-            f"the displacement moved by {_mm(x_m)} when {_mm(command_m)} were commanded, "
-            f"a ratio of {slope:.3g}; {1 - SLOPE_TOLERANCE:g} to {1 + SLOPE_TOLERANCE:g} is "
+            f"the displacement moved by {_mm(x_m)} when {_mm(command_m)} was commanded, a "
+            f"ratio of {slope:.3g}; from {1 - SLOPE_TOLERANCE:g} to {1 + SLOPE_TOLERANCE:g} is "
             "allowed: check the scales of displacement and command in [calibration], and the "
             "drive's units"
         )
@@ -67,7 +67,8 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
         )
     elif stiffness < 0.0 and slope > 0.0:
         faults.append(
-            f"the force falls with displacement: {stiffness:.4g} N/m, k_e < 0; {force_remedy(rig)}"
+            f"the force falls as the displacement rises: k_e = {1e-3 * stiffness:.4g} kN/m; "
+            f"{force_remedy(rig)}"
         )
     seen = abs(x_m) > moved.certain("x_meas_m")
     backwards = seen and (slope < 0.0 or (stiffness is not None and stiffness < 0.0))

@@ -152,7 +152,7 @@ def _named_parts(text: str) -> tuple[str, float, float | None, float]:
         key, equals, number = part.partition("=")
         if not equals or key not in allowed or key in given:
             raise ValueError(
-                f"found {part!r}, {kind} accepts {', '.join(allowed)}, each at most once, such as "
+                f"found {part!r}; {kind} accepts {', '.join(allowed)}, each at most once, such as "
                 f"{kind}:from=5,to=8"
             )
         given[key] = number
@@ -182,5 +182,5 @@ def _value(kind: str, text: str | None) -> float:
 def _seconds(text: str) -> float:
     value = float(text)
     if not 0.0 <= value <= 1e6:
-        raise ValueError(f"found {text} s, allowed is 0 to 1e6 s")
+        raise ValueError(f"found {text} s; must be from 0 to 1e6 s")
     return value
