@@ -429,6 +429,23 @@ def test_faults_of_both_files_come_at_once_one_line_each(rthyb: Rthyb, tmp_path:
         assert sum(place in line for line in lines) == 1
 
 
+@pytest.mark.parametrize(("rig", "of_rig"), [("rig.toml", 1), ("delay-10-elastic", 0), ("no", 0)])
+def test_faults_of_the_rig_that_a_faulty_test_names_come_at_once(
+    rthyb: Rthyb, tmp_path: Path, rig: str, of_rig: int
+) -> None:
+    shipped = config.shipped_rig("delay-10-elastic").read_text(encoding="utf-8")
+    (tmp_path / "rig.toml").write_text(shipped.replace("delay_samples = 10", "delay_samples = -4"))
+    named = re.sub(r"(?m)^rig = .*$", f'rig = "{rig}"', TEST.replace("0.02", "-1"))
+    assert f'rig = "{rig}"' in named
+    (tmp_path / "plate.toml").write_text(named)
+    answer = rthyb("check", "plate.toml")
+    assert answer.code == 3
+    lines = answer.err.splitlines()
+    assert "damping_ratio: found -1" in lines[0]
+    assert len(lines) == 1 + of_rig
+    assert ["delay_samples: found -4" in line for line in lines[1:]] == [True] * of_rig
+
+
 def test_setting_without_a_value_is_refused(rthyb: Rthyb) -> None:
     answer = rthyb("run", "--set", "controller.w1")
     assert answer.code == 3

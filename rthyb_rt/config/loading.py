@@ -332,14 +332,27 @@ def _load_both(
     try:
         if rig:
             rig_file = load(find_rig(rig), rig_settings)
-        # A test file with errors may not name the rig reliably.
         elif test is not None:
             rig_file = load(rig_of_test(test, test_path, test_settings), rig_settings)
+        elif named := _rig_of_faulty(Path(test_path), test_settings):
+            rig_file = load(named, rig_settings)
     except InputError as error:
         problems += error.problems
     if test is None or rig_file is None:
         raise InputError(problems)
     return test, rig_file
+
+
+def _rig_of_faulty(path: Path, overrides: Mapping[str, str]) -> Path | None:
+    """Return the file of the rig that a test file with errors names; None if it names none."""
+    try:
+        name = overrides.get("rig") or tomllib.loads(path.read_text("utf-8")).get("rig")
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(name, str):
+        return None
+    beside = Path(name) if "rig" in overrides else path.parent / name
+    return beside if _is_file(beside) else shipped("rig").get(name)
 
 
 def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:
