@@ -502,8 +502,8 @@ static void note_delays(rthyb_loop *loop, const arrivals *found)
     }
 }
 
-/* Number of skipped ticks for the station. While the PC is suspended, the clock of the ticks stands
- * still, but the drive does not. */
+/* Number of skipped ticks for the station. While the PC is suspended, the clock of the ticks stops,
+ * but the drive does not. */
 static uint32_t skipped_ticks(rthyb_loop *loop, const rthyb_tick *tick)
 {
     const int timeless = loop->ticker.clock == RTHYB_CLOCK_STEPPED && !loop->cfg.unpaced;

@@ -62,7 +62,7 @@ void rthyb_handover_write(rthyb_handover *h, const rthyb_parameters *parameters)
     for (size_t i = 0; i < RTHYB_PARAMETER_WORDS; i++) {
         uint64_t word;
         memcpy(&word, bytes + i * sizeof word, sizeof word);
-        /* Whoever reads this word also sees the odd stamp. */
+        /* A reader of this word also sees the odd stamp. */
         __atomic_store_n(&h->words[i], word, __ATOMIC_RELEASE);
     }
     __atomic_store_n(&h->stamp, stamp + 2, __ATOMIC_RELEASE);

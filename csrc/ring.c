@@ -93,7 +93,7 @@ void rthyb_ring_init(rthyb_ring *ring, void *map, uint32_t capacity, size_t abou
         .record_words = (uint32_t)(record_bytes(axis_count) / sizeof(uint64_t)),
         .channel_count = channel_count,
     };
-    /* Last, so that nobody mistakes an incomplete header for a ring. */
+    /* Last, so that an incomplete header is never taken for a ring. */
     __atomic_store_n(&header->magic, MAGIC, __ATOMIC_RELEASE);
 }
 

@@ -1,7 +1,7 @@
 "use strict";
-// Figure 1 as a chart: drag to enlarge, double-click to go back. The drawing is for paper.
+// Figure 1 as a chart: drag to enlarge, double-click to reset. The static figure is for printing.
 (() => {
-  const told = JSON.parse(document.getElementById("zoom-data").textContent);
+  const content = JSON.parse(document.getElementById("zoom-data").textContent);
   const figure = document.getElementById("figure-displacement");
   if (!figure || !window.uPlot) return;
   const GAP = -32768;
@@ -25,10 +25,10 @@
     following = false;
   };
   const width = () => Math.max(200, place.clientWidth);
-  for (const panel of told.panels) {
+  for (const panel of content.panels) {
     const ys = panel.series.map(s => column(s.data, panel.scale));
-    const xs = ys[0].map((_, i) => told.start + i * told.step);
-    const last = panel === told.panels[told.panels.length - 1];
+    const xs = ys[0].map((_, i) => content.start + i * content.step);
+    const last = panel === content.panels[content.panels.length - 1];
     const title = document.createElement("p");
     title.className = "title";
     title.textContent = panel.label;
@@ -54,8 +54,8 @@
       padding: [8, 16, 0, 0],
       hooks: {
         drawClear: [u => {
-          if (!told.window) return;
-          const [from, to] = told.window.map(t => u.valToPos(t, "x", true));
+          if (!content.window) return;
+          const [from, to] = content.window.map(t => u.valToPos(t, "x", true));
           const left = Math.max(from, u.bbox.left), right = Math.min(to, u.bbox.left + u.bbox.width);
           if (right <= left) return;
           u.ctx.fillStyle = "#fbf0d9";
