@@ -11,6 +11,7 @@ imported when it is first used.
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -120,7 +121,12 @@ if not TYPE_CHECKING:  # otherwise mypy would assume that the package has every 
             # The package of that name is callable; importing it makes it an attribute.
             return import_module(f"{__name__}.diagnose")
         if name not in _HOMES:
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+            # With these two, Python names the attribute that was meant.
+            raise AttributeError(
+                f"module {__name__!r} has no attribute {name!r}",
+                name=name,
+                obj=sys.modules[__name__],
+            )
         found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), _NAMES.get(name, name))
         globals()[name] = found
         return found

@@ -430,6 +430,46 @@ WITHOUT_A_PATH = {
     "run": lambda none, rec, rig: rt.run(HALF_A_SECOND, out=5 if none is None else none),
     "sweep": lambda none, rec, rig: rt.sweep(HALF_A_SECOND, out=5 if none is None else none),
 }
+MISTAKES = {
+    "rig for test": (
+        lambda rec: rt.run(rt.Rig("delay-10-elastic")),
+        'found the rig "delay-10-elastic", but a test is needed here; the test comes before',
+    ),
+    "test for rig": (
+        lambda rec: rt.run(HALF_A_SECOND, HALF_A_SECOND),
+        "a rig is needed here; test.rig is its rig",
+    ),
+    "recording for test": (rt.check, "recording.test is the one it ran with"),
+    "recording for rig": (rt.identify, "recording.rig is the one it ran with"),
+    "name of a test for a rig": (
+        lambda rec: rt.Rig("section5-T0.5"),
+        "no file and no rig of that name (it is a test)",
+    ),
+    "name of a rig for a test": (
+        lambda rec: rt.Test("delay-10-elastic"),
+        "no file and no test of that name (it is a rig)",
+    ),
+    "row for signal": (lambda rec: rec[0], "found 0; a signal is chosen by its name"),
+    "measure": (lambda rec: rec.measures["trackng_nrmse"], '(did you mean "tracking_nrmse"?)'),
+    "unit": (lambda rec: rec.units["x_meas"], 'no signal "x_meas" (did you mean "x_meas_m"?)'),
+    "axis": (lambda rec: rec.export("x.csv", axis="upper"), "export: axis: the recording has only"),
+    "file that is not there": (
+        lambda rec: rt.diagnose("lab.csv", "delay-10-elastic"),
+        "lab.csv: no such file; give a CSV file, or",
+    ),
+    "no processes": (
+        lambda rec: rt.sweep(HALF_A_SECOND, {"controller.w1": [3]}, jobs=0),
+        "sweep: jobs: found 0; the number of processes must be a whole number from 1",
+    ),
+    "processes in words": (
+        lambda rec: rt.sweep(HALF_A_SECOND, {"controller.w1": [3]}, jobs="two"),
+        'sweep: jobs: found "two"',
+    ),
+    "progress": (
+        lambda rec: rt.sweep(HALF_A_SECOND, {"controller.w1": [3]}, progress=5),
+        "sweep: progress: found 5; give a function of two numbers",
+    ),
+}
 HALF_A_SECOND = rt.Test(
     "section5-T0.5", ground_motion={"duration_s": 0.5}, test={"free_vibration_s": 0.1}
 )
@@ -446,3 +486,23 @@ def test_what_is_no_path_is_refused_with_what_was_found_and_what_to_give(
     assert problem.message.startswith("found ")
     assert "path" in problem.message
     assert problem.where.startswith(call.split()[0].split(":")[0])
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistake_of_a_newcomer_is_told_with_what_was_meant(
+    mistake: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call, told = MISTAKES[mistake]
+    with pytest.raises(rt.InputError) as caught:
+        call(rt.run(HALF_A_SECOND))
+    assert told in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_misspelt_public_name_is_told_with_the_name_that_was_meant() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "import rthyb_rt as rt; rt.comparee"],
+        check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert "Did you mean: 'compare'?" in done.stderr

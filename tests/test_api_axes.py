@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,38 @@ def test_what_was_kept_is_opened_as_it_was(rig: rt.Rig, rec: rt.Recording, tmp_p
     assert again.rig["axis.1.name"] == "right"
     rec.report(tmp_path / "report.html")
     assert (tmp_path / "report.html").stat().st_size > 10_000
+
+
+def test_the_signals_of_one_axis_are_exported_with_its_rig_beside_them(
+    rec: rt.Recording, tmp_path: Path
+) -> None:
+    path = rec.export(tmp_path / "right.csv", axis="right")
+    assert path.read_text().splitlines()[0] == "t,ag,x_num,x_cmd,x_meas,f_meas"
+    rows = np.loadtxt(path, delimiter=",", skiprows=1)
+    assert rows[:, 4].tobytes() == rec.axis("right")["x_meas_m"][rec.running].tobytes()
+    assert [one.name for one in tmp_path.glob("*.toml")] == ["right.rig.toml"]
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda rec, path: rec.export(path),
+         'choose it (axis="left"), or write all fields (whole=True)'),
+        (lambda rec, path: rec.export(path, axis="left", whole=True), "export: axis: found"),
+        (lambda rec, path: rec.export(path, axis="up"), "no axis 'up'; the recording has left"),
+        (lambda rec, path: rec.measures["tracking_nrmse"],
+         'no measure "tracking_nrmse"; measures are: axes, directions'),
+        (lambda rec, path: rec.measures["tracking_nrmse"], 'are in measures["axes"]["left"]'),
+    ],
+)  # fmt: skip
+def test_what_one_axis_has_is_told_where_it_is_of_several(
+    rec: rt.Recording, tmp_path: Path, call: Callable[[rt.Recording, Path], object], told: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        call(rec, tmp_path / "all.csv")
+    assert told in str(caught.value)
+    assert "--" not in str(caught.value)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_rig_of_several_axes_is_changed_by_the_name_of_its_axis(rig: rt.Rig) -> None:

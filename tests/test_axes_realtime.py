@@ -13,6 +13,7 @@ import pytest
 from command_line import Rthyb
 from test_axes_tests import RIG, TEST
 
+import rthyb_rt as rt
 from rthyb_rt import config, core
 from rthyb_rt.cli import connecting
 from rthyb_rt.config import AxesRig
@@ -260,6 +261,7 @@ def test_rthyb_run_takes_faults_on_a_named_axis(rthyb: Rthyb, tmp_path: Path) ->
     )  # fmt: skip
     assert done.code == 6, done.err
     assert done.json["end_reason"] == "tripped: link lost of axis lower"  # type: ignore[index]
+    assert [one["text"] for one in done.json["notices"]] == rt.open(tmp_path / "out").notices
     assert rthyb("replay", tmp_path / "out").code == 0
     bad = rthyb("run", FRAME, "--fault", "silence:from=1")
     assert bad.code == 2

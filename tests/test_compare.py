@@ -106,6 +106,12 @@ def test_moved_over_the_first_what_came_late_differs_no_more() -> None:
     assert apart.rows[1]["x_difference_nrmse"] > 0.5
     assert over.rows[1]["x_difference_nrmse"] < 1e-3
     assert over.rows[1]["lag_s"] == apart.rows[1]["lag_s"]
+    assert apart.rows[1]["lag_samples"] == pytest.approx(0.05 * FS_HZ, abs=0.01)
+    heads, rows = page.table(apart)
+    assert heads[2] == "b"
+    lags = [(name, second) for name, _, second in rows if name.startswith("Lag")]
+    assert [name for name, _ in lags] == ["Lag, ms", "Lag, samples"]
+    assert [float(value) for _, value in lags] == pytest.approx([50.0, 51.2], abs=0.1)
     assert over.notes[-1] == "b was shifted by -50.00 ms to match the first"
 
 

@@ -59,7 +59,7 @@ def test_rthyb_compare_asks_for_an_axis_and_knows_their_names(
         assert f"has several axes ({', '.join(AXES)}); choose the one to compare" in asked.err
     wrong = rthyb("compare", rec, "--axis", "middle")
     assert wrong.code == 3
-    assert "found axis middle; the axes are left, right" in wrong.err
+    assert "found --axis middle; the axes are left, right" in wrong.err
     done = rthyb("compare", rec, test, "--axis", "right", "--out", tmp_path / "out", "--json")
     assert done.code == 0, done.err
     labels = [row["label"] for row in done.json["rows"]]  # type: ignore[attr-defined]
@@ -73,3 +73,13 @@ def test_an_axis_of_nothing_that_has_several_is_refused() -> None:
         InputError, match="found upper, but none of the recordings has several axes"
     ):
         rt.compare(rt.run(short), axis="upper")
+
+
+def test_a_misspelt_axis_is_told_in_the_words_of_python_and_of_the_command_line(
+    rthyb: Rthyb, both: tuple[rt.Recording, rt.Recording], tmp_path: Path
+) -> None:
+    rec = both[0].save(tmp_path / "run" / "recording.h5")
+    with pytest.raises(InputError, match=r'found axis="rihgt" \(did you mean "right"\?\)'):
+        rt.compare(rec, axis="rihgt")
+    told = rthyb("compare", rec, "--axis", "rihgt").err
+    assert 'found --axis rihgt (did you mean "right"?); the axes are left, right' in told

@@ -12,7 +12,7 @@ import pytest
 from diagnose_answers import diagnosed, found, run
 
 from rthyb_rt import config, core
-from rthyb_rt.diagnose import effects, engine, power, reading
+from rthyb_rt.diagnose import effects, engine, power, reading, words
 from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
 from rthyb_rt.diagnose.outcome import finish
 from rthyb_rt.diagnose.predict import nrmse
@@ -353,3 +353,12 @@ def test_a_hybrid_test_in_closed_loop_is_diagnosed_and_its_model_mended(tmp_path
     friction = [e for e in mended.specimen if e.element == "coulomb"]
     assert friction[0].fc_n == pytest.approx(300.0, rel=0.01)
     assert run("diagnose", folder, "--model", tmp_path / "out" / "augmented.toml") == 0
+
+
+def test_a_history_has_no_delay_estimate_that_a_repeated_simulation_could_meet():
+    before = {"x_meas": 0.0151, "x_num": 0.0, "f_meas": 0.82, "alpha": math.nan}
+    after = {"x_meas": 5.66e-5, "x_num": 0.0, "f_meas": 0.6, "alpha": math.nan}
+    loop = {"possible": True, "nrmse_before": before, "nrmse_after": after}
+    ((_, value, rest),) = words.loop_rows({"closed_loop": loop})
+    assert value == "1.51 → 0.00566 %"
+    assert rest == "computed displacement 0 → 0 %; force 82 → 60 %"

@@ -53,6 +53,27 @@ def test_the_inverse_undoes_the_plant_where_structures_answer() -> None:
     assert np.linalg.norm(loud, 2, axis=(1, 2)).max() <= 1.05 * fit.loudest
 
 
+@pytest.mark.parametrize(
+    ("rate_hz", "most"),
+    # At 256 Hz the fit of five poles is accepted, but not as good as one need not look beyond.
+    [
+        (256.0, response.LARGEST_ERROR),
+        (512.0, matrix_response.GOOD),
+        (2048.0, matrix_response.GOOD),
+    ],
+)
+def test_at_another_rate_the_inverse_has_the_poles_that_the_rate_can_hold(
+    rate_hz: float, most: float
+) -> None:
+    fit = matrix_response.fit(found(), 1.0 / rate_hz)
+    poles = tuple(one for one in matrix_response.POLES_HZ if one < 0.5 * rate_hz)
+    assert fit.inverse.pole_hz == poles
+    assert fit.worst <= most
+    between = np.arange(0.3, 10.0, 0.2)
+    error = np.abs(exact(between) @ fit.inverse.response(between, 1.0 / rate_hz) - np.eye(2))
+    assert error.max() < 1.5 * most
+
+
 def test_a_closer_fit_would_be_louder(monkeypatch: pytest.MonkeyPatch) -> None:
     quiet = matrix_response.fit(found(), H)
     monkeypatch.setattr(matrix_response, "GOOD", 0.01)

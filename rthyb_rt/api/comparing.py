@@ -23,6 +23,7 @@ _WORDS = MAP_WORDS | {
     r"^--map (\w+)": r"compare: columns: \1",
     "--map": "columns",
     r"--axis ([\w.-]+)": r'axis="\1"',
+    r"^--axis$": "compare: axis",
 }
 
 
@@ -45,7 +46,8 @@ class Comparison:
         samples of state RUNNING that all recordings have in common; ``x_difference_m`` is the
         largest absolute difference. ``f_difference_nrmse`` and ``f_difference_n`` are the same for
         the force. ``lag_s`` is the lag behind the first recording, found by maximum correlation, in
-        s. Unknown values are None.
+        s, and ``lag_samples`` the same in sampling periods of the lowest rate.
+        Unknown values are None.
         """
         return self._found.rows
 

@@ -216,11 +216,27 @@ def _source(kind: Literal["test", "rig"], given: object) -> Path:
     """Return the file for a path or a name."""
     if not isinstance(given, (str, os.PathLike)):
         raise InputError(
-            f"found {written(given)}; the first argument must be the path of a {kind} file or the "
-            "name of one that comes with the program; give tables as keyword arguments",
+            f"found {_instead(kind, given)}; give the path of a {kind} file or the name of one "
+            f"that comes with the program; tables are given by keyword, {kind.capitalize()}("
+            f"{kind}={{...}})",
             kind.capitalize(),
         )
     return config.find(kind, given)
+
+
+def _instead(kind: Literal["test", "rig"], given: object) -> str:
+    """Return what was given instead of a test or rig, and what it has of the kind that is wanted.
+
+    A test, a rig and a recording are easily taken for one another, as arguments of `run` are.
+    """
+    name = type(given).__name__
+    if isinstance(given, (Test, Rig)):
+        told = f'the {given._kind} "{given.name}", but a {kind} is needed here'
+        of_test = "; test.rig is its rig" if kind == "rig" else "; the test comes before the rig"
+        return told + of_test
+    if name == "Recording" and hasattr(given, kind):
+        return f"a recording, but a {kind} is needed here; recording.{kind} is the one it ran with"
+    return written(given)
 
 
 def _nothing(kind: Literal["test", "rig"], example: str) -> InputError:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.api.files import Place, Rig, Test, path_of
+from rthyb_rt.api.messages import in_python
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.errors import InputError
@@ -33,6 +34,33 @@ TIME: Final = "t_s"
 _SHOWN: Final = count(1)
 _IDENTITY: Final = ("test_name", "end_reason", "ended_by", "attention", "setup")
 _SUFFIXES: Final = (".csv", ".mat")
+_EXPORT_WORDS: Final = {
+    r"--axis ([\w.-]+)": r'axis="\1"',
+    "--full": "whole=True",
+    "^--axis$": "export: axis",
+    "omit the option": "omit it",
+}
+
+
+class Named(dict[str, Any]):
+    """Values by name; a name that is not there is refused with those that are.
+
+    Args:
+        values: the values.
+        what: what each is, for messages: "measure".
+        hint: where else a value may be found.
+    """
+
+    def __init__(self, values: Mapping[str, Any], what: str, hint: str = "") -> None:
+        super().__init__(values)
+        self._what, self._hint = what, hint
+
+    def __missing__(self, name: object) -> Any:
+        raise InputError(
+            f"no {self._what} {written(name)}{nearest(str(name), list(self))}; {self._what}s are: "
+            f"{', '.join(self) or 'none'}{self._hint}",
+            "recording",
+        )
 
 
 class Plot:
@@ -209,7 +237,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         own = {name: files.UNITS.get(name, channels.get(name, ""))
                for name in raw.samples.dtype.names or ()}  # fmt: skip
         reference = files.REFERENCE_UNITS if raw.reference is not None else {}
-        return {TIME: "s", **own, **reference}
+        return Named({TIME: "s", **own, **reference}, "signal")
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return a signal in its unit, shape (n,): one value per sample of the recording.
@@ -229,11 +257,14 @@ class Recording(Mapping[str, NDArray[Any]]):
             rows = np.flatnonzero(raw.running())[: len(raw.reference)]
             values[rows] = raw.reference[name][: rows.size]
             return values
-        raise InputError(
-            f"no signal {written(name)}{nearest(str(name), list(self.units))}; signals are: "
-            f"{', '.join(self.units)}",
-            "recording",
-        )
+        if not isinstance(name, str):
+            raise InputError(
+                f"found {written(name)}; a signal is chosen by its name, recording[{written(TIME)}]"
+                f", and its rows by an index of that; signals are: {', '.join(self.units)}",
+                "recording",
+            )
+        self.units[name]  # raises, with the names that there are
+        raise AssertionError(name)
 
     def __contains__(self, name: object) -> bool:
         return name in self.units
@@ -349,9 +380,12 @@ class Recording(Mapping[str, NDArray[Any]]):
         ``directions``.
         """
         if self.axis_names:
-            return {} if self._of_axes is None else self._of_axes.as_json()
+            found = {} if self._of_axes is None else self._of_axes.as_json()
+            hint = f'; those of an axis are in measures["axes"][{written(self.axis_names[0])}]'
+            return Named(found, "measure", hint if found else "")
         found = self.summary.as_json()
-        return {name: value for name, value in found.items() if name not in _IDENTITY}
+        kept = {name: value for name, value in found.items() if name not in _IDENTITY}
+        return Named(kept, "measure")
 
     @property
     def table(self) -> list[tuple[str, str, str]]:
@@ -550,7 +584,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         files.write(target, self._raw)
         return target
 
-    def export(self, path: Place, *, whole: bool = False) -> Path:
+    def export(self, path: Place, *, whole: bool = False, axis: str | None = None) -> Path:
         """Export the signals in the format given by the file extension: ``.csv`` or ``.mat``.
 
         Args:
@@ -558,12 +592,16 @@ class Recording(Mapping[str, NDArray[Any]]):
             whole: for a CSV file, True writes all samples and signals; False writes only the
                 columns that `diagnose` reads, in state RUNNING. A MAT file always contains
                 everything.
+            axis: for these columns of a test on several axes: the name of the axis. The part of
+                its force that is due to the other axes is subtracted, and the rig file of that
+                axis, the model for a diagnosis, is written beside it.
 
         Raises:
-            InputError: the format is unknown, or ``.mat`` was requested and scipy is not installed.
+            InputError: the format is unknown, an axis is not named or does not exist, or ``.mat``
+                was requested and scipy is not installed.
             RthybError: the file cannot be written.
         """
-        from rthyb_rt.record import export
+        from rthyb_rt.record import axis_export, export
 
         path = path_of(path, "export", "the file to write, signals.csv")
         if path.suffix not in _SUFFIXES:
@@ -572,10 +610,21 @@ class Recording(Mapping[str, NDArray[Any]]):
                 f"{', '.join(_SUFFIXES)}",
                 str(path),
             )
-        if path.suffix == ".mat":
-            export.to_mat(self._raw, path)
-        else:
-            export.to_csv(self._raw, path, full=whole)
+        if axis is not None and (whole or path.suffix == ".mat"):
+            raise InputError(
+                f"found {written(axis)}; a file with every signal has those of all axes: omit "
+                "axis, or write a .csv file without whole=True",
+                "export: axis",
+            )
+        try:
+            if axis is not None:
+                axis_export.to_csv(self._raw, path, axis)
+            elif path.suffix == ".mat":
+                export.to_mat(self._raw, path)
+            else:
+                export.to_csv(self._raw, path, full=whole)
+        except InputError as error:
+            raise in_python(error, _EXPORT_WORDS) from None
         return path
 
     # ---- interactive display

@@ -196,6 +196,7 @@ def sweep(
         >>> found
         <Sweep section5-t0.5-sweep: 2 runs, 2 completed, 0 stopped, 0 failed>
     """
+    _require(jobs, progress)
     base = files.as_test(test)
     base = base if rig is None else base.with_(rig=files.as_rig(rig))
     called = name or f"{base.name}-{_CALLED}"
@@ -219,6 +220,26 @@ def sweep(
     except RthybError as error:
         raise in_python(error, _WORDS_HERE) from None
     return Sweep(found, folder)
+
+
+def _require(jobs: object, progress: object) -> None:
+    """Refuse a number of processes, or a function for the progress, that is none.
+
+    Raises:
+        InputError: with what was found.
+    """
+    if jobs is not None and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
+        raise InputError(
+            f"found {written(jobs)}; the number of processes must be a whole number from 1, or "
+            "None for one per processor",
+            f"{_CALLED}: jobs",
+        )
+    if progress is not None and not callable(progress):
+        raise InputError(
+            f"found {written(progress)}; give a function of two numbers, how many runs are done "
+            "and of how many: progress=lambda done, whole: print(done, whole)",
+            f"{_CALLED}: progress",
+        )
 
 
 def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str, Any]:

@@ -107,10 +107,14 @@ def _print_outcome(
 def _document(
     rec: Recording, result: AxesSummary | None, folder: Path, report: Path | None
 ) -> dict[str, Any]:
+    from rthyb_rt.analysis import several as measured
+
+    notices = [] if result is None else measured.notices(result)
     return {
         "schema": SCHEMA,
         "test_name": rec.meta["test_name"],
         "end_reason": rec.meta["end_reason"],
+        "notices": [notice._asdict() for notice in notices],
         "measures": None if result is None else result.as_json(),
         "paths": {
             "folder": str(folder),

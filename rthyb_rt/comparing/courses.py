@@ -103,7 +103,7 @@ def read(
         found += beside_reference(what, course) if len(given) == 1 else [course]
     if axis is not None and not any(course.axis for course in found):
         raise InputError(
-            f"found {axis}, but none of the recordings has several axes; omit the option", "axis"
+            f"found {axis}, but none of the recordings has several axes; omit it", "--axis"
         )
     return found
 

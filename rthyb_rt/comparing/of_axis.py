@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from rthyb_rt.analysis import measures, several
 from rthyb_rt.comparing.courses import MEASURES, Course, reference_course
+from rthyb_rt.config.fields import nearest
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,12 +25,15 @@ def number_of(names: Sequence[str], axis: str | None, where: str) -> int:
     """
     if axis is None:
         raise InputError(
-            f"has several axes ({', '.join(names)}); choose the one to compare, such as "
+            f"the test has several axes ({', '.join(names)}); choose the one to compare, such as "
             f"--axis {names[0]}",
             where,
         )
     if axis not in names:
-        raise InputError(f"found axis {axis}; the axes are {', '.join(names)}", where)
+        raise InputError(
+            f"found --axis {axis}{nearest(axis, list(names))}; the axes are {', '.join(names)}",
+            where,
+        )
     return list(names).index(axis)
 
 

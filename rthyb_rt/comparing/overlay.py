@@ -90,7 +90,8 @@ class Overlay:
 
         ``x_difference_nrmse`` is rms(x - x_first) / rms(x_first) over the common instants,
         ``x_difference_m`` the largest magnitude; ``f_difference_nrmse`` and ``f_difference_n`` are
-        the same for the force; ``lag_s`` is its lag behind the first.
+        the same for the force; ``lag_s`` is its lag behind the first, ``lag_samples`` the same in
+        sampling periods of the comparison.
         """
         rows = []
         for course, x, f, late in zip(self.courses, self.x_m, self.f_n, self.lags_s, strict=True):
@@ -104,6 +105,7 @@ class Overlay:
                 row[f"{letter}_difference_nrmse"] = _known(measures.response_nrmse(a, b))
                 row[f"{letter}_difference_{unit}"] = _known(measures.peak_difference(a, b))
             row["lag_s"] = _known(late)
+            row["lag_samples"] = _known(late * self.fs_hz)
             rows.append(row)
         return rows
 

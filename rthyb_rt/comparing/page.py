@@ -30,6 +30,7 @@ FIGURES: Final = (
     Figure("x_difference_m", "Largest difference", "mm", 1e3),
     Figure("f_difference_nrmse", "Force difference, NRMSE", "%", 100.0),
     Figure("lag_s", "Lag", "ms", 1e3),
+    Figure("lag_samples", "Lag", "samples", 1.0),
     Figure("peak_measured_m", "Peak displacement", "mm", 1e3),
     Figure("peak_force_n", "Peak force", "kN", 1e-3),
     Figure("tracking_nrmse", "Tracking, NRMSE", "%", 100.0),
@@ -37,7 +38,13 @@ FIGURES: Final = (
     Figure("energy_error_relative", "Energy error", "%", 100.0),
 )
 """Figures of each course; differences and lag are relative to the first."""
-_OF_THE_FIRST: Final = ("x_difference_nrmse", "x_difference_m", "f_difference_nrmse", "lag_s")
+_OF_THE_FIRST: Final = (
+    "x_difference_nrmse",
+    "x_difference_m",
+    "f_difference_nrmse",
+    "lag_s",
+    "lag_samples",
+)
 
 
 _BESIDE: Final = 4

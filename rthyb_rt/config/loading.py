@@ -635,8 +635,10 @@ def _named(kind: Literal["rig", "test"], name: str) -> Path:
     if name in files:
         return files[name]
     known = ", ".join(files) or "none"
+    other: Literal["rig", "test"] = "test" if kind == "rig" else "rig"
+    hint = f" (it is a {other})" if name in shipped(other) else nearest(name, list(files))
     raise InputError(
-        f"found {written(name)}; no file and no {kind} of that name{nearest(name, list(files))}; "
+        f"found {written(name)}; no file and no {kind} of that name{hint}; "
         f"give the path of a {kind} file, or the name of one that comes with the program: {known}",
         where=kind,
     )

@@ -89,17 +89,22 @@ class MatrixFit:
     largest_root: float
 
 
-def fit(found: MatrixResponse, period_s: float, pole_hz: Sequence[float] = POLES_HZ) -> MatrixFit:
+def fit(
+    found: MatrixResponse, period_s: float, pole_hz: Sequence[float] | None = None
+) -> MatrixFit:
     """Return the smallest inverse of a response that is accurate enough.
 
     Args:
         found: the response.
         period_s: sampling period.
-        pole_hz: poles of the inverse, at most eight, below half the sample rate.
+        pole_hz: poles of the inverse, at most eight, below half the sample rate; None: those of
+            `POLES_HZ` that are below it.
 
     Raises:
         InputError: the sweep is too short, or no stable inverse is accurate to a tenth.
     """
+    if pole_hz is None:
+        pole_hz = [one for one in POLES_HZ if one * period_s < 0.5]
     if not 0 < len(pole_hz) <= POLES_MAX or max(pole_hz) * period_s >= 0.5 or min(pole_hz) <= 0:
         raise InputError(
             f"found poles at {', '.join(f'{f:g}' for f in pole_hz) or 'no'} Hz; must be 1 to "

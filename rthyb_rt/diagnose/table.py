@@ -158,6 +158,10 @@ def _text(path: Path) -> str:
                 where,
             )
         data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(
+            "no such file; give a CSV file, or the folder or recording.h5 of a run", where
+        ) from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError(f"cannot be read ({reason})", where) from error

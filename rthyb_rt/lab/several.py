@@ -322,7 +322,16 @@ def _matrix_lead(test: TestFile, rig: AxesRig, derived: AxesDerived) -> MatrixLe
     h = derived.rate.period_s
     found = response_of_rig(rig, rig.identified, derived.rate)
     given = test.controller.matrix or MatrixLaw()
-    inverse = matrix_response.fit(found, h).inverse if given.inverse else None
+    inverse = None
+    if given.inverse:
+        try:
+            inverse = matrix_response.fit(found, h).inverse
+        except InputError as error:
+            raise InputError(
+                f"{error.problems[0].message}; or set inverse = false, which compensates by terms "
+                "fitted to the response",
+                test.source.place(("controller", "matrix", "inverse")),
+            ) from error
     first = None
     if not given.inverse:
         first = matrix_response.fitted_terms(found, h, given.roll_off_hz, coupled=given.coupled)
