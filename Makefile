@@ -138,7 +138,7 @@ C_IS_CLEAN = build/lint/clean-$(word 1,$(shell cat $(C_FILES) csrc/CMakeLists.tx
 lint: $(LINT_READY)
 	@echo 'ruff' && $(BIN)/ruff check --quiet . && $(BIN)/ruff format --check --quiet .
 	@echo 'codespell' && git ls-files -z | xargs -0 $(BIN)/codespell --toml pyproject.toml
-	@echo 'phrases' && ! git grep -n -i -F -f docs/tools/phrases.txt -- '*.md' '*.py' '*.[ch]' Makefile systemd
+	@echo 'phrases' && ! git grep -n -i -F -f docs/tools/phrases.txt -- '*.md' '*.py' '*.[ch]' '*.j2' '*.toml' Makefile systemd
 	@echo 'mypy --strict' && $(BIN)/mypy --strict --no-error-summary rthyb_rt
 	@echo 'clang-format' && $(BIN)/clang-format --dry-run -Werror $(C_FILES)
 	@test -e $(C_IS_CLEAN) || { echo 'compiler warnings' && mkdir -p build && { \

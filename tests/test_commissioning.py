@@ -21,7 +21,7 @@ from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import ring
 from rthyb_rt.rig.commissioning import guide, jogging, limits, moving, polarity, stops
 from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate
-from rthyb_rt.rig.identify import Sweep, identify, identify_live
+from rthyb_rt.rig.identify import Part, Sweep, check_not_limited, identify, identify_live
 
 pytestmark = pytest.mark.alone
 
@@ -809,6 +809,23 @@ def test_motion_that_this_pc_spoils_every_time_is_a_matter_of_timing(
         with pytest.raises(RthybError, match="the sweep ended before it moved") as caught:
             identify_live(there.connection, QUICK)
         assert caught.value.exit_code == code
+
+
+@pytest.mark.parametrize(
+    ("skipped", "message"),
+    [(None, "altered the command at 2 Hz"), (100, "altered the command at 2 Hz"),
+     (2000, "skipped ticks at 2 Hz, .*`rthyb jitter`")],
+)  # fmt: skip
+def test_command_limited_after_skipped_ticks_is_the_fault_of_the_pc(
+    skipped: int | None, message: str
+) -> None:
+    rows = np.zeros(4096, core.RECORD_DTYPE)
+    rows["flags"][2010:2020] = FLAGS["limited"]
+    if skipped is not None:
+        rows["flags"][skipped] = FLAGS["blind"]
+    parts = [Part(1.0, 0, slice(0, 500)), Part(2.0, 600, slice(600, 4000))]
+    with pytest.raises(InputError, match=message):
+        check_not_limited(rows, parts)
 
 
 def test_limited_command_is_no_sweep() -> None:

@@ -642,10 +642,20 @@ def check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
     """Raise ``InputError`` if a limit has altered the command of a sweep."""
     limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
     if limited.size:
+        first = int(limited[0])
+        before = rows["flags"][max(0, first - round(parts[0].rate.hz)) : first + 1]
+        at = f"at {_frequency_at(parts, first):g} Hz"
+        # The motion that skipped ticks missed is made up as fast as the limits permit.
+        if np.any(before & FLAGS["blind"]):
+            raise InputError(
+                f"this PC skipped ticks {at}, and the command that made up for them reached the "
+                "rig's limits on velocity or acceleration; identify again, and run `rthyb jitter` "
+                "to see what to change on this PC",
+                "identify",
+            )
         raise InputError(
-            "the rig's limits on velocity or acceleration altered the command at "
-            f"{_frequency_at(parts, int(limited[0])):g} Hz; identify with a smaller amplitude "
-            "(--amplitude), or up to a lower frequency (--max-frequency)",
+            f"the rig's limits on velocity or acceleration altered the command {at}; identify with "
+            "a smaller amplitude (--amplitude), or up to a lower frequency (--max-frequency)",
             "identify",
         )
 
