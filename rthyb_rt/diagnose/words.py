@@ -387,4 +387,4 @@ def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
     if share <= 0.0:
         # A coarse load cell adds nothing to the model: it is the remainder itself.
         return f"{lead[:1].upper()}{lead[1:]}: {parts} ({_rest(d)})."
-    return f"{lead[:1].upper()}{lead[1:]}: {parts} {verb} {part} of it ({_rest(d)})."
+    return f"{lead[:1].upper()}{lead[1:]}: {parts} {verb} {part} of the difference ({_rest(d)})."

@@ -73,7 +73,7 @@ class PowerDamping(Effect):
 
     name = "power_damping"
     plain = "damping with a power of velocity"
-    phrase = "damping with velocity to the power of {exponent:3}, {F1_N} at 1 m/s"
+    phrase = "damping with velocity to the power of {exponent:3} ({F1_N} at 1 m/s)"
     params = (Param("F1_N", "N", 0.0, 1e10), Param("exponent", "", 0.05, 10.0))
     equation = "f = F1 |v / (1 m/s)|^exponent sgn(v)"
     fingerprint = "residual over velocity is a power law, neither linear nor quadratic"

@@ -81,7 +81,7 @@ class Hysteresis(Effect):
 
     name = "hysteresis"
     plain = "yielding"
-    phrase = "yielding from {xy_m} on, with {alpha:%} of the stiffness left"
+    phrase = "yielding from {xy_m} on ({alpha:%} of the stiffness remains)"
     params = (Param("xy_m", "m", 1e-9, 10.0), Param("alpha", "", -1.0, 1.0))
     equation = "f = k (alpha x + (1 - alpha) z) instead of k x"
     fingerprint = "loops over displacement that do not depend on rate"
