@@ -316,6 +316,15 @@ def test_a_late_cell_has_to_show_in_the_motion_of_the_test_in_any_recording() ->
         assert decided(other, driven=(-2.0, 60.0)).best.names == ("time_skew", "viscous")
 
 
+def test_a_drift_that_moves_a_body_no_farther_than_its_zero_is_not_named() -> None:
+    """Slow noise of the displacement moves its zero by as much during the recording."""
+    seen = evidence(of("drift", chi2=1000.0), null=2000.0, judged="motion")
+    found = decided(seen, zero=1.0)
+    assert found.best.names == ()
+    assert "off zero" in fired(found)
+    assert decided(seen, zero=20.0).best.names == ("drift",)
+
+
 def test_a_weight_that_moves_a_body_far_off_its_zero_is_named() -> None:
     assert decided(a_zero(), zero=20.0).best.names == ("bias",)
     held = evidence(of("bias", chi2=1000.0), null=2000.0)

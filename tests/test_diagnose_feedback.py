@@ -1,4 +1,4 @@
-"""A closed loop whose load cell is noisy: what moves the specimen is no evidence of its own."""
+"""Recordings with one noise in force and motion: it is no evidence of an effect."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from test_diagnose_colour import coloured, resonant
 from test_diagnose_noise import written
 
 from rthyb_rt.core.diagnosis_models import Motion
-from rthyb_rt.diagnose import effects, engine, estimate
+from rthyb_rt.diagnose import effects, engine, estimate, force
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.evidence import Gathered
 from rthyb_rt.diagnose.feedback import Driven
 from rthyb_rt.diagnose.select import Member, Problem, price, solve
 
@@ -144,6 +145,58 @@ def test_dashpot_earns_by_the_motion_of_the_test_what_it_earns_in_all():
     everywhere, driven, wanted = earned(problem_of(0.0, 300.0), "viscous")
     assert driven > 10.0 * wanted
     assert driven == pytest.approx(everywhere, rel=0.1)
+
+
+def pushed(seed: int = 5) -> Problem:
+    """A body under a known force up to 3 Hz, without a load cell, as its model has it.
+
+    Its displacement sensor is noisy from 25 to 30 Hz: the mass makes forces of that noise.
+    """
+    random, n, w = np.random.default_rng(seed), int(16 * FS_HZ), 2.0 * np.pi
+    t = np.arange(n) / FS_HZ
+    push, moved = np.zeros(n), np.zeros((3, n), dtype=np.complex128)
+    for f_hz, size in ((0.7, 900.0), (1.9, 700.0), (3.1, 500.0)):
+        s = 1j * w * f_hz
+        swing = size / (K + C * s + M * s**2) * np.exp(s * t)
+        push += size * np.cos(w * f_hz * t)
+        moved += np.array([swing, s * swing, s**2 * swing])
+    x, v, a = moved.real
+    for f_hz in np.linspace(25.0, 30.0, 101):
+        s, phase = 1j * w * f_hz, w * random.random()
+        shown = 1e-7 * random.standard_normal() * np.exp(s * t + 1j * phase)
+        x, v, a = x + shown.real, v + (s * shown).real, a + (s**2 * shown).real
+    model = Model("forced", FS_HZ, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, x_std=X_STD)
+    channels = {"x_meas": x, "f_in": push + F_STD * random.standard_normal(n)}
+    case = Case("forced", model, t, channels, np.ones(n, dtype=np.bool_))
+    found = estimate.from_sensors(case)
+    assert found is not None
+    found = replace(
+        found, motion=Motion(x, v, a), force=channels["f_in"], whiten=lambda y: y / F_STD,
+        pieces=None,
+    )  # fmt: skip
+    return Problem(case, engine.context_of(case, found), found, effects.catalogue().values())
+
+
+def test_noise_of_a_displacement_is_no_second_mass_of_a_body_without_a_load_cell():
+    """A mass on a spring at 25 Hz takes the noise off; the force moves the body up to 3 Hz."""
+    problem = pushed()
+    everywhere, driven, wanted = earned(problem, "second_mode", 25.0, 0.05)
+    assert everywhere > 2.0 * wanted
+    assert driven < 0.5 * wanted
+    assert asked_for_motion(problem)
+
+
+def test_load_cell_has_noise_of_its_own_and_is_not_asked_for_the_motion_of_the_test():
+    problem = pushed()
+    problem.case.channels["f_meas"] = np.zeros(problem.case.t.size)
+    assert not asked_for_motion(problem)
+
+
+def asked_for_motion(problem: Problem) -> bool:
+    """Whether each effect has to show in the motion that the test imposes."""
+    null = solve(problem, [], [])
+    assert null is not None
+    return Gathered(force._Fitter(problem), null, lambda _: 1.0)._setting().returns
 
 
 @pytest.mark.long

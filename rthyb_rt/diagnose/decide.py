@@ -155,7 +155,8 @@ class Setting:
         swings: whether it is a free decay and the model is naive, see `decay`.
         k_free: whether the stiffness is refitted with each set.
         k_sigma_n_per_m: standard deviation of the stated stiffness.
-        returns: whether the load cell's noise moves the specimen: a closed loop.
+        returns: whether one noise is in force and motion: the load cell's moves the specimen in a
+            closed loop; without a load cell, the force of a body is inferred from its motion.
         witnessed: whether an accelerometer verifies the load cell, see `redundant`.
     """
 
@@ -198,8 +199,8 @@ class Need:
             "driven", what each effect earns by the motion that the test imposes (chi-squared, a
             number for each; empty if nothing moves); "size", its force relative to the recorded
             force; "held out", the fraction of its gain that is confirmed on rows to which it was
-            not fitted; "zero", how far a constant force moves a free body, in standard deviations
-            of the displacement noise in its data sheet.
+            not fitted; "zero", how far a constant force or a drift moves a free body, in
+            standard deviations of the displacement noise in its data sheet.
         of: the set.
         which: indices of the effects concerned.
     """
@@ -449,16 +450,17 @@ def goes_on(court: Court, of: Hypothesis) -> bool:
 
 
 def off_zero(court: Court, of: Hypothesis) -> bool:
-    """A constant force on a free body must move it by more than its sensor's zero error.
+    """A constant force or a drift on a free body must move it by more than its sensor's zero error.
 
-    A displacement is zeroed by a reading at rest, which contains the sensor's noise.
+    A displacement is zeroed by a reading at rest, which contains the sensor's noise, and slow noise
+    moves the zero by as much during the recording.
     """
     setting = court.setting
     if setting.naive or setting.judged != "motion":
         return True
     times = court.times(of)
     for i, part in enumerate(of.parts):
-        if part.name not in court.laws.zeros:
+        if part.name not in court.laws.zeros | court.laws.wanders:
             continue
         found, wanted = court.ask("zero", of, (i,)) ** 2, times * part.price
         if found < wanted:
@@ -599,10 +601,11 @@ def simplest_first(court: Court, sets: Sets) -> Sets:
 
 
 def driven(court: Court, of: Hypothesis) -> bool:
-    """In a closed loop, each effect must earn its price by the motion that the test imposes.
+    """If one noise is in force and motion, effects must earn their price by the imposed motion.
 
-    Above that band, the specimen is moved only by the load cell's noise, and a law can recover that
-    noise from the motion that it caused: see `feedback`. A delayed load cell must do so in any
+    Above its band, a closed loop is moved only by the load cell's noise, and the motion of a body
+    without a load cell is noise that its inertia turns into force: a law can recover or subtract
+    it, see `feedback`. A delayed load cell must do so in any
     recording: together with an offset of its channel it filters that noise, moved or not. However,
     if an accelerometer shows its delay, that is evidence of its own.
     """

@@ -354,6 +354,9 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
                 return True
             if not remainder.understood(done):
                 return True
+            # Coloured noise may hide an effect from the balance that the motion shows clearly.
+            if freebody.judged(case) and not done.best.members:
+                return not body.reproduced(done.problem, done.null)
             coloured = not held or done.scale > POLICY.coloured_cell
             return coloured and bool(done.best.members) and not body.motion(problem, done.best)
 

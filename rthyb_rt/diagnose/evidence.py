@@ -22,7 +22,7 @@ from rthyb_rt.diagnose.decide import (
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
 from rthyb_rt.diagnose.effects.base import Floats
-from rthyb_rt.diagnose.feedback import Driven, returns
+from rthyb_rt.diagnose.feedback import Driven, inferred, returns
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Fit, Member, Problem, columns_of, inflation, price, solve
@@ -130,6 +130,8 @@ class Gathered:
     def _setting(self) -> Setting:
         problem, model = self.problem, self.problem.case.model
         naive = model.k_tol is None
+        # With a naive model the misfit is due to form, to which the motion's noise adds little.
+        blurred = inferred(problem.case) and not self.fitter.exact and not naive
         return Setting(
             self.laws,
             self.fitter.rows,
@@ -140,7 +142,7 @@ class Gathered:
             problem.frees("k"),
             (model.k_tol or 0.0) * abs(model.k),
             # A simulated motion is compared with the measured one: no regressor contains its noise.
-            self.fitter.judged == "force" and returns(problem.case),
+            self.fitter.judged == "force" and (returns(problem.case) or blurred),
             self.fitter.witnessed,
         )
 
@@ -163,8 +165,8 @@ class Gathered:
             return drift(problem, fit, self.laws)
         if need.what == "zero":
             model = problem.case.model
-            moved_m = abs(float(fit.betas[need.which[0]][0]) / model.k)
-            return moved_m / model.x_std if model.x_std else np.inf
+            force_n = float(np.max(np.abs(contribution(problem, fit, need.which[0]))))
+            return force_n / abs(model.k) / model.x_std if model.x_std else np.inf
         return size(problem, fit) if need.what == "size" else self.held_out(fit)
 
     def _refined(self, members: list[Member]) -> Hypothesis | None:

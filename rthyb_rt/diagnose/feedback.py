@@ -1,13 +1,15 @@
-"""Evidence in a closed loop: from the motion that the test imposes, not from load cell noise.
+"""Evidence from the motion that a test imposes, where noise is in force and motion alike.
 
 In a hybrid test, the reading of the load cell, including noise, moves the specimen a delay later.
 Above the band of the ground motion only this noise moves the specimen, so force and motion are
 consistent there whatever the specimen is: by inverting the loop, a law can recover the noise from
-the resulting motion. Regressors must not be correlated with the noise (Söderström and Stoica,
-Instrumental Variable Methods for System Identification, 1983). Two satisfy this: the force of a law
-along the motion within its band, including harmonics, and its force along the whole motion,
-evaluated in that band only. The first lacks the top of a wide band, the second the harmonics of a
-single sine.
+the resulting motion. A body without a load cell is another such case: its force comes from its
+estimated acceleration, so that above the band the noise of the displacement is both the force and
+the motion, and a law can subtract it. Regressors must not be correlated with the noise (Söderström
+and Stoica, Instrumental Variable Methods for System Identification, 1983). Two satisfy this: the
+force of a law along the motion within its band, including harmonics, and its force along the whole
+motion, evaluated in that band only. The first lacks the top of a wide band, the second the
+harmonics of a single sine.
 """
 
 from __future__ import annotations
@@ -27,6 +29,11 @@ from rthyb_rt.diagnose.select import Fit, Member, Problem, columns_of, solve
 def returns(case: Case) -> bool:
     """Return whether the load cell's reading moves the specimen."""
     return case.model.family == "loop" and "f_meas" in case.channels
+
+
+def inferred(case: Case) -> bool:
+    """Return whether a body's force is inferred from its motion, without a load cell."""
+    return case.model.family in ("ground", "forced") and "f_meas" not in case.channels
 
 
 class Driven:

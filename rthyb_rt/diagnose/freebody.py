@@ -230,6 +230,11 @@ class Body:
             ]
         )
 
+    def reproduced(self, problem: Problem, fit: Fit) -> bool:
+        """Return whether a set, fitted, simulates the measured displacement to within its noise."""
+        found = self.refined(problem, fit)
+        return found is not None and found.chi2 < POLICY.motion_met * self.rows.size
+
     def settled(self, problem: Problem, fit: Fit) -> Fit | None:
         """Return a set as from `refined`, with or without a width of its dry friction.
 

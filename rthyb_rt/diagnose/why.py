@@ -272,7 +272,7 @@ DROPPED = {
     "be due to the form of the laws",
     "off zero": "moves the body by no more than the possible zero error of the displacement sensor",
     "driven": "{part} improves chi-squared by {found} through the motion that the test imposes, "
-    "without the noise that the load cell feeds back, but must improve it by {wanted}",
+    "without the noise that is in force and motion alike, but must improve it by {wanted}",
     "drift goes on": "the drift is smaller within each half of the recording",
     "more laws": "improves chi-squared by {found} more than the best set with fewer laws, but must "
     "improve it by {wanted} more",
