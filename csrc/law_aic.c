@@ -1,4 +1,4 @@
-/* Adaptive inverse compensation (Chen & Ricles, J. Struct. Eng. 136 (2010) 1432):
+/* Adaptive inverse compensation (Chen & Ricles, J. Struct. Eng. 136 (2010) 432):
  *   x_p[n] = x[n] + (alpha - 1) (x[n] - x[n-1]),   alpha = alpha_es + kp TI + ki integral of TI
  * with the tracking indicator of Mercan & Ricles (EESD 36 (2007) 1523), half the difference of the
  * areas enclosed by command and measurement,

@@ -1,5 +1,5 @@
-/* Adaptive model-based compensation (Galmez & Fermandois, EESD 51 (2022) 1045): the inverse of a
- * third-order actuator,
+/* Adaptive model-based compensation (Galmez & Fermandois, Struct. Control Health Monit. 29 (2022)
+ * e2962): the inverse of a third-order actuator,
  *   x_p = a0 x_c + a1 x_c' + a2 x_c'' + a3 x_c'''
  * with backward differences, adapted by a normalised gradient: after the same fourth-order
  * low-pass, with p the command and phi = (m, m', m'', m''') from the measurement,

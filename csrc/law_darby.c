@@ -1,5 +1,5 @@
 /* Polynomial extrapolation over a delay that is corrected by the tracking error (Darby, Williams &
- * Blakeborough, J. Eng. Mech. 128 (2002) 1306):
+ * Blakeborough, J. Eng. Mech. 128 (2002) 1276):
  *   tau[n+1] = tau[n] + Cp tanh(Cv v) (x_c - x_m)
  * with v the velocity of x_c, and x_p from the polynomial of degree N through x_c now and one, two,
  * ... tau ago (Horiuchi et al. 1999), with linear interpolation between samples. Cp is per sample

@@ -1,5 +1,5 @@
 /* Feed-forward by the inverse of a third-order actuator (Carrion & Spencer, NSEL report 6 (2007);
- * the feed-forward of Phillips & Spencer, J. Eng. Mech. 139 (2013) 1205):
+ * the feed-forward of Phillips & Spencer, J. Struct. Eng. 139 (2013) 1205):
  *   1 / G(s) = a0 + a1 s + a2 s^2 + a3 s^3,   x_p = a0 x_c + a1 x_c' + a2 x_c'' + a3 x_c'''
  * with backward differences. It does not adapt. */
 #include "derivative_lead.h"
