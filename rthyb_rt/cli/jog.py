@@ -88,6 +88,11 @@ def _status(found: Jogged) -> int:
     return REVERSED if found.reversed else 0
 
 
+def _reading(x_m: float) -> str:
+    """Return a displacement to 0.1 um, however near zero: ``−1.0001 mm``."""
+    return f"{1e3 * x_m:.4f} mm".replace("-", "−")
+
+
 def _print_result(name: str, found: Jogged, file: IO[str]) -> None:
     from rthyb_rt.numbers import quantity
 
@@ -97,8 +102,8 @@ def _print_result(name: str, found: Jogged, file: IO[str]) -> None:
     print(f"{name}: {found.end_reason}\n", file=file)
     terminal.print_table(
         [
-            ("Start", f"{1e3 * found.start_m:.4f} mm", "reading of the displacement"),
-            ("End", f"{1e3 * found.end_m:.4f} mm", "the same"),
+            ("Start", _reading(found.start_m), "reading of the displacement"),
+            ("End", _reading(found.end_m), "the same"),
             ("Moved", quantity(found.moved_m, "mm", 1e3, 4),
              f"{quantity(found.asked_m, 'mm', 1e3)} requested"),
             ("Force", f"{quantity(found.start_n, 'N', 1.0, 4)} to "

@@ -119,9 +119,9 @@ def _print_step(plan: Plan, step: Step) -> None:
 
 def _link(connection: Connection, plan: Plan) -> Step | None:
     if not plan.allowed(
-        "Before you agree, reduce the hydraulic pressure and limit the free travel: if "
-        "displacement and command disagree on the wire, the drive jumps as soon as commands are "
-        "sent. Send commands that hold the drive where it is?"
+        "Before you agree, reduce the hydraulic pressure, or the drive's current limit, and limit "
+        "the free travel: if displacement and command disagree on the wire, the drive jumps as "
+        "soon as commands are sent. Send commands that hold the drive where it is?"
     ):
         return None
     # Lost pairs are counted and judged below, not tolerated silently.
@@ -144,11 +144,11 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
     setup = experiment.prescribed(connection.rig, rest.name, rest.path_m)
     spread_m = setup.derived.limits.rest_spread_m
     if abs(figures["jump_m"]) > spread_m:
+        after = figures["displacement_m"]
         faults.append(
-            f"the displacement went from {figures['displacement_m'] - figures['jump_m']:.4g} m to "
-            f"{figures['displacement_m']:.4g} m when commands began, although it was commanded to "
-            "hold: displacement and command disagree; check both in [calibration], starting with "
-            "offset_m"
+            f"the displacement went from {1e3 * (after - figures['jump_m']):.4g} mm to "
+            f"{1e3 * after:.4g} mm when commands began, although it was commanded to hold: "
+            "displacement and command disagree; check both in [calibration], starting with offset_m"
         )
     rate = figures["rate_hz"]
     wanted_hz = connection.rig.rate.hz
