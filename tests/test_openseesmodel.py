@@ -84,6 +84,63 @@ dof = "11.x"
     assert scipy.linalg.issymmetric(m)
 
 
+FLOOR = """import openseespy.opensees as ops
+ops.wipe()
+ops.model("basic", "-ndm", 3, "-ndf", 6)
+for level in range(2):
+    for i, (x, y) in enumerate([(0.0, 0.0), (6.0, 0.0), (6.0, 5.0), (0.0, 5.0)]):
+        ops.node(10 * level + i + 1, x, y, 3.2 * level)
+        if level == 0:
+            ops.fix(i + 1, 1, 1, 1, 1, 1, 1)
+ops.node(19, 3.0, 2.5, 3.2)
+ops.mass(19, 8e3, 7e3, 0.0, 0.0, 0.0, 5e4)
+ops.fix(19, 0, 0, 1, 1, 1, 0)
+ops.rigidDiaphragm(3, 19, 11, 12, 13, 14)
+ops.geomTransf("Linear", 1, 1, 0, 0)
+for i in range(4):
+    ops.element("elasticBeamColumn", i + 1, i + 1, 11 + i, 0.02, 2e11, 8e10, 1e-5, 4e-5, 3e-5, 1)
+"""
+TIED = (
+    FRAME
+    + """
+ops.mass(12, 3e3, 5e3, 7e2)
+ops.equalDOF(21, 22, 1)
+ops.equalDOF(11, 12, 1)
+"""
+)
+
+
+@pytest.mark.parametrize(
+    ("script", "labels", "masses_kg"),
+    [
+        pytest.param(
+            FLOOR,
+            {"19.x", "19.y", "19.rz"}
+            | {f"{n}.{way}" for n in (11, 12, 13, 14) for way in ("z", "rx", "ry")},
+            {"19.x": 8e3, "19.y": 7e3, "19.rz": 5e4, "11.z": 0.0, "14.rx": 0.0},
+            id="a rigid floor",
+        ),
+        pytest.param(
+            TIED,
+            {f"{n}.{way}" for n in (11, 21) for way in ("x", "y", "rz")}
+            | {f"{n}.{way}" for n in (12, 22) for way in ("y", "rz")},
+            {"11.x": 2e3 + 3e3, "11.y": 2e3, "12.y": 5e3, "12.rz": 7e2, "21.x": 4e3, "22.rz": 0.0},
+            id="nodes tied in one direction",
+        ),
+    ],
+)  # fmt: skip
+def test_nodes_that_follow_others_have_labels_only_for_what_they_do_themselves(
+    opensees: Any, tmp_path: Path, script: str, labels: set[str], masses_kg: dict[str, float]
+) -> None:
+    """Each label's mass is the one that the script gave to that direction of that node."""
+    (tmp_path / "model.py").write_text(script)
+    found = openseesmodel.read(tmp_path / "model.py")
+    assert set(found.labels) == labels
+    diagonal = dict(zip(found.labels, found.mass_kg.matrix().diagonal().tolist(), strict=True))
+    assert {name: diagonal[name] for name in masses_kg} == pytest.approx(masses_kg, abs=1e-6)
+    opensees.wipe()
+
+
 @pytest.mark.parametrize(
     ("script", "said"),
     [

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 import tomllib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import rthyb_rt as rt
 from rthyb_rt import config
 from rthyb_rt.analysis import summary
 from rthyb_rt.config.rigfile import SecondOrder, ServoHydraulic
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.rig import identify
 
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 BULK_MODULUS_PA = 1e9
 PRESSURE_PA = 21e6
 DEAD_VOLUME = 1.2
@@ -110,3 +113,9 @@ def test_figures_that_a_rig_leaves_out_are_printed_with_whose_they_are() -> None
         " of its actuator, so the values of " in note
         for note in config.derive(config.load_test(config.builtin_test_path()), again).notes
     )
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
+def test_no_shipped_test_is_sure_to_reach_its_own_limits(path: Path) -> None:
+    warnings = rt.check(rt.Test(path)).warnings
+    assert not [said for said in warnings if "the test will reach it" in said]

@@ -156,17 +156,27 @@ def _matrix(ops: Any, which: tuple[float, float, float], where: str) -> NDArray[
 
 
 def _places(ops: Any, tags: list[int], where: str) -> dict[int, str]:
-    """Return the labels of the equations in their order."""
+    """Return the labels of the equations in their order.
+
+    OpenSees lists the equations of a constrained node (``equalDOF``, ``rigidDiaphragm``) in another
+    order: first its own, without the constrained ones, then those of the node that it follows,
+    which that node labels.
+    """
     found: dict[int, str] = {}
+    constrained = {int(tag) for tag in ops.getConstrainedNodes() or ()}
     for tag in tags:
         dofs = [int(one) for one in ops.nodeDOFs(tag)]
         dimensions = len(ops.nodeCoord(tag))
         names = DIRECTIONS.get((dimensions, len(dofs))) or tuple(
             str(i + 1) for i in range(len(dofs))
         )
+        if tag in constrained:
+            follow = {int(dof) for dof in ops.getConstrainedDOFs(tag)}
+            names = tuple(name for i, name in enumerate(names) if i + 1 not in follow)
+            dofs = dofs[: len(names)]
         for name, equation in zip(names, dofs, strict=True):
             if equation >= 0:
-                found.setdefault(equation, f"{tag}.{name}")
+                found[equation] = f"{tag}.{name}"
     if not found:
         raise InputError("leaves a model without any free degree of freedom", where)
     return found
