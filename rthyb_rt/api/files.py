@@ -231,9 +231,9 @@ def _instead(kind: Literal["test", "rig"], given: object) -> str:
     """
     name = type(given).__name__
     if isinstance(given, (Test, Rig)):
-        told = f'the {given._kind} "{given.name}", but a {kind} is needed here'
+        found = f'the {given._kind} "{given.name}", but a {kind} is needed here'
         of_test = "; test.rig is its rig" if kind == "rig" else "; the test comes before the rig"
-        return told + of_test
+        return found + of_test
     if name == "Recording" and hasattr(given, kind):
         return f"a recording, but a {kind} is needed here; recording.{kind} is the one it ran with"
     return written(given)

@@ -13,7 +13,7 @@ from rthyb_rt.api.files import Place, Rig, Test
 from rthyb_rt.api.recordings import Recording
 from rthyb_rt.core.pending import OwnCodeError
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import experiment, keeping, several, virtual_time
+from rthyb_rt.lab import experiment, several, storing, virtual_time
 
 Progress = Callable[[int, int], None]
 """Called with the number of samples done and the total number."""
@@ -67,7 +67,7 @@ def run(
     rec = Recording(raw, folder, setup.notes)
     if folder is not None:
         with _whole(folder) as stage:
-            keeping.keep(stage, setup, raw)
+            storing.store(stage, setup, raw)
             if report:
                 try:
                     rec.report(stage / "report.html")

@@ -9,7 +9,7 @@ from typing import Final
 
 from rthyb_rt.campaign.plan import FAILED, STOPPED, Case, Row, program
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import keeping
+from rthyb_rt.lab import storing
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import write_report
@@ -60,7 +60,7 @@ def _kept(case: Case, setup: Setup, rec: Recording, folder: Path) -> Row:
     place = folder / FOLDERS / f"{case.number:06d}"
     shutil.rmtree(place, ignore_errors=True)  # what a process began that was killed
     place.mkdir(parents=True, exist_ok=True)
-    keeping.keep(place, setup, rec)
+    storing.store(place, setup, rec)
     found: Row = {"folder": str(place.relative_to(folder))}
     with contextlib.suppress(InputError):  # without the packages that a report needs
         write_report(rec, place / REPORT)

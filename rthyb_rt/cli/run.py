@@ -104,7 +104,7 @@ def run(
     """
     from rthyb_rt import config
     from rthyb_rt.analysis import loop_roots, summary
-    from rthyb_rt.lab import experiment, keeping, several, virtual_time
+    from rthyb_rt.lab import experiment, several, storing, virtual_time
     from rthyb_rt.record import recording
 
     if clock is not None and not realtime:
@@ -146,7 +146,7 @@ def run(
         def keep(rec: Recording) -> Path:
             # A completed test is always saved; and HDF5's callbacks would swallow a Ctrl-C.
             with interrupts.held():
-                keeping.keep(stage, setup, rec)
+                storing.store(stage, setup, rec)
                 return publish(stage, target, numbered=out is None)
 
         with terminal.progress("Testing", setup.ticks, setup.derived.fs_hz) as progress:

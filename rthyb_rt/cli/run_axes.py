@@ -39,7 +39,7 @@ def run(
     Raises:
         RthybError: as raised by ``conduct``.
     """
-    from rthyb_rt.lab import keeping, virtual_time
+    from rthyb_rt.lab import storing, virtual_time
 
     started = datetime.datetime.now(datetime.UTC)
     for note in setup.notes:
@@ -50,7 +50,7 @@ def run(
 
         def keep(rec: Recording) -> Path:
             with interrupts.held():
-                keeping.keep(stage, setup, rec)
+                storing.store(stage, setup, rec)
                 return publish(stage, target, numbered=out is None)
 
         with terminal.progress("Testing", setup.ticks, setup.derived.fs_hz) as progress:

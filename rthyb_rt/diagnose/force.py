@@ -301,7 +301,7 @@ class _Mover(_Fitter):
         A set with one more law may have found the optimum that its subset has missed.
         """
         for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
-            self._go_on(fit)
+            self._refine(fit)
         # Regardless of the number of simulations so far: a subset that was not evaluated must not
         # count as one that fails.
         self.body.runs = max(self.body.runs, PARTS)
@@ -317,7 +317,7 @@ class _Mover(_Fitter):
                     if not (met and part.names in self.by_names):
                         self.move(part)
 
-    def _go_on(self, fit: Fit) -> None:
+    def _refine(self, fit: Fit) -> None:
         for _ in range(AGAIN):
             before = fit.chi2
             if before < POLICY.motion_met_alone * self.rows:

@@ -14,8 +14,8 @@ from rthyb_rt.lab.end_reasons import RefusedError
 from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S
 from rthyb_rt.lab.realtime.conductor import FEEDBACK_S
+from rthyb_rt.lab.realtime.messenger import Messenger
 from rthyb_rt.lab.realtime.session import Session
-from rthyb_rt.lab.realtime.telling import Messenger
 from rthyb_rt.lab.sequence import Operator, Sequence
 from rthyb_rt.record.recording import Recording
 

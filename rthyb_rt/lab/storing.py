@@ -10,7 +10,7 @@ from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
 
 
-def keep(folder: Path, setup: Setup, rec: Recording) -> None:
+def store(folder: Path, setup: Setup, rec: Recording) -> None:
     """Write recording, test and rig to an existing folder; the test refers to that rig file.
 
     Raises:
