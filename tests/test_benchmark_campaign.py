@@ -128,7 +128,7 @@ def test_the_page_lists_the_worst_run_of_every_group_however_many_there_are(
     links = set(re.findall(r'href="#(run-\d+)"', html))
     assert len(links) >= 2
     assert links <= set(re.findall(r'id="(run-\d+)"', html))
-    assert f"has the other {len(rows) - 5}." in html
+    assert f"contains the other {len(rows) - 5}." in html
 
 
 @pytest.mark.parametrize(

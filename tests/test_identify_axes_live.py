@@ -161,7 +161,7 @@ def test_limits_that_are_missing_or_too_narrow_are_named_by_axis_and_key() -> No
 
 def test_a_sweep_that_a_limit_of_the_command_changes_is_refused() -> None:
     slow = LIMITED.replace("[limits]\n", '[limits]\ncommand_velocity_m_per_s = "20 mm/s"\n')
-    with pytest.raises(InputError, match=r"the sweep of axis left: .*limits on the command"):
+    with pytest.raises(InputError, match=r"the sweep of axis left: .*limits on velocity"):
         live(pair_of(slow), Sweep((10.0,), 1e-3))
 
 

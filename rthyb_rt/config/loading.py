@@ -346,8 +346,8 @@ def _load_both(
 def _rig_of_faulty(path: Path, overrides: Mapping[str, str]) -> Path | None:
     """Return the file of the rig that a test file with errors names; None if it names none."""
     try:
-        name = overrides.get("rig") or tomllib.loads(path.read_text("utf-8")).get("rig")
-    except (OSError, ValueError, RecursionError):
+        name = overrides.get("rig") or tomllib.loads(read_text(path, "test")).get("rig")
+    except (InputError, ValueError, RecursionError):
         return None
     if not isinstance(name, str):
         return None
