@@ -172,7 +172,7 @@ def test_drives_of_two_axes_at_two_rates_are_refused() -> None:
 def test_a_classic_bus_is_refused_at_2048_hz_with_its_load_and_what_it_has_room_for() -> None:
     link = 'kind = "can"\nchannel = "can0"\nbitrate = 1000000'
     assert link_at(1900, link).rate.hz == 1900
-    with pytest.raises(InputError, match=r"2048 times per second, load the bus to 83 %.*room for 1975 Hz"):
+    with pytest.raises(InputError, match=r"2048 times per second.* 83 %.*room for 1975 Hz"):
         link_at(2048, link)
     # Less than 80 % at 1024 Hz on half the bit rate of the last one that is enough there.
     assert busload.bus_load(busload.OWN_FRAMES, 1_000_000, rate_hz=1975) <= busload.MAX_SHARE
