@@ -276,7 +276,7 @@ def test_example_runs_through_the_service(rthyb: Rthyb, example: Example) -> Non
     def attempt(made: Served) -> None:
         run_id = made.running(*TWO_S)
         status = made.status()
-        until(made._over, "the end of the test")
+        until(made.over, "the end of the test")
         rec = made.recorded(run_id)
         require_calm(rec)
         assert rec.meta["missing_rows"] == []

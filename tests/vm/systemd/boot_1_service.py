@@ -460,7 +460,7 @@ def test_killed_recorder_is_started_again_and_no_row_is_lost() -> None:
             return found is not None and found.pid != recorder
 
         until(again, "another recorder")
-        if not made._over():
+        if not made.over():
             with Client(made.socket) as client, suppress(Refusal):
                 client.call("Stop")
         rec = made.recorded(run_id)
