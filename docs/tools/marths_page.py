@@ -34,7 +34,7 @@ def plan() -> dict[str, list[Run]]:
     names = list(marths_laws.NAMES)
     return {
         "elcentro": marths.planned(names, ["elcentro"], 20),
-        "motions": marths.planned(names, ["kobe", "morgan"], 4),
+        "motions": marths.planned(names, ["kobe", "morgan"], 20),
         "kr-alpha": marths.planned(names, ["elcentro"], 20, "kr-alpha"),
         "wide": marths.planned(names, ["elcentro"], 20, width=3.0),
     }
@@ -74,8 +74,8 @@ def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, s
     made["elcentro"] = table_of(found["elcentro"], "elcentro", marths_table.PUBLISHED)
     made["elcentro-beside"] = table_of(found["elcentro"], "elcentro", marths_table.BESIDE)
     for motion in ("kobe", "morgan"):
-        names = ("J3", "J5", "J7", *marths_table.BESIDE)
-        made[motion] = table_of(found["motions"], motion, names)
+        made[motion] = table_of(found["motions"], motion, marths_table.PUBLISHED)
+        made[f"{motion}-beside"] = table_of(found["motions"], motion, marths_table.BESIDE)
     names = ("J3", "J5", *marths_table.BESIDE)
     made["kr-alpha"] = table_of(found["kr-alpha"], "elcentro", names)
     made["wide"] = table_of(found["wide"], "elcentro", names)
