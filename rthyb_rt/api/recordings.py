@@ -56,11 +56,16 @@ class Named(dict[str, Any]):
         self._what, self._hint = what, hint
 
     def __missing__(self, name: object) -> Any:
-        raise InputError(
-            f"no {self._what} {written(name)}{nearest(str(name), list(self))}; {self._what}s are: "
-            f"{', '.join(self) or 'none'}{self._hint}",
-            "recording",
-        )
+        raise _absent(name, list(self), self._what, self._hint)
+
+
+def _absent(name: object, names: list[str], what: str, hint: str = "") -> InputError:
+    """Return the error for a name that is not there, with those that are."""
+    return InputError(
+        f"no {what} {written(name)}{nearest(str(name), names)}; {what}s are: "
+        f"{', '.join(names) or 'none'}{hint}",
+        "recording",
+    )
 
 
 class Plot:
@@ -263,8 +268,7 @@ class Recording(Mapping[str, NDArray[Any]]):
                 f", and its rows by an index of that; signals are: {', '.join(self.units)}",
                 "recording",
             )
-        self.units[name]  # raises, with the names that there are
-        raise AssertionError(name)
+        raise _absent(name, list(self.units), "signal")
 
     def __contains__(self, name: object) -> bool:
         return name in self.units

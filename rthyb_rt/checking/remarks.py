@@ -91,14 +91,14 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise
     if jump is not None and jump.acts and setup.rate.leap(jump.value) < step:
         warnings.append(
-            f"limits.sensor_jump_m = {_told(setup.rate.leap(jump.value), 'm')} is below "
-            f"{_told(step, 'm')}, the most that displacement and noise together change from one "
+            f"limits.sensor_jump_m = {_shown(setup.rate.leap(jump.value), 'm')} is below "
+            f"{_shown(step, 'm')}, the most that displacement and noise together change from one "
             "sample to the next: valid readings will be rejected"
         )
     if spread is not None and spread < NOISE_SPAN * noise:
         warnings.append(
-            f"limits.rest_spread_m = {_told(spread, 'm')} is below the span of the noise at rest, "
-            f"{_told(NOISE_SPAN * noise, 'm')}: zeroing will be refused"
+            f"limits.rest_spread_m = {_shown(spread, 'm')} is below the span of the noise at rest, "
+            f"{_shown(NOISE_SPAN * noise, 'm')}: zeroing will be refused"
         )
     return notes, warnings
 
@@ -167,17 +167,17 @@ def within_reach(given: Iterable[tuple[str, Limit | None, float, str]]) -> list[
         given: key, limit, peak, and the unit of both, for each.
     """
     return [
-        f"{key} = {_told(limit.value, unit)} is below the peak of {_told(peak, unit)} in the "
+        f"{key} = {_shown(limit.value, unit)} is below the peak of {_shown(peak, unit)} in the "
         "reference simulation: the test will reach it"
         for key, limit, peak, unit in given
         if limit is not None and limit.acts and peak > limit.value
     ]
 
 
-def _told(value: float, unit: str) -> str:
+def _shown(value: float, unit: str) -> str:
     """Return a limit or a peak in the unit that laboratories use for it."""
-    shown, factor = _LABORATORY_UNITS.get(unit, (unit, 1.0))
-    return f"{value * factor:.4g} {shown}"
+    name, factor = _LABORATORY_UNITS.get(unit, (unit, 1.0))
+    return f"{value * factor:.4g} {name}"
 
 
 def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
@@ -193,15 +193,15 @@ def _limits_in_reach(setup: Setup, f: Figures | HistoryFigures) -> list[str]:
     peak_m_per_s = f.reference_peak_m_per_s
     if velocity is not None and velocity.enable and peak_m_per_s > velocity.value:
         found.append(
-            f"limits.command_velocity_m_per_s = {_told(velocity.value, 'm/s')} is below the peak "
-            f"of {_told(peak_m_per_s, 'm/s')} in the reference simulation: the command will be "
+            f"limits.command_velocity_m_per_s = {_shown(velocity.value, 'm/s')} is below the peak "
+            f"of {_shown(peak_m_per_s, 'm/s')} in the reference simulation: the command will be "
             "limited"
         )
     peak_m = peak_m_per_s / STANDARD_HZ
     if increment is not None and increment.acts and peak_m > increment.value:
         found.append(
-            f"limits.command_increment_m = {_told(increment.value, 'm')} is below the peak of "
-            f"{_told(peak_m, 'm')} per sample in the reference simulation: the test will reach it"
+            f"limits.command_increment_m = {_shown(increment.value, 'm')} is below the peak of "
+            f"{_shown(peak_m, 'm')} per sample in the reference simulation: the test will reach it"
         )
     return found
 

@@ -69,10 +69,9 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
     test = parse_test(read_text(path, "test"), str(path), overrides)
 
     def found(value: str | None, key: str) -> str | None:
-        folder = Path() if key in overrides else Path(path).parent
-        if value is None or not _is_file(folder / value):
+        if value is None or not _is_file(place := _place_of(value, key, path, overrides)):
             return value
-        return str((folder / value).resolve())
+        return str(place.resolve())
 
     motion = test.ground_motion
     record = found(motion.record, "ground_motion.record")
@@ -86,6 +85,11 @@ def load_test(path: str | Path, overrides: Mapping[str, str] | None = None) -> T
             "history": _with_steps(test.history, str(path), overrides),
         }
     )
+
+
+def _place_of(value: str, key: str, path: Path, overrides: Mapping[str, str]) -> Path:
+    """Return where a test looks for a file: beside its own, or in the working directory."""
+    return (Path() if key in overrides else path.parent) / value
 
 
 def _with_steps(given: History | None, path: str, overrides: Mapping[str, str]) -> History | None:
@@ -351,8 +355,8 @@ def _rig_of_faulty(path: Path, overrides: Mapping[str, str]) -> Path | None:
         return None
     if not isinstance(name, str):
         return None
-    beside = Path(name) if "rig" in overrides else path.parent / name
-    return beside if _is_file(beside) else shipped("rig").get(name)
+    place = _place_of(name, "rig", path, overrides)
+    return place if _is_file(place) else shipped("rig").get(name)
 
 
 def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:

@@ -805,7 +805,7 @@ class Policy:
         "Force above which a row is used to determine where on the stroke, and on which side, an "
         "effect acts.",
     )  # fmt: skip
-    told_local: float = _entry(
+    local_reported: float = _entry(
         0.3, "fraction of the stroke", "judgement",
         "An effect that acts only beyond this displacement is reported as local.",
     )  # fmt: skip
@@ -813,7 +813,7 @@ class Policy:
         0.9, "fraction of the recording", "judgement",
         'Minimum total length of the windows for an effect to be reported to act "throughout".',
     )  # fmt: skip
-    told_one_sided: float = _entry(
+    one_sided_reported: float = _entry(
         0.95, "fraction of the rows", "judgement",
         "Minimum fraction of rows with one sign for an effect to be reported to raise or reduce "
         "the force.",

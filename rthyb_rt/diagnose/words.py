@@ -291,7 +291,7 @@ def _where(d: Diagnosis, signal: Floats) -> str:
         return ""
     x, top = motion.x, float(np.max(np.abs(motion.x)))
     least = float(np.min(np.abs(x[acts])))
-    if least > POLICY.told_local * top:
+    if least > POLICY.local_reported * top:
         if np.all(x[acts] > 0):
             return f"x > {quantity(least, 'm')}"
         if np.all(x[acts] < 0):
@@ -316,9 +316,9 @@ def _difference(d: Diagnosis, signal: Floats | None) -> str:
         )
         acts = np.abs(signal) > POLICY.active_rows * float(np.max(np.abs(signal)))
         same = np.sign(signal[acts]) == np.sign(ctx.total[acts])
-        if together > 0 and np.mean(same) > POLICY.told_one_sided:
+        if together > 0 and np.mean(same) > POLICY.one_sided_reported:
             return "the load cell reads more than the model"
-        if together < 0 and np.mean(~same) > POLICY.told_one_sided:
+        if together < 0 and np.mean(~same) > POLICY.one_sided_reported:
             return "the load cell reads less than the model"
     return "the load cell reads differently from the model"
 
