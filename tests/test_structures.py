@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -13,13 +14,14 @@ import scipy.io
 import scipy.linalg
 import scipy.sparse
 from command_line import Rthyb
-from frames import shear_building
+from frames import beam_stiffness, shear_building
 
 from rthyb_rt import config
 from rthyb_rt.analysis import summary
 from rthyb_rt.config import deriving, matrixfile
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.structures import MatrixFile
+from rthyb_rt.core import CoreError, sparse
 from rthyb_rt.core.numerical_parts import SparsePart
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -417,6 +419,38 @@ def test_what_does_not_fit_the_matrices_is_refused(more: str, said: str, tmp_pat
     with pytest.raises(InputError) as caught:
         config.derive(test, rig)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("storeys", [6, 260])
+def test_a_motion_that_nothing_restrains_is_named_by_its_labels(
+    storeys: int, tmp_path: Path
+) -> None:
+    # Without the spring below them, the three top storeys float.
+    m, k = shear_building(np.full(storeys, 5000.0), np.full(storeys, 8e6))
+    cut = storeys - 3
+    k[cut - 1 : cut + 1, cut - 1 : cut + 1] -= 8e6 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    labels = [f"{i + 1}.x" for i in range(storeys)]
+    np.savez(tmp_path / "cut.npz", M=m, K=k, C=1e-4 * k, labels=labels)
+    test = from_file(tmp_path, 'file = "cut.npz"')
+    with pytest.raises(InputError, match="the stiffness of the whole structure") as caught:
+        config.derive(test, config.load_rig(config.find_rig("delay-10-elastic")))
+    named = {f'"{i}.x"' for i in range(cut + 1, storeys + 1)}
+    said = str(caught.value).partition("nothing restrains ")[2].partition(";")[0]
+    assert set(said.split(", ")) == named
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_frame_that_is_free_to_turn_about_its_support_is_refused(seed: int) -> None:
+    points = np.cumsum(np.random.default_rng(seed).normal(size=(8, 3)), axis=0)
+    k = np.zeros((48, 48))
+    for i, (start, end) in enumerate(itertools.pairwise(points)):
+        at = slice(6 * i, 6 * i + 12)
+        k[at, at] += beam_stiffness(start, end, 1e-3, 1e-6, 2e-6, 1e-6)
+    k[range(6), range(6)] += 1e9
+    assert np.all(sparse.factored(k, "K").factors()[1] > 0.0)
+    k[5, 5] -= 1e9
+    with pytest.raises(CoreError, match="K is not positive definite"):
+        sparse.factored(k, "K")
 
 
 def test_a_library_that_is_missing_is_named_and_the_structure_is_not_blamed(

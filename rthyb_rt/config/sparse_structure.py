@@ -36,6 +36,7 @@ from rthyb_rt.core.sparse import (
     Symmetric,
     Term,
     initial_stiffness,
+    least_restrained,
     lowest_modes,
 )
 from rthyb_rt.errors import InputError
@@ -47,6 +48,10 @@ SHOWN_MODES: Final = 10
 GRAVITY_M_PER_S2: Final = 9.80665
 DEFAULT_RECORDED: Final = 10
 """Number of storeys up to which drifts and shears are recorded if the file gives no ``record``."""
+_CLEARLY: Final = 0.5
+"""Share of the largest entry from which on a degree of freedom is named as part of a motion."""
+_NAMED: Final = 5
+"""Number of degrees of freedom that a message names."""
 _DIFFERENCE: Final = re.compile(r"(.+?)\s+-\s+(.+)")
 
 
@@ -381,7 +386,8 @@ def build(
     except CoreError as error:
         leaning = isinstance(given, Storeys) and given.p_delta
         raise InputError(
-            f"{error}; every motion must have a mass or a stiffness and must be restrained: "
+            f"{error}{_where_loose(structure)}; every motion must have a mass or a stiffness and "
+            "must be restrained: "
             + (
                 "check for a weight in p_delta under which the storeys topple, "
                 if leaning
@@ -393,6 +399,19 @@ def build(
         ) from error
     _check_step(structure)
     return structure
+
+
+def _where_loose(structure: SparseStructure) -> str:
+    """Return where a motion that nothing restrains is largest, in words; empty if there is none."""
+    shape = least_restrained(structure.part)
+    if shape is None:
+        return ""
+    # Rounded, so that degrees of freedom that move as far stand in the order of their rows.
+    order = np.argsort(-np.round(np.abs(shape), 3), kind="stable")
+    moving = [int(at) for at in order if abs(shape[at]) >= _CLEARLY]
+    names = ", ".join(written(structure.labels[at]) for at in moving[:_NAMED])
+    more = len(moving) - _NAMED
+    return f": nothing restrains {names}" + (f" and {more} more" if more > 0 else "")
 
 
 def _check_count(bare: _Bare, keys: Keys, axes: int) -> None:

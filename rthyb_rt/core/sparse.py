@@ -344,12 +344,18 @@ def factored(matrix: Any, what: str) -> Any:
     csc.sort_indices()
     try:
         solver = qdldl.Solver(csc)
-        _, d, _ = solver.factors()
+        _, d, order = solver.factors()
     except (RuntimeError, ValueError) as error:
         raise CoreError(f"{what} is singular") from error
-    if not np.all(np.isfinite(d)) or np.any(d <= 0.0):
+    # A pivot is what elimination leaves of its diagonal entry: next to nothing is rounding.
+    if not np.all(np.isfinite(d)) or np.any(d <= _PIVOT_ROUNDING * np.abs(csc.diagonal()[order])):
         raise CoreError(f"{what} is not positive definite")
     return solver
+
+
+_PIVOT_ROUNDING: Final = 1e-13
+"""Share of its diagonal entry below which a pivot is no stiffness: fewer than three of its sixteen
+digits survive the subtractions. Frames that are free to turn leave up to 1e-14 of either sign."""
 
 
 def lowest_modes(config: SparseConfig, count: int) -> tuple[Floats, Floats]:
@@ -383,6 +389,43 @@ def lowest_modes(config: SparseConfig, count: int) -> tuple[Floats, Floats]:
     w2, phi = w2[order], phi[:, order]
     phi = phi / np.sqrt(np.einsum("ij,ij->j", phi, m @ phi))
     return np.asarray(w2), np.asarray(phi)
+
+
+def least_restrained(config: SparseConfig) -> Floats | None:
+    """Return the motion that the stiffness of the whole structure restrains least, if it does not.
+
+    Each degree of freedom counts in the unit in which its own stiffness is 1, so that a rotation is
+    compared with a displacement.
+
+    Args:
+        config: the part.
+
+    Returns:
+        The motion in those units, (n,), the largest entry 1; None if the stiffness is positive
+        definite, apart from rounding, or the motion cannot be computed.
+    """
+    k = config.whole_stiffness()
+    own = np.abs(k.diagonal())
+    by = 1.0 / np.sqrt(np.where(own > 0.0, own, max(float(own.max(initial=0.0)), 1.0)))
+    scaled = (k.multiply(by).T.multiply(by)).tocsc()
+    n, rounding = scaled.shape[0], 1e-9
+    if n <= _DENSE_MODES:
+        values, shapes = np.linalg.eigh(scaled.toarray())
+    else:
+        from scipy.sparse.linalg import ArpackError, eigsh
+
+        start = 1.0 + 1e-3 * np.sin(np.arange(n))
+        try:
+            # Without stiffness a motion lies next to the shift; with a negative one it need not.
+            values, shapes = eigsh(scaled, 1, sigma=-rounding, v0=start)
+            if values[0] > rounding:
+                values, shapes = eigsh(scaled, 1, which="SA", v0=start)
+        except (ArpackError, RuntimeError):
+            return None
+    if values[0] > rounding:
+        return None
+    shape = shapes[:, 0]
+    return np.asarray(shape / shape[np.argmax(np.abs(shape))])
 
 
 _DENSE_MODES: Final = 200
