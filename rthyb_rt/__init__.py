@@ -12,7 +12,8 @@ imported when it is first used.
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.balance import EnergyBalance
@@ -95,6 +96,7 @@ _HOMES = {
     "Trial": "diagnose.effects.base",
     "check": "api.checking",
     "compare": "api.comparing",
+    "diagnose": "api.diagnosing",
     "identify": "api.identifying",
     "open": "api.recordings",
     "replay": "api.replaying",
@@ -107,6 +109,16 @@ _NAMES = {"open": "open_recording"}
 
 __version__: str
 
+
+def defined(name: str) -> Any:
+    """Return what a public name stands for, imported from the module in which it is defined.
+
+    Raises:
+        KeyError: no public name.
+    """
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), _NAMES.get(name, name))
+
+
 if not TYPE_CHECKING:  # otherwise mypy would assume that the package has every attribute
 
     def __getattr__(name: str) -> object:
@@ -115,10 +127,8 @@ if not TYPE_CHECKING:  # otherwise mypy would assume that the package has every 
             from importlib.metadata import version
 
             return version("rthyb-rt")
-        from importlib import import_module
-
         if name == "diagnose":
-            # The package of that name is callable; importing it makes it an attribute.
+            # The package of that name calls the function; importing it makes it an attribute.
             return import_module(f"{__name__}.diagnose")
         if name not in _HOMES:
             # With these two, Python names the attribute that was meant.
@@ -127,7 +137,7 @@ if not TYPE_CHECKING:  # otherwise mypy would assume that the package has every 
                 name=name,
                 obj=sys.modules[__name__],
             )
-        found = getattr(import_module(f"{__name__}.{_HOMES[name]}"), _NAMES.get(name, name))
+        found = defined(name)
         globals()[name] = found
         return found
 
