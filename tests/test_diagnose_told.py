@@ -187,6 +187,27 @@ def test_legends_stand_outside_of_the_curves():
         assert min(places) > bottom or max(places) < top, plate.key
 
 
+def test_large_forces_are_drawn_in_kn_with_their_laws_and_bands():
+    assert laws.force_unit(np.array([9999.0, np.nan]), np.zeros(3)) == (1.0, "N")
+    assert laws.force_unit(np.zeros(3), np.array([-1e4, np.inf])) == (1e-3, "kN")
+    assert laws.force_unit(np.array([np.nan])) == (1.0, "N")
+    part = laws.Part(("coulomb",), np.array([3e4, -3e4]), np.array([[1.0], [2.0]]))
+    law = laws.Law((part,), np.array([[1e6]]))
+    for given, scaled in zip(
+        law.of([part]), law.times(1e-3).of(law.times(1e-3).parts), strict=True
+    ):
+        assert scaled == pytest.approx(1e-3 * given)
+
+
+def test_closed_loop_of_a_history_has_no_row_for_a_delay_estimate():
+    d = diagnosed(friction)
+    errors = {"x_meas": 1.7e-139, "x_num": 0.0, "f_meas": 0.4, "alpha": float("nan")}
+    loop = {"possible": True, "notes": [], "nrmse_before": errors, "nrmse_after": errors}
+    rows = page._closed(d, {"closed_loop": loop})["rows"]
+    assert [row[0] for row in rows] == ["measured displacement", "computed displacement", "force"]
+    assert [row[1] for row in rows] == ["0", "0", "40"]
+
+
 # ---- the ledger ----------------------------------------------------------------------------------
 
 

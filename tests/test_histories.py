@@ -382,6 +382,7 @@ def test_a_history_goes_through_run_replay_report_and_export(
     assert "Prescribed history" in page
     assert "Loops by amplitude" in page
     assert "Backbone" in page
+    assert "ground acceleration" not in page  # of which a history has none, to zoom into or to see
     assert cli.main(["replay", str(tmp_path / "run")]) == 0
     assert "bit-identical" in capsys.readouterr().out
     # What was kept of it runs again as it stands.

@@ -83,6 +83,11 @@ class Law:
         """Its effects in words."""
         return " with ".join(called(n) for p in self.parts for n in p.names)
 
+    def times(self, factor: float) -> Law:
+        """Return the law in another unit of its contribution."""
+        parts = tuple(Part(p.names, factor * p.signal, factor * p.slopes) for p in self.parts)
+        return Law(parts, self.covariance)
+
     def of(self, kept: Sequence[Part]) -> tuple[Floats, Floats | None]:
         """Return the contribution of some of its parts, and half the width of their 95 % band."""
         signal = np.asarray(np.sum([p.signal for p in kept], axis=0))
@@ -244,7 +249,15 @@ def _of_force(d: Diagnosis, search: forces.Search) -> Rest:
     }
     if "fy_meas" in ctx.other:
         over["fy"] = (ctx.other["fy_meas"], "force in the orthogonal direction, N")
-    return Rest(left, found.rows, tuple(laws), over, "N", "force")
+    factor, unit = force_unit(left[found.rows])
+    scaled = tuple(law.times(factor) for law in laws)
+    return Rest(factor * left, found.rows, scaled, over, unit, "force")
+
+
+def force_unit(*forces_n: Floats) -> tuple[float, str]:
+    """Return the factor and the unit in which forces fit beside an axis: N, or kN from 10 kN."""
+    finite = np.concatenate([np.abs(f[np.isfinite(f)]) for f in forces_n])
+    return (1e-3, "kN") if finite.max(initial=0.0) >= 1e4 else (1.0, "N")
 
 
 def _of_displacement(d: Diagnosis, disp: Displacement) -> Rest:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from rthyb_rt.diagnose import evidence, why
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.engine import Diagnosis
 from rthyb_rt.diagnose.estimate import filled
-from rthyb_rt.diagnose.laws import draw_laws
+from rthyb_rt.diagnose.laws import draw_laws, force_unit
 from rthyb_rt.diagnose.ranking import rows_of
 from rthyb_rt.diagnose.select import leaning
 from rthyb_rt.diagnose.words import (
@@ -224,7 +224,8 @@ def _closed(d: Diagnosis, answer: dict[str, Any]) -> dict[str, Any]:
     if loop["possible"]:
         for name, word in LOOP_WORDS.items():
             before, after = loop["nrmse_before"][name], loop["nrmse_after"][name]
-            rows.append((word, _percent(before), _percent(after)))
+            if _compared(before, after):
+                rows.append((word, _percent(before), _percent(after)))
     for name, symbol in (("alpha", "alpha"), ("k_t_n_per_m", "k_t")):
         found = answer.get("recovered", {}).get(name, {"possible": True})
         if not found["possible"]:
@@ -232,8 +233,20 @@ def _closed(d: Diagnosis, answer: dict[str, Any]) -> dict[str, Any]:
     return {"rows": rows, "notes": notes}
 
 
+_ROUNDING: Final = 1e-12
+"""Errors below this are rounding of double numbers (1e-16 of a value) in sums over a recording."""
+
+
+def _compared(before: float, after: float) -> bool:
+    """Return whether there is an error: a prescribed history has no delay estimate to compare."""
+    return math.isfinite(before) or math.isfinite(after)
+
+
 def _percent(value: float) -> str:
-    return f"{100 * value:.3g}" if math.isfinite(value) else "–"
+    """Return an error in percent; what is left of a sum of zeros is 0."""
+    if not math.isfinite(value):
+        return "–"
+    return f"{100 * value:.3g}" if abs(value) > _ROUNDING else "0"
 
 
 def _name(d: Diagnosis) -> str:
@@ -303,11 +316,15 @@ def draw_loop(outcome: Outcome) -> list[Plate]:
 def _simulated_again(loop: ClosedLoop) -> Plate:
     from rthyb_rt.report import drawing as draw
 
-    shown = (
-        ("x_meas", "x_meas, mm", 1e3), ("x_num", "x_num, mm", 1e3), ("f_meas", "f_meas, kN", 1e-3),
-        ("alpha", "alpha, samples", 1.0),
-    )  # fmt: skip
-    paper = draw.Paper("closed", draw.FULL_WIDTH_IN, (1.4,) * len(shown))
+    shown = [
+        (name, title, factor)
+        for name, title, factor in (
+            ("x_meas", "x_meas, mm", 1e3), ("x_num", "x_num, mm", 1e3),
+            ("f_meas", "f_meas, kN", 1e-3), ("alpha", "alpha, samples", 1.0),
+        )
+        if _compared(loop.nrmse_before[name], loop.nrmse_after[name])
+    ]  # fmt: skip
+    paper = draw.Paper("closed", draw.FULL_WIDTH_IN, (1.3,) * len(shown))
     for axes, (name, title, factor) in zip(paper.axes, shown, strict=True):
         for values, colour, width, label in (
             (loop.recorded, draw.BLACK, 1.4, "recorded"),
@@ -393,7 +410,10 @@ def _signals(d: Diagnosis) -> _Signals | None:
     after = problem.ctx.total + leaning(problem, fit)
     for i in range(len(fit.members)):
         after += evidence.contribution(problem, fit, i)
-    return _Signals(found.force, problem.ctx.total, after, found.rows, "N", "force", label)
+    shown = (found.force, problem.ctx.total, after)
+    factor, unit = force_unit(*shown)
+    measured, before, after = (factor * force for force in shown)
+    return _Signals(measured, before, after, found.rows, unit, "force", label)
 
 
 def _only_motion(d: Diagnosis, label: str) -> _Signals | None:

@@ -32,11 +32,14 @@ def plates(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> list[draw.Plate
 
 def loops(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
     """Return the last loop of each amplitude, superimposed."""
-    paper = draw.Paper("loops", draw.FULL_WIDTH_IN, (2.6,), bottom_in=draw.LEGEND_IN)
+    picked = np.unique(np.linspace(0, len(amplitudes) - 1, SHOWN_LOOPS).round().astype(int))
+    columns = min(picked.size, SHOWN_LOOPS // 2)
+    paper = draw.Paper(
+        "loops", draw.FULL_WIDTH_IN, (2.6,), bottom_in=draw.room_below(picked.size, columns)
+    )
     (axes,) = paper.axes
     run = rec.samples[rec.samples["state"] == RUNNING]
     x, f = run["x_meas_m"] * 1e3, run["f_meas_n"] * 1e-3
-    picked = np.unique(np.linspace(0, len(amplitudes) - 1, SHOWN_LOOPS).round().astype(int))
     shades = colormaps["viridis"](np.linspace(0.0, 0.85, picked.size))
     axes.axhline(0.0, color=draw.GREY, linewidth=0.4)
     axes.axvline(0.0, color=draw.GREY, linewidth=0.4)
@@ -51,7 +54,8 @@ def loops(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
     axes.set_xlim(-1.05 * _largest(x), 1.05 * _largest(x))
     axes.xaxis.set_major_locator(MaxNLocator(9))
     draw.symmetric(axes, _largest(f))
-    draw.head(axes, "measured force, kN", below=True)
+    draw.head(axes, "measured force, kN")
+    draw.legend_below(axes, columns)
     draw.x_label(axes, "measured displacement, mm")
     left = len(amplitudes) - picked.size
     note = "The last cycle of each amplitude" + (

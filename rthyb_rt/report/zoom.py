@@ -69,11 +69,14 @@ def chart(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> di
         if summary.setup.plc_enabled:
             signals.insert(0, (samples["x_cmd_m"] * 1e3, draw.ORANGE, 1.5, "compensated command"))
         moved = _panel("displacement, mm", signals)
+    panels = [{**moved, "height": 300}]
+    if not summary.setup.history:  # which moves without a ground motion
+        panels.insert(0, {**ground, "height": 90})
     return {
         "start": float(rec.time_s()[0]),
         "step": every / rec.fs_hz,
         "window": list(window_s) if all(map(math.isfinite, window_s)) else None,
-        "panels": [{**ground, "height": 90}, {**moved, "height": 300}],
+        "panels": panels,
     }
 
 
