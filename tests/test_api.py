@@ -452,6 +452,22 @@ MISTAKES = {
     "row for signal": (lambda rec: rec[0], "found 0; a signal is chosen by its name"),
     "measure": (lambda rec: rec.measures["trackng_nrmse"], '(did you mean "tracking_nrmse"?)'),
     "unit": (lambda rec: rec.units["x_meas"], 'no signal "x_meas" (did you mean "x_meas_m"?)'),
+    "axis without a name": (
+        lambda rec: rec.axis("upper"),
+        'no axis "upper"; the test ran on a single axis, which has no name',
+    ),
+    "report as PDF": (
+        lambda rec: rec.report("report.pdf"),
+        'report.pdf: found the file name extension ".pdf"; a page is HTML',
+    ),
+    "comparison as PDF": (
+        lambda rec: rt.compare(rec).report("beside.pdf"),
+        "must end in .html or .htm; for a PDF, print the page from a browser",
+    ),
+    "check as PDF": (
+        lambda rec: rt.check(HALF_A_SECOND).report("check.pdf"),
+        'check.pdf: found the file name extension ".pdf"',
+    ),
     "axis": (lambda rec: rec.export("x.csv", axis="upper"), "export: axis: the recording has only"),
     "file that is not there": (
         lambda rec: rt.diagnose("lab.csv", "delay-10-elastic"),

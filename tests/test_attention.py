@@ -160,6 +160,14 @@ def test_alpha_that_stands_off_for_the_whole_test_is_told() -> None:
     assert "set controller.alpha0 to that delay" in "\n".join(alarms(rec))
 
 
+def test_alpha_that_starts_too_far_off_is_told_with_the_key_that_says_so() -> None:
+    weak = "controller.delay_estimator.gain_per_mm2_per_sample=0.001"
+    rec = example("section5-T0.5", "controller.alpha0=30", weak)
+    (text,) = (text for text in alarms(rec) if text.startswith("Alpha departed"))
+    assert "alpha started at 30 samples (29.3 ms), the value of controller.alpha0: omit" in text
+    assert "gain_per_mm2_per_sample" not in text
+
+
 def test_delay_that_nothing_takes_out_is_told_as_negative_damping() -> None:
     rec = example(
         "section5-T0.5",

@@ -75,7 +75,7 @@ def test_a_file_without_an_axis_is_refused_with_their_names(rec: Recording, tmp_
     export.to_csv(rec, tmp_path / "full.csv", full=True)
     with (tmp_path / "full.csv").open() as file:
         assert "x_meas_m.1" in next(csv.reader(file))
-    with pytest.raises(InputError, match="no axis 'middle'; the recording has left, right"):
+    with pytest.raises(InputError, match='no axis "middle"; axes are: left, right'):
         axis_export.axis_signals(rec, "middle")
 
 

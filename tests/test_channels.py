@@ -63,7 +63,7 @@ def test_an_axis_is_read_by_its_number() -> None:
     axis = rec.axis(0)
     assert axis.dtype.names == AXIS_FIELDS
     np.testing.assert_array_equal(axis["x_meas_m"], rec.samples["x_meas_m"])
-    with pytest.raises(InputError, match="no axis 1; the recording has axis 0 alone"):
+    with pytest.raises(InputError, match="no axis 1; the test ran on a single axis"):
         rec.axis(1)
 
 

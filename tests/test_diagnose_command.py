@@ -181,6 +181,18 @@ def test_the_exit_code_says_nothing_is_missing(tmp_path, capsys):
     assert "Nothing is missing" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("verdict", "rows"), [("none", 2), ("unknown", 2), ("explained", 1)])
+def test_only_effects_are_said_to_turn_one_error_into_another(verdict, rows):
+    errors = {"x_meas": 0.0, "x_num": 0.0, "f_meas": 0.0, "alpha": float("nan")}
+    after = {**errors, "x_meas": 1.14e-3}
+    loop = {"possible": True, "nrmse_before": errors, "nrmse_after": after}
+    found = words.loop_rows({"verdict": verdict, "closed_loop": loop})
+    assert len(found) == rows
+    assert ("→" in found[0][1]) == (rows == 1)
+    assert found[-1][1].endswith("0.114 %")
+    assert not any("delay estimate" in row[2] for row in found)
+
+
 BAD = {
     "time runs back": (lambda c: c["t"].__setitem__(400, 0.1), "does not increase"),
     "dead load cell and displacement": (

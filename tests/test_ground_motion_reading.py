@@ -250,6 +250,30 @@ def test_tcu068_equals_the_shared_copy(tcu068_first_50_s: GroundMotion) -> None:
 # --- what is refused -----------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"units": "cm/s2"}, '"cm/s2"; the built-in record elcentro-1940-ns is stored in g'),
+        ({"units": "furlong"}, '"furlong"; the built-in record'),
+        ({"format": "at2"}, '"at2"; the built-in record elcentro-1940-ns has the format columns'),
+        ({"channel": 2}, '"2"; the built-in record elcentro-1940-ns has one component only'),
+    ],
+)
+def test_what_contradicts_a_built_in_record_is_refused(given: dict[str, object], told: str) -> None:
+    with pytest.raises(InputError) as caught:
+        ground_motion.load("elcentro-1940-ns", **given)  # type: ignore[arg-type]
+    (problem,) = caught.value.problems
+    assert problem.where == f"ground_motion.{next(iter(given))}"
+    assert told in problem.message
+    assert problem.message.endswith("omit the key")
+
+
+def test_unit_of_a_built_in_record_may_be_given() -> None:
+    again = ground_motion.load("elcentro-1940-ns", units="g", format="columns")
+    bare = ground_motion.load("elcentro-1940-ns")
+    assert np.array_equal(again.acceleration_mps2, bare.acceleration_mps2)
+
+
 def test_missing_file_is_refused_and_built_in_names_are_listed(tmp_path: Path) -> None:
     assert "no such file" in refusal(tmp_path / "none.at2")
     with pytest.raises(InputError, match="elcentro-1940-ns"):

@@ -241,6 +241,12 @@ def test_a_diagnosis_refuses_a_model_with_a_class_in_python() -> None:
 # ---- an effect for the diagnosis ----------------------------------------------------------------
 
 
+@pytest.mark.parametrize("ends", [(1.0, 1e-9), (1.0, 1.0), (0.0, float("nan")), ("0 m", 1.0)])
+def test_parameter_without_a_range_is_refused(ends: tuple[Any, Any]) -> None:
+    with pytest.raises(rt.InputError, match=r'Param "gap_m": found the range from .* below high'):
+        rt.Param("gap_m", "m", *ends)
+
+
 class Magnet(rt.Effect):
     """A magnet at a place pulls the specimen to it."""
 

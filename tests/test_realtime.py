@@ -619,6 +619,14 @@ def test_fault_that_cannot_be_understood_is_refused(text: str) -> None:
         virtual_rig.parse_faults([text])
 
 
+def test_fault_of_a_test_is_of_the_kinds_that_are_possible_there() -> None:
+    with pytest.raises(InputError, match="allowed are drop,") as caught:
+        virtual_rig.parse_mishaps(["burn@1"])
+    assert "power-cut" not in str(caught.value)
+    with pytest.raises(InputError, match="has no power supply of its own; use silence"):
+        virtual_rig.parse_mishaps(["power-cut@1"])
+
+
 def test_every_fault_of_the_drive_has_a_name_on_the_command_line() -> None:
     assert set(loop._FAULTS) | {"power-cut"} == set(virtual_rig.FAULT_KINDS)
 

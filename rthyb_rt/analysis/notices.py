@@ -86,7 +86,7 @@ def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding])
             f"{delay(one.value, given.fs_hz)}, an error of {delay(away, given.fs_hz)}; this "
             f"structure remains stable up to an error of {delay(one.allowed, given.fs_hz, 2)}"
         )
-        return f"{found}; {_remedy_of_delay(given)}."
+        return f"{found}; {_remedy_of_delay(given, one.allowed)}."
     if one.kind == "damping":
         found = (
             f"Negative damping: {span} the tracking error supplied {number(one.value, 2)} times "
@@ -144,9 +144,16 @@ def _remedy_of_response(given: Setup, beside: set[str]) -> str:
     return "update controller.alpha0 with rthyb identify, and examine the tracking error"
 
 
-def _remedy_of_delay(given: Setup) -> str:
+def _remedy_of_delay(given: Setup, allowed: float) -> str:
     if not given.estimator_enabled:
         return "set controller.alpha0 to that delay, or identify the rig again"
+    start, identified = given.alpha_start, given.alpha_identified
+    if start is not None and identified is not None and abs(start - identified) > allowed:
+        return (
+            f"alpha started at {delay(start, given.fs_hz)}, the value of controller.alpha0: omit "
+            "that key, so that a test starts at the identified delay; if the rig has changed, "
+            "identify it again"
+        )
     law = LAWS.get(given.controller or "")
     less = (law.calmer if law else None) or "review the settings of the control law"
     return f"{less}; if the rig has changed, identify it again"

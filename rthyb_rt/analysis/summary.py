@@ -56,6 +56,7 @@ class Setup:
         alpha_min: lower bound of the delay estimate, samples.
         alpha_max: upper bound of the delay estimate, samples.
         alpha_identified: delay found by identification of the rig, samples.
+        alpha_start: delay estimate with which the test starts, samples.
         k_e_n_per_m: elastic stiffness of the specimen, N/m.
         mass_kg: mass of the numerical part, kg.
         period_s: period of the whole structure, s.
@@ -100,6 +101,7 @@ class Setup:
     fs_hz: float
     history: str = ""
     time_scale: float = 1.0
+    alpha_start: float | None = None
 
 
 def setup(rec: Recording) -> Setup:
@@ -180,6 +182,7 @@ def setup(rec: Recording) -> Setup:
         fs_hz=rate.hz,
         history=_words(rec.ground_motion.get("name")) if _get(test, "history") else "",
         time_scale=slow,
+        alpha_start=_times(_number(_get(test, "controller", "alpha0")), rate.pace),
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api import files
-from rthyb_rt.api.files import Place, Rig, Test
+from rthyb_rt.api.files import Place, Rig, Test, path_of
 from rthyb_rt.api.recordings import Plot, plot_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config import AxesRig
@@ -73,13 +73,15 @@ class Check:
         """Write tables, warnings, notes and figures to one HTML file.
 
         Raises:
-            InputError: matplotlib or jinja2 is not installed, or the rig has several axes.
+            InputError: the file name does not end in .html or .htm, matplotlib or jinja2 is not
+                installed, or the rig has several axes.
             RthybError: the file cannot be written.
         """
         from rthyb_rt.checking import page
 
-        page.write(self._of_one_axis("report"), Path(path))
-        return Path(path)
+        target = path_of(path, "report", "the page to write, check.html")
+        page.write(self._of_one_axis("report"), target)
+        return target
 
     def _of_one_axis(self, what: str) -> Examined:
         from rthyb_rt.checking.examined import Examined

@@ -82,7 +82,8 @@ class Comparison:
         """Write the table and all figures to one HTML file.
 
         Raises:
-            InputError: matplotlib or jinja2 is not installed.
+            InputError: the file name does not end in .html or .htm, or matplotlib or jinja2 is not
+                installed.
             RthybError: the file cannot be written.
         """
         target = path_of(path, "report", "the page to write, comparison.html")

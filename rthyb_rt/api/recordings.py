@@ -552,7 +552,8 @@ class Recording(Mapping[str, NDArray[Any]]):
         """Write the report to one HTML file.
 
         Raises:
-            InputError: matplotlib or jinja2 is not installed.
+            InputError: the file name does not end in .html or .htm, or matplotlib or jinja2 is not
+                installed.
             RthybError: the file cannot be written.
         """
         from rthyb_rt.report import write_report

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rthyb_rt.record.recording import replacing
-from rthyb_rt.report.html import environment, extra_needed, sheets
+from rthyb_rt.report.html import environment, extra_needed, page_file, sheets
 
 if TYPE_CHECKING:
     from rthyb_rt.checking.examined import Examined
@@ -18,9 +18,11 @@ def write(found: Examined, path: Path) -> None:
     """Write the page.
 
     Raises:
-        InputError: matplotlib or jinja2 is not installed.
+        InputError: the file name does not end in .html or .htm, or matplotlib or jinja2 is not
+            installed.
         RthybError: the file cannot be written.
     """
+    path = page_file(path)
     html = render(found)
     with replacing(path) as temporary:
         temporary.write_text(html, encoding="utf-8")

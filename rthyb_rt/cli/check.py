@@ -53,6 +53,10 @@ def check(
     from rthyb_rt.checking.examined import examine
     from rthyb_rt.config import AxesRig
 
+    if plot is not None:
+        from rthyb_rt.report.html import page_file
+
+        page_file(plot)
     test_file, rig_file = load_any(test, rig, settings)
     if isinstance(rig_file, AxesRig):
         if plot is not None:

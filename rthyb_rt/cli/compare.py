@@ -23,7 +23,7 @@ def compare(
     recordings: Annotated[
         list[Path],
         typer.Argument(
-            metavar="A [B]...",
+            metavar="A",
             help="Recording; folder of a sweep; test file, for its simulation; CSV file.",
             show_default=False,
         ),

@@ -221,10 +221,19 @@ def _direction(found: dict[str, Any]) -> str:
 def _test(found: dict[str, Any], test: dict[str, Any] | None) -> tuple[str, str]:
     if test is None:
         return "none", "to load one: rthyb ctl load TEST.toml"
-    done = found["progress"]["ticks"] / found["sample_rate_hz"]
-    about = f"{done:.1f} of {test['duration_s']:.1f} s, {test['ground_motion']}"
+    about = f"{_reached(found, ' of ')}{test['duration_s']:.1f} s, {test['ground_motion']}"
     about += f", PGA {test['pga_g']:.3g} g" if test["pga_g"] else ""
     return f"{test['name']} ({test['digest'][:12]})", about
+
+
+def _reached(found: dict[str, Any], after: str) -> str:
+    """Return how far a test has run, followed by ``after``; "" if none is running.
+
+    A test that has ended is in the row "Last test", also while the service is still TRIPPED.
+    """
+    if not found["run_id"]:
+        return ""
+    return f"{found['progress']['ticks'] / found['sample_rate_hz']:.1f}{after}"
 
 
 def _number(value: float | None, factor: float, unit: str) -> str:
@@ -252,7 +261,6 @@ def _recorder(found: dict[str, Any]) -> tuple[str, str]:
 def line(found: dict[str, Any]) -> str:
     """Return a status as one line."""
     newest = found["newest"] or {}
-    done = found["progress"]["ticks"] / found["sample_rate_hz"]
     axes: dict[str, dict[str, Any]] = found.get("axes") or {"": newest}
     values = [
         f"{name} {_number(one.get('x_meas_m'), 1e3, 'mm')}, "
@@ -260,7 +268,8 @@ def line(found: dict[str, Any]) -> str:
         for name, one in axes.items()
     ]
     parts = [*values, f"{found['ticks']['skipped']} skipped"]
-    return f"{found['state']} {done:.1f} s, {', '.join(parts)}"
+    state = f"{found['state']} {_reached(found, ' s')}".rstrip()
+    return f"{state}, {', '.join(parts)}"
 
 
 @ctl.command()

@@ -70,8 +70,8 @@ def run(
         typer.Option(
             metavar="KIND[:KEY=NUMBER,...]",
             help="Fault to simulate on the virtual rig, such as drop:p=0.02,from=5,to=8 (times "
-            "in seconds of the test). Can be repeated; for the kinds see `rthyb rig "
-            "--help`.",
+            "in seconds of the test). Can be repeated; for the kinds, of which power-cut needs a "
+            "rig of its own, see `rthyb rig --help`.",
             show_default=False,
         ),
     ] = None,

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 from rthyb_rt.comparing.overlay import Overlay
 from rthyb_rt.numbers import number, percent, quantity
 from rthyb_rt.record.recording import replacing
-from rthyb_rt.report.html import environment, extra_needed, sheets
+from rthyb_rt.report.html import environment, extra_needed, page_file, sheets
 
 PAGE: Final = "compare.html"
 TABLE: Final = "compare.csv"
@@ -115,9 +115,11 @@ def write(overlay: Overlay, path: Path) -> None:
     """Write the page as one file.
 
     Raises:
-        InputError: matplotlib or jinja2 is not installed.
+        InputError: the file name does not end in .html or .htm, or matplotlib or jinja2 is not
+            installed.
         RthybError: the file cannot be written.
     """
+    path = page_file(path)
     html = render(overlay)
     with replacing(path) as temporary:
         temporary.write_text(html, encoding="utf-8")

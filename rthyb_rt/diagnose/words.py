@@ -141,6 +141,10 @@ LOOP_WORDS: dict[str, str] = {
 }  # fmt: skip
 
 
+def _others(texts: dict[str, str]) -> str:
+    return "; ".join(f"{LOOP_WORDS[k]} {v}" for k, v in texts.items() if k != "x_meas")
+
+
 def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Return the results of the closed loop as rows of label, value and explanation."""
     rows = []
@@ -149,9 +153,15 @@ def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
         before, after = loop["nrmse_before"], loop["nrmse_after"]
         # A test without a delay estimate, such as a prescribed history, has none to compare.
         known = [k for k in before if math.isfinite(before[k]) or math.isfinite(after[k])]
-        texts = {k: f"{100 * before[k]:.3g} → {100 * after[k]:.3g} %" for k in known}
-        rest = "; ".join(f"{LOOP_WORDS[k]} {v}" for k, v in texts.items() if k != "x_meas")
-        rows.append(("repeated simulation, NRMSE", texts["x_meas"], rest))
+        label = "repeated simulation, NRMSE"
+        if answer["verdict"] in ("explained", "ambiguous"):
+            texts = {k: f"{100 * before[k]:.3g} → {100 * after[k]:.3g} %" for k in known}
+            rows.append((label, texts["x_meas"], _others(texts)))
+        else:
+            # Without an effect, the adjusted parameters need not come closer than the model itself.
+            for head, found in ((label, before), ("with parameters adjusted", after)):
+                texts = {k: f"{100 * found[k]:.3g} %" for k in known}
+                rows.append((head, texts["x_meas"], _others(texts)))
     for name, word in (("alpha", "alpha recovered"), ("k_t_n_per_m", "k_t recovered")):
         found = answer.get("recovered", {}).get(name, {})
         if found.get("possible"):

@@ -11,7 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from rthyb_rt.errors import InputError
+from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion.at2 import is_at2, read_at2, resembles_at2
 from rthyb_rt.ground_motion.channels import Samples
 from rthyb_rt.ground_motion.columns import read_columns
@@ -70,10 +70,13 @@ def load(
     """Return a built-in record by its name, or read a file.
 
     Raises:
-        InputError: see `read`; for a missing file the built-in names are listed.
+        InputError: see `read`; for a missing file the built-in names are listed, and what
+            contradicts a built-in record is refused.
     """
     if str(name_or_path) in BUILTIN:
-        return builtin(str(name_or_path))
+        motion = builtin(str(name_or_path))
+        _refuse_contradiction(motion, format, units, channel)
+        return motion
     if not _exists(name_or_path):
         raise InputError(
             "no such file, and no built-in record of that name (built in:"
@@ -99,6 +102,42 @@ def builtin(name: str) -> GroundMotion:
         motion = read(path, format="columns")
     details = {**motion.details, "file": f"rthyb_rt/data/{file_name}"}
     return GroundMotion(name, source, motion.dt_s, motion.acceleration_mps2, details)
+
+
+def _refuse_contradiction(
+    motion: GroundMotion, format: str, units: str | None, channel: int | str | None
+) -> None:
+    """Refuse what is said of a built-in record and is not so, instead of ignoring it.
+
+    Raises:
+        InputError: with each key that must be omitted.
+    """
+    unit, stored = motion.details["unit"].partition(" (")[0], motion.details["format"]
+    record = f"the built-in record {motion.name}"
+    problems = []
+    if units is not None and canonical_unit(units) != unit:
+        problems.append(
+            Problem(
+                "ground_motion.units",
+                f'found "{clean(units, 40)}"; {record} is stored in {unit}; omit the key',
+            )
+        )
+    if format not in ("auto", stored):
+        problems.append(
+            Problem(
+                "ground_motion.format",
+                f'found "{clean(format, 40)}"; {record} has the format {stored}; omit the key',
+            )
+        )
+    if channel is not None:
+        problems.append(
+            Problem(
+                "ground_motion.channel",
+                f'found "{clean(str(channel), 40)}"; {record} has one component only; omit the key',
+            )
+        )
+    if problems:
+        raise InputError(problems)
 
 
 def read(

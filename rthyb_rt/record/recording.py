@@ -271,8 +271,15 @@ class Recording:
         """
         number = self.axis_names.index(which) if which in self.axis_names else which
         if not isinstance(number, int) or not 0 <= number < self.axis_count:
-            there = ", ".join(self.axis_names) or "axis 0 alone"
-            raise InputError(f"no axis {which!r}; the recording has {there}", "recording")
+            from rthyb_rt.config.fields import nearest, written
+
+            near = nearest(str(which), list(self.axis_names))
+            there = (
+                f"axes are: {', '.join(self.axis_names)}"
+                if self.axis_names
+                else "the test ran on a single axis, which has no name"
+            )
+            raise InputError(f"no axis {written(which)}{near}; {there}", "recording")
         if number == 0:
             return self.samples[list(AXIS_FIELDS)]
         fields: Mapping[str, Any] = self.samples.dtype.fields or {}

@@ -17,7 +17,7 @@ from rthyb_rt.analysis.summary import (
 from rthyb_rt.numbers import percent, quantity
 from rthyb_rt.record.recording import Recording, replacing
 from rthyb_rt.report import several
-from rthyb_rt.report.html import environment, extra_needed, sheets
+from rthyb_rt.report.html import environment, extra_needed, page_file, sheets
 
 _MOTION_NAMES = {"name": "Record", "source": "Source", "pga_g": "Peak, g", "scale": "Scale factor"}
 _META_NAMES = {
@@ -41,11 +41,13 @@ def write_report(rec: Recording, path: str | Path) -> None:
         path: file to write.
 
     Raises:
-        InputError: matplotlib or jinja2 is not installed.
+        InputError: the file name does not end in .html or .htm, or matplotlib or jinja2 is not
+            installed.
         RthybError: the file cannot be written.
     """
+    path = page_file(path)
     html = render(rec) if len(rec.axis_names) < 2 else several.render(rec)
-    with replacing(Path(path)) as temporary:
+    with replacing(path) as temporary:
         temporary.write_text(html, encoding="utf-8")
 
 

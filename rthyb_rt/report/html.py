@@ -7,8 +7,9 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
+from rthyb_rt.config.fields import written
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,6 +18,25 @@ if TYPE_CHECKING:
     from rthyb_rt.report.drawing import Plate
 
 _HERE = Path(__file__).parent
+
+
+PAGE_NAMES: Final = (".html", ".htm")
+
+
+def page_file(path: str | Path) -> Path:
+    """Return the path of a page to write, whose file name says that it is HTML.
+
+    Raises:
+        InputError: it has another extension, with which no program would open the page.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in PAGE_NAMES:
+        raise InputError(
+            f"found the file name extension {written(path.suffix)}; a page is HTML, and its file "
+            f"name must end in {' or '.join(PAGE_NAMES)}; for a PDF, print the page from a browser",
+            str(path),
+        )
+    return path
 
 
 @contextmanager

@@ -15,20 +15,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
+from rthyb_rt.config.fields import written
 from rthyb_rt.core.diagnosis_models import Motion
 from rthyb_rt.diagnose.case import Family, Model
+from rthyb_rt.errors import InputError
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Param:
-    """A parameter as it is reported: name with unit, unit, allowed range."""
+    """A parameter as it is reported: name with unit, unit, allowed range.
+
+    Raises:
+        InputError: there is no name, or the range contains no number.
+    """
 
     name: str
     unit: str
     low: float
     high: float
+
+    def __post_init__(self) -> None:
+        where = f"Param {written(self.name)}"
+        if not isinstance(self.name, str) or not self.name:
+            raise InputError(
+                f"found {written(self.name)}; give the name with its unit, as in "
+                'Param("gap_m", "m", 1e-9, 1.0)',
+                "Param: name",
+            )
+        ends = (self.low, self.high)
+        if any(isinstance(end, bool) or not isinstance(end, (int, float)) for end in ends) or not (
+            self.low < self.high
+        ):
+            raise InputError(
+                f"found the range from {written(self.low)} to {written(self.high)}; low and high "
+                "must be numbers, and low must be below high",
+                where,
+            )
 
 
 @dataclass(frozen=True)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import get_args
 
 from rthyb_rt.config import STANDARD, Rate
 from rthyb_rt.core import loop
-from rthyb_rt.errors import InputError
 from rthyb_rt.lab import realtime
 from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.virtual_time import HOLD_S
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig.links import opening
-from rthyb_rt.rig.virtual_rig.plan import POWER_CUT, Plan, parse_faults
+from rthyb_rt.rig.virtual_rig.plan import Plan, parse_faults
 from rthyb_rt.rig.virtual_rig.serving import in_step
 
 
@@ -25,13 +25,7 @@ def parse_mishaps(
     Raises:
         InputError: lists every text that is invalid or needs a virtual rig in its own process.
     """
-    faults, cut_s = parse_faults(texts, axes, rate)
-    if cut_s is not None:
-        raise InputError(
-            f"{POWER_CUT}: a virtual rig in this process has no power supply of its own; use "
-            "silence"
-        )
-    return faults
+    return parse_faults(texts, axes, rate, get_args(loop.FaultKind))[0]
 
 
 def run(

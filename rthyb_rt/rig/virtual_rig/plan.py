@@ -68,7 +68,10 @@ NO_PLAN: Final = Plan()
 
 
 def parse_faults(
-    texts: Sequence[str], axes: Sequence[str] = (), rate: Rate = STANDARD
+    texts: Sequence[str],
+    axes: Sequence[str] = (),
+    rate: Rate = STANDARD,
+    kinds: Sequence[str] = FAULT_KINDS,
 ) -> tuple[tuple[loop.Fault, ...], float | None]:
     """Return the faults, and the time of a power cut.
 
@@ -82,6 +85,7 @@ def parse_faults(
         texts: the faults.
         axes: names of the axes; () for a rig of one.
         rate: sample rate of the rig, in whose samples a fault begins and lasts.
+        kinds: the kinds that are possible here.
 
     Raises:
         InputError: lists every text that is invalid.
@@ -92,7 +96,7 @@ def parse_faults(
     for text in texts:
         try:
             axis, rest = _axis_of(text, axes)
-            kind, at, lasts, value = _fault_parts(rest)
+            kind, at, lasts, value = _fault_parts(rest, kinds)
         except ValueError as error:
             problems.append(f"{text!r}: {error}")
             continue
@@ -125,27 +129,32 @@ def _axis_of(text: str, axes: Sequence[str]) -> tuple[int | None, str]:
     return list(axes).index(name), rest
 
 
-def _fault_parts(text: str) -> tuple[str, float, float | None, float]:
+def _fault_parts(text: str, kinds: Sequence[str]) -> tuple[str, float, float | None, float]:
     if "@" not in text:
-        return _named_parts(text)
+        return _named_parts(text, kinds)
     match = _FAULT.fullmatch(text)
     if match is None:
         raise ValueError("not KIND@SECONDS[:DURATION_S][=VALUE], such as drop@2.5:0.1=0.5")
-    _known(match["kind"])
+    _known(match["kind"], kinds)
     at = _seconds(match["at"])
     lasts = None if match["for"] is None else _seconds(match["for"])
     return match["kind"], at, lasts, _value(match["kind"], match["value"])
 
 
-def _known(kind: str) -> None:
-    if kind not in FAULT_KINDS:
-        raise ValueError(f"no such kind of fault; allowed are {', '.join(FAULT_KINDS)}")
+def _known(kind: str, kinds: Sequence[str]) -> None:
+    if kind in kinds:
+        return
+    if kind == POWER_CUT:
+        raise ValueError(
+            "a virtual rig in this process has no power supply of its own; use silence"
+        )
+    raise ValueError(f"no such kind of fault; allowed are {', '.join(kinds)}")
 
 
-def _named_parts(text: str) -> tuple[str, float, float | None, float]:
+def _named_parts(text: str, kinds: Sequence[str]) -> tuple[str, float, float | None, float]:
     """Return the parts of ``drop:p=0.02,from=5,to=8``."""
     kind, _, rest = text.partition(":")
-    _known(kind)
+    _known(kind, kinds)
     allowed = ("from", "to", *([_KEYS[kind]] if kind in _KEYS else []))
     given: dict[str, str] = {}
     for part in rest.split(",") if rest else ():
