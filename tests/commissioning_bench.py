@@ -9,7 +9,7 @@ from rthyb_rt import config
 from rthyb_rt.config import RigFile
 from rthyb_rt.core import loop
 from rthyb_rt.rig import virtual_rig
-from rthyb_rt.rig.commissioning.moving import Connection
+from rthyb_rt.rig.commissioning.guided_motion import Connection
 from rthyb_rt.rig.links import opening
 
 STIFFNESS_N_PER_M = 5e5
@@ -94,6 +94,6 @@ def at(
         faults: faults of the drive.
     """
     ours, theirs = opening.socket_pair()
-    plan = virtual_rig.Plan(log_ticks=200_000, faults=faults)
+    plan = virtual_rig.RigPlan(log_ticks=200_000, faults=faults)
     with ours, theirs, virtual_rig.in_step(wired or given, theirs, plan) as drive:
         yield Drive(given, drive, ours)

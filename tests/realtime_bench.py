@@ -72,7 +72,7 @@ class Bench:
     def run(self, **arguments: Any) -> Recording:
         """Run the whole test."""
         made = setup(self.changes, self.rig)
-        plan = virtual_rig.Plan(faults=self.faults, log_ticks=40000)
+        plan = virtual_rig.RigPlan(faults=self.faults, log_ticks=40000)
         ours, theirs = opening.socket_pair()
         with ours, theirs, virtual_rig.in_step(made.rig, theirs, plan) as drive:
 

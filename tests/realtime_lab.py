@@ -90,11 +90,11 @@ class Lab:
         with found:
             return found.path
 
-    def _reader_of(self, controller: Process) -> ring.Reader | None:
+    def _reader_of(self, controller: Process) -> ring.RingReader | None:
         folders = (self.runtime / "rthyb", Path("/run/rthyb"))
         for path in (path for folder in folders if folder.is_dir() for path in ring.find(folder)):
             with suppress(InputError):
-                reader = ring.Reader(path)
+                reader = ring.RingReader(path)
                 if reader.about["pid"] == controller.process.pid:
                     return reader
                 reader.close()

@@ -123,7 +123,7 @@ def bench(
 ) -> Iterator[Bench]:
     """Yield an engine in IDLE, whose drive follows, with `rig_file` or the given ``rig``."""
     rig = rig or rig_file(changes)
-    plan = virtual_rig.Plan(faults=tuple(faults), log_ticks=60000)
+    plan = virtual_rig.RigPlan(faults=tuple(faults), log_ticks=60000)
     events: list[Event] = []
     ours, theirs = pair(rig)
     with ours, theirs, virtual_rig.in_step(rig, theirs, plan) as drive:
@@ -229,12 +229,12 @@ def await_state(folder: Path, state: str) -> None:
 @contextmanager
 def listening(path: Path, dispatcher: Dispatcher, **limits: Any) -> Iterator[ControlServer]:
     """Yield a control server with only a dispatcher."""
-    from rthyb_rt.service.control import Limits
+    from rthyb_rt.service.control import ClientLimits
 
     thread = InThread()
 
     async def made() -> ControlServer:
-        server = ControlServer(path, dispatcher, Limits(**limits))
+        server = ControlServer(path, dispatcher, ClientLimits(**limits))
         await server.start()
         return server
 

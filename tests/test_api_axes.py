@@ -12,7 +12,7 @@ from command_line import Rthyb
 from test_axes_realtime import AXES, LIMITED, SHORT
 
 import rthyb_rt as rt
-from rthyb_rt.analysis import several
+from rthyb_rt.analysis import several_axes
 from rthyb_rt.errors import InputError
 
 
@@ -32,7 +32,7 @@ def test_a_test_on_two_axes_runs_and_tells_of_each(rec: rt.Recording) -> None:
     assert rec.axis_names == AXES
     assert set(rec.measures["axes"]) == set(AXES)
     assert set(rec.measures["directions"]) == {"ground-floor", "first-floor"}
-    assert rec.verdict == several.verdict(several.summarize(rec.raw))
+    assert rec.verdict == several_axes.verdict(several_axes.summarize(rec.raw))
     assert any(label.startswith("Axis right") for label, _, _ in rec.table)
     assert "axes left, right" in repr(rec)
     for name in AXES:

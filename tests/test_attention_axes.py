@@ -12,7 +12,7 @@ from test_axes_tests import RIG
 from test_several_axes import SHORT, conducted
 
 from rthyb_rt import config
-from rthyb_rt.analysis import several
+from rthyb_rt.analysis import several_axes
 from rthyb_rt.analysis.attention import RESPONSE_OFF, AxesJudge
 from rthyb_rt.lab import several as lab
 from rthyb_rt.lab import virtual_time
@@ -38,7 +38,7 @@ def good() -> Recording:
 
 
 def alarms(rec: Recording) -> list[str]:
-    told = several.notices(several.summarize(rec))
+    told = several_axes.notices(several_axes.summarize(rec))
     return [notice.text for notice in told if notice.level == "alarm"]
 
 
@@ -51,7 +51,7 @@ def test_axes_without_compensation_are_told_by_name_with_the_key_to_change() -> 
 
 def test_what_is_told_is_the_worst_two_seconds_of_the_axis() -> None:
     rec = bare()
-    s = several.summarize(rec)
+    s = several_axes.summarize(rec)
     for i, (name, one) in enumerate(s.attention):
         assert name == rec.axis_names[i]
         rows = slice(round(one.from_s * rec.fs_hz), round(one.to_s * rec.fs_hz))
@@ -85,7 +85,7 @@ def test_commands_that_a_limit_reduced_are_told() -> None:
         'limits = { command_position_m = "20 mm", command_acceleration_m_per_s2 = 2 }',
     )
     rec = conducted(SHORT, rig)
-    limited = several.summarize(rec).flags["limited"]
+    limited = several_axes.summarize(rec).flags["limited"]
     assert limited > 0
     text = f"{limited} samples of {18 * 1024}"
     assert any(one.startswith(text) and "reduced by a limit" in one for one in alarms(rec))
@@ -111,7 +111,7 @@ def test_the_report_of_several_axes_begins_with_what_must_not_be_missed() -> Non
 
 
 def test_the_document_of_a_run_has_the_axes_that_did_not_follow() -> None:
-    told = several.summarize(bare()).as_json()["attention"]
+    told = several_axes.summarize(bare()).as_json()["attention"]
     assert [one["axis"] for one in told] == ["left", "right"]
     assert set(told[0]) == {"axis", "kind", "value", "allowed", "from_s", "to_s"}
 
@@ -121,7 +121,7 @@ def test_the_shipped_frame_of_two_actuators_follows_its_reference() -> None:
     test = config.load_test(EXAMPLE, {})
     rig = config.load_any_rig(config.find_rig(test.rig))
     assert isinstance(rig, config.AxesRig)
-    s = several.summarize(virtual_time.run(lab.prepare(test, rig)))
+    s = several_axes.summarize(virtual_time.run(lab.prepare(test, rig)))
     assert s.attention == ()
     assert s.flags["limited"] < 0.02 * s.rows
     assert [one.tracking_nrmse < 0.03 for one in s.axes] == [True, True]

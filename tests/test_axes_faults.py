@@ -27,7 +27,7 @@ from rthyb_rt import core
 from rthyb_rt.core import loop
 from rthyb_rt.errors import RthybError
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import Reader, Ring
+from rthyb_rt.record.ring import Ring, RingReader
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
 
@@ -272,7 +272,7 @@ def _(lab: Table, axis: int, _folder: Path) -> None:
         assert drive.phase == "stopped"
     assert lab.ring is not None
     with ExitStack() as owned:
-        reader = Reader(lab.ring.path)
+        reader = RingReader(lab.ring.path)
         owned.callback(reader.close)
         rows = reader.read(4096).samples
     made = np.concatenate(lab.rows)
@@ -325,7 +325,7 @@ def _(lab: Table, axis: int, _folder: Path) -> None:
     assert lab.ring is not None
     undisturbed(lab, axis, lambda: None)
     with ExitStack() as owned:
-        reader = Reader(lab.ring.path)
+        reader = RingReader(lab.ring.path)
         owned.callback(reader.close)
         kept = reader.read(4096).samples
     assert 0 < kept.size < np.concatenate(lab.rows).size

@@ -18,7 +18,7 @@ from axes_bench import FLAGS, NAMES, OFFSET_M, columns, config, rig, shaking, wa
 from rthyb_rt import core
 from rthyb_rt.core import AxisConfig, loop, wire
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import Reader, Ring
+from rthyb_rt.record.ring import Ring, RingReader
 
 EITHER = pytest.mark.parametrize("axis", [0, 1], ids=NAMES)
 WHEN = 900
@@ -270,7 +270,7 @@ def test_a_ring_holds_rows_of_both_axes(owned: ExitStack, tmp_path: Path) -> Non
     ring = Ring.create(tmp_path, session, 4096)
     owned.callback(ring.close)
     lab = Lab(owned, settings, ring=ring, seconds=1.0).running(500)
-    reader = Reader(ring.path)
+    reader = RingReader(ring.path)
     owned.callback(reader.close)
     rows = reader.read(4096).samples
     made = np.concatenate(lab.rows)

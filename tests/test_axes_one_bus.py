@@ -59,7 +59,7 @@ def test_a_test_of_two_axes_on_one_bus_completes_and_no_axis_hears_the_other(fil
         for link in links:
             owned.callback(link.close)
         drives = virtual_rig.drives_of(
-            given, [one.codec for one in theirs.all], links, virtual_rig.Plan()
+            given, [one.codec for one in theirs.all], links, virtual_rig.RigPlan()
         )
 
         def tick() -> None:

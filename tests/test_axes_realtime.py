@@ -71,7 +71,7 @@ def at_pty(log_ticks: int = 0) -> Iterator[tuple[AxesRig, loop.Drives]]:
         for link in links:
             owned.callback(link.close)
         codecs = [line.codec for line in lines]
-        plan = virtual_rig.Plan(log_ticks=log_ticks)
+        plan = virtual_rig.RigPlan(log_ticks=log_ticks)
         yield given, virtual_rig.drives_of(given, codecs, links, plan)
 
 

@@ -12,8 +12,8 @@ from command_line import Rthyb
 from kernels import Floats
 
 from rthyb_rt import ground_motion
-from rthyb_rt.benchmark import cases, criteria, plants, runs, table
-from rthyb_rt.benchmark.runs import Outcome, Run
+from rthyb_rt.benchmark import benchmark_runs, benchmark_table, cases, criteria, plants
+from rthyb_rt.benchmark.benchmark_runs import BenchmarkRun, RunOutcome
 from rthyb_rt.core import ElementConfig
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.numerical_parts import DensePart
@@ -35,12 +35,12 @@ PUBLISHED = {
 @pytest.mark.parametrize("case", PUBLISHED)
 def test_the_benchmarks_own_controller_gives_its_published_table(case: int) -> None:
     """Peaks of a noisy reading are those of one noise: the published one must be one of many."""
-    setup = runs.prepared(Run("pi-lead", 4096, case, "elcentro"))
+    setup = benchmark_runs.prepared(BenchmarkRun("pi-lead", 4096, case, "elcentro"))
     found = []
     for seed in range(8):
         noisy = replace(setup, virtual_rig=replace(setup.virtual_rig, seed=seed + 1))
         rec = virtual_time.run(noisy, truth=True, freedoms=True)
-        figures = runs.figures_of(noisy, rec)
+        figures = benchmark_runs.figures_of(noisy, rec)
         found.append([figures[name] for name in criteria.NAMES])
     mean, spread = np.mean(found, axis=0), np.std(found, axis=0)
     for name, published, value, deviation in zip(
@@ -102,7 +102,7 @@ def joined(case: int) -> tuple[Floats, Floats, Floats]:
 
 def test_frequencies_are_the_published_ones() -> None:
     for case, expected in ((1, (3.61, 16.0, 38.1)), (3, (3.17, 14.0, 33.4))):
-        setup = runs.prepared(Run("none", 4096, case, "elcentro"))
+        setup = benchmark_runs.prepared(BenchmarkRun("none", 4096, case, "elcentro"))
         assert setup.derived.structure is not None
         found = [mode.frequency_hz for mode in setup.derived.structure.modes()]
         np.testing.assert_allclose(found, expected, rtol=3e-3)
@@ -110,7 +110,7 @@ def test_frequencies_are_the_published_ones() -> None:
 
 def test_the_reference_is_the_whole_structure_on_all_storeys() -> None:
     """Against scipy's integrator of M a + C v + K x = -M ag, acceleration held over a sample."""
-    setup = runs.prepared(Run("none", 1024, 4, "elcentro"))
+    setup = benchmark_runs.prepared(BenchmarkRun("none", 1024, 4, "elcentro"))
     assert setup.derived.structure is not None
     m, c, k = joined(4)
     ag = setup.ag_mps2[: 5 * 1024]
@@ -133,7 +133,7 @@ def test_the_reference_is_the_whole_structure_on_all_storeys() -> None:
 
 def test_rows_have_all_storeys_of_the_numerical_part_at_their_own_instant() -> None:
     """The part alone, fed with what the rows say, goes the same way."""
-    setup = runs.prepared(Run("ats", 4096, 1, "elcentro"))
+    setup = benchmark_runs.prepared(BenchmarkRun("ats", 4096, 1, "elcentro"))
     rec = virtual_time.run(setup, truth=True, freedoms=True)
     rows = rec.samples[rec.running()][: 4096 * 8]
     assert [one.name for one in rec.channels] == [
@@ -157,7 +157,7 @@ def test_the_noise_of_the_sensors_has_one_density_at_both_rates() -> None:
         assert rig.sensors.displacement.noise_std_m == pytest.approx(noise_m)
         assert rig.identified is not None
         assert rig.identified.rest_noise_displacement_m == pytest.approx(noise_m)
-        still = runs.prepared(Run("ats", rate_hz, 1, "elcentro"))
+        still = benchmark_runs.prepared(BenchmarkRun("ats", rate_hz, 1, "elcentro"))
         rec = virtual_time.run(replace(still, ag_mps2=0.0 * still.ag_mps2[:4096]), truth=True)
         rows = rec.samples[rec.running()]
         error = rows["x_meas_m"] - rows["x_true_m"]
@@ -232,7 +232,7 @@ def test_robust_tracks_with_the_curvature_that_the_sweep_shows(
     rate_hz: int, j2: float, j4: float
 ) -> None:
     """Rolled off without it J2 was 11.9 %, and 6.2 % not rolled off: what it never learns."""
-    figures = runs.measure(Run("robust", rate_hz, 1, "elcentro", 7001)).figures
+    figures = benchmark_runs.measure(BenchmarkRun("robust", rate_hz, 1, "elcentro", 7001)).figures
     assert figures["J2"] < j2
     assert figures["J4"] < j4
 
@@ -271,35 +271,37 @@ def test_the_motions_come_with_their_rests(
 
 
 def test_more_processes_give_the_same_figures_in_the_same_order() -> None:
-    wanted = runs.planned(["ats", "none"], [1024], [1, 4], ["elcentro"], runs.seeds_of(1))
-    alone = runs.measured(wanted)
+    wanted = benchmark_runs.planned(
+        ["ats", "none"], [1024], [1, 4], ["elcentro"], benchmark_runs.seeds_of(1)
+    )
+    alone = benchmark_runs.measured(wanted)
     assert [one.run for one in alone] == wanted
     told: list[int] = []
-    assert runs.measured(wanted, 2, lambda done, _, __: told.append(done)) == alone
+    assert benchmark_runs.measured(wanted, 2, lambda done, _, __: told.append(done)) == alone
     assert told == list(range(1, len(wanted) + 1))
 
 
 def test_a_run_that_meets_the_force_limit_is_counted_and_not_averaged() -> None:
-    outcome = runs.measure(Run("none", 1024, 4, "elcentro"))
+    outcome = benchmark_runs.measure(BenchmarkRun("none", 1024, 4, "elcentro"))
     assert not outcome.completed
     assert "force" in outcome.end
     figures = dict.fromkeys(criteria.MEANINGS, 1.0)
-    good = Outcome(Run("none", 1024, 4, "elcentro", 7001), "completed", figures)
-    (line,) = table.lines([outcome, good])
+    good = RunOutcome(BenchmarkRun("none", 1024, 4, "elcentro", 7001), "completed", figures)
+    (line,) = benchmark_table.lines([outcome, good])
     assert (line.runs, line.unstable, line.mean["J2"]) == (2, 1, 1.0)
-    (nothing,) = table.lines([outcome])
-    assert table.cells(nothing) == ["–"] * len(criteria.MEANINGS) + ["1 of 1"]
+    (nothing,) = benchmark_table.lines([outcome])
+    assert benchmark_table.cells(nothing) == ["–"] * len(criteria.MEANINGS) + ["1 of 1"]
 
 
 def test_the_worst_plant_stands_behind_the_mean() -> None:
     figures = [dict.fromkeys(criteria.MEANINGS, value) for value in (1.0, 2.0, 6.0)]
     outcomes = [
-        Outcome(Run("ats", 1024, 1, "kobe", seed), "completed", one)
+        RunOutcome(BenchmarkRun("ats", 1024, 1, "kobe", seed), "completed", one)
         for seed, one in enumerate(figures)
     ]
-    (line,) = table.lines(outcomes)
+    (line,) = benchmark_table.lines(outcomes)
     assert line.deviation["J2"] == pytest.approx(np.std([1.0, 2.0, 6.0]))
-    shown = dict(zip(table.heads(), table.cells(line), strict=True))
+    shown = dict(zip(benchmark_table.heads(), benchmark_table.cells(line), strict=True))
     assert shown["J2 %"] == "3.00/6.00"
     assert shown["J3 %"] == "3.00"
     assert shown["unstable"] == "0 of 3"

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from command_line import Rthyb
 
-from rthyb_rt.benchmark import campaigns, cases, runs, table
-from rthyb_rt.benchmark.runs import Run
-from rthyb_rt.campaign import book, conducting, page, pools
-from rthyb_rt.campaign.plan import Case, Plan
+from rthyb_rt.benchmark import benchmark_runs, benchmark_table, campaigns, cases
+from rthyb_rt.benchmark.benchmark_runs import BenchmarkRun
+from rthyb_rt.campaign import book, campaign_page, pools, whole_campaign
+from rthyb_rt.campaign.plan import Plan, PlannedRun
 from rthyb_rt.errors import InputError
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "campaigns" / "benchmark-rths.toml"
@@ -47,7 +47,7 @@ def test_the_whole_benchmark_is_one_campaign_with_every_law_that_there_is() -> N
 
 
 def test_the_campaign_and_the_command_give_the_same_figures(rthyb: Rthyb, tmp_path: Path) -> None:
-    rows = conducting.conduct(sliced(tmp_path), tmp_path / "out", jobs=1).rows
+    rows = whole_campaign.conduct(sliced(tmp_path), tmp_path / "out", jobs=1).rows
     words = "--law inverse --law none --rate 1024 --motion kobe --case 2 --plants 1 --jobs 1 --json"
     of_command = json.loads(rthyb("benchmark", "rths", *words.split()).out)["runs"]
     assert len(rows) == len(of_command) == 4
@@ -63,18 +63,18 @@ def test_the_campaign_and_the_command_give_the_same_figures(rthyb: Rthyb, tmp_pa
 @pytest.mark.long
 def test_a_run_that_no_law_could_bring_to_its_end_is_not_called_unstable(tmp_path: Path) -> None:
     """Case 3 with Kobe: the stiffest plants need more than 8900 N by the reference itself."""
-    run = Run("inverse", 1024, 3, "kobe", 7001)
-    outcome = runs.measure(run)
+    run = BenchmarkRun("inverse", 1024, 3, "kobe", 7001)
+    outcome = benchmark_runs.measure(run)
     assert not outcome.completed
     assert outcome.beyond
-    (line,) = table.lines([outcome, runs.measure(replace(run, plant=7002))])
+    (line,) = benchmark_table.lines([outcome, benchmark_runs.measure(replace(run, plant=7002))])
     assert (line.runs, line.unstable, line.beyond) == (2, 0, 1)
-    assert table.cells(line)[-1] == "0 of 1"
-    unstable = runs.measure(replace(run, entrant="none", case=4))
+    assert benchmark_table.cells(line)[-1] == "0 of 1"
+    unstable = benchmark_runs.measure(replace(run, entrant="none", case=4))
     assert not unstable.completed
     assert not unstable.beyond
     text = SLICE.replace("[2]", "[3]").replace(', "none"', "")
-    row = conducting.conduct(sliced(tmp_path, text), tmp_path / "out", jobs=1).rows[1]
+    row = whole_campaign.conduct(sliced(tmp_path, text), tmp_path / "out", jobs=1).rows[1]
     assert row["beyond"]
     assert row["cause"].endswith(
         "the reference simulation of this plant exceeds that limit as well"
@@ -84,8 +84,8 @@ def test_a_run_that_no_law_could_bring_to_its_end_is_not_called_unstable(tmp_pat
 @pytest.mark.long
 def test_a_run_is_repeated_by_the_command_that_the_page_gives(rthyb: Rthyb, tmp_path: Path) -> None:
     plan = sliced(tmp_path)
-    row = conducting.conduct(plan, tmp_path / "out", jobs=1).rows[1]
-    html = (tmp_path / "out" / page.PAGE).read_text(encoding="utf-8")
+    row = whole_campaign.conduct(plan, tmp_path / "out", jobs=1).rows[1]
+    html = (tmp_path / "out" / campaign_page.PAGE).read_text(encoding="utf-8")
     command = plan.cases[1].command()
     assert command in html
     (run,) = json.loads(rthyb(*command.split()[1:], "--json").out)["runs"]
@@ -98,19 +98,19 @@ def test_a_benchmark_that_was_interrupted_goes_on_where_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plan = sliced(tmp_path)
-    whole = conducting.conduct(plan, tmp_path / "whole", jobs=1).rows
+    whole = whole_campaign.conduct(plan, tmp_path / "whole", jobs=1).rows
     with book.Book(tmp_path / "out", plan) as kept:
         for row in whole[:3]:
             kept.add(row)
     asked: list[int] = []
     locally = pools.locally
 
-    def watched(left: list[Case], *arguments: object) -> None:
+    def watched(left: list[PlannedRun], *arguments: object) -> None:
         asked.extend(case.number for case in left)
         locally(left, *arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(pools, "locally", watched)
-    found = conducting.conduct(plan, tmp_path / "out", jobs=1).rows
+    found = whole_campaign.conduct(plan, tmp_path / "out", jobs=1).rows
     assert asked == [3]
     assert [row | {"folder": ""} for row in found] == [row | {"folder": ""} for row in whole]
 
@@ -123,8 +123,8 @@ def test_the_page_lists_the_worst_run_of_every_group_however_many_there_are(
         case.identity() | {"ending": "completed", "cause": "", "true": 0.1, "J4": 1.0 + n}
         for n, case in enumerate(plan.cases)
     ]
-    monkeypatch.setattr(page, "MOST_ROWS", 5)
-    html = page.render(plan, rows)
+    monkeypatch.setattr(campaign_page, "MOST_ROWS", 5)
+    html = campaign_page.render(plan, rows)
     links = set(re.findall(r'href="#(run-\d+)"', html))
     assert len(links) >= 2
     assert links <= set(re.findall(r'id="(run-\d+)"', html))

@@ -5,23 +5,23 @@ from __future__ import annotations
 import pytest
 from bench import benchmark_limits as limits
 
-from rthyb_rt.benchmark import criteria, runs
-from rthyb_rt.benchmark.runs import Outcome, Run
+from rthyb_rt.benchmark import benchmark_runs, criteria
+from rthyb_rt.benchmark.benchmark_runs import BenchmarkRun, RunOutcome
 
 GOOD = dict.fromkeys(criteria.MEANINGS, 0.1)
 
 
-def outcomes(rate_hz: int, case: int, *figures: dict[str, float]) -> list[Outcome]:
+def outcomes(rate_hz: int, case: int, *figures: dict[str, float]) -> list[RunOutcome]:
     return [
-        Outcome(Run(limits.LAW, rate_hz, case, "elcentro", plant), "completed", one)
+        RunOutcome(BenchmarkRun(limits.LAW, rate_hz, case, "elcentro", plant), "completed", one)
         for plant, one in enumerate(figures)
     ]
 
 
 def missed(
-    usual: list[Outcome],
-    wide: list[Outcome] | None = None,
-    yielding: list[Outcome] | None = None,
+    usual: list[RunOutcome],
+    wide: list[RunOutcome] | None = None,
+    yielding: list[RunOutcome] | None = None,
 ) -> list[str]:
     found = limits.goals(usual, wide or [], yielding or [])
     return [goal.what for goal in found if not goal.met]
@@ -54,16 +54,16 @@ def test_a_specimen_that_yields_has_a_goal_of_its_own(rate_hz: int) -> None:
 
 
 def test_an_unstable_run_is_told_and_one_beyond_the_rig_is_none() -> None:
-    run = Run(limits.LAW, 1024, 3, "kobe", 7001)
-    assert missed([Outcome(run, "force limit", {})]) == ["unstable of 1 runs"]
-    assert missed([Outcome(run, "force limit", {}, beyond=True)]) == []
+    run = BenchmarkRun(limits.LAW, 1024, 3, "kobe", 7001)
+    assert missed([RunOutcome(run, "force limit", {})]) == ["unstable of 1 runs"]
+    assert missed([RunOutcome(run, "force limit", {}, beyond=True)]) == []
 
 
 def test_wide_plants_are_judged_by_the_length_of_the_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """A plant that moves half as far has twice the J2 by the sensor's noise alone."""
     by_plant = {0: [0.0, 2.0], 1: [0.0, 1.0]}
-    monkeypatch.setattr(runs, "prepared", lambda run: run.plant)
-    monkeypatch.setattr(runs, "reference", lambda plant: (by_plant[plant],))
+    monkeypatch.setattr(benchmark_runs, "prepared", lambda run: run.plant)
+    monkeypatch.setattr(benchmark_runs, "reference", lambda plant: (by_plant[plant],))
     wide = outcomes(1024, 4, GOOD, GOOD | {"J2": 0.2})
     assert missed([], wide) == []
     wide = outcomes(1024, 4, GOOD, GOOD | {"J2": 0.3})
@@ -74,5 +74,5 @@ def test_the_exit_code_says_whether_every_goal_is_met(monkeypatch: pytest.Monkey
     monkeypatch.setattr("sys.argv", ["benchmark_limits.py", "--jobs", "1"])
     for j2, code in ((2.5, 0), (2.6, 1)):
         found = outcomes(4096, 1, GOOD | {"J2": j2})
-        monkeypatch.setattr(runs, "measured", lambda wanted, jobs, found=found: found)
+        monkeypatch.setattr(benchmark_runs, "measured", lambda wanted, jobs, found=found: found)
         assert limits.main() == code

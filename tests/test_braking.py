@@ -173,7 +173,7 @@ def test_station_brakes_as_check_computes_it() -> None:
     for instant in instants[::7]:
         table.back_to(instant)
         motion = table.station._c.controller.motion
-        course = braking.Course.of([motion.x2, motion.x1, motion.x])
+        course = braking.BrakingCourse.of([motion.x2, motion.x1, motion.x])
         brake = braking.Brake.of(motion.x, course.v[2], course.a[2], most)
         table.step("hold")
         table.steps(round(float(brake.lasts_s) / H) - 1)
@@ -187,7 +187,7 @@ def test_station_brakes_as_check_computes_it() -> None:
 
 def test_slow_brake_loses_little_by_being_smooth() -> None:
     """Against constant deceleration, x + v |v| / 2 a, from every tick of the reference."""
-    course = braking.Course.of(prepared().reference["x_ref_m"])
+    course = braking.BrakingCourse.of(prepared().reference["x_ref_m"])
     brake = braking.Brake.of(course.x, course.v, course.a, 0.2)
     plain = course.x + course.v * np.abs(course.v) / 0.4
     reached = brake.at(brake.lasts_s)

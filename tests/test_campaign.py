@@ -22,8 +22,17 @@ import pytest
 
 from rthyb_rt import config
 from rthyb_rt.benchmark import campaigns
-from rthyb_rt.campaign import book, conducting, groups, page, plan, pools, running, tables
-from rthyb_rt.campaign.plan import Case, Row
+from rthyb_rt.campaign import (
+    book,
+    campaign_page,
+    campaign_tables,
+    groups,
+    one_run,
+    plan,
+    pools,
+    whole_campaign,
+)
+from rthyb_rt.campaign.plan import PlannedRun, Row
 from rthyb_rt.errors import InputError, RthybError
 
 SHORT = '"test.duration_s" = [3]'
@@ -164,7 +173,7 @@ def test_slip_in_the_file_is_told_with_its_line_before_anything_runs(
 
 def test_row_of_a_run_has_the_figures_of_rthyb_run(tmp_path: Path) -> None:
     case = campaign(tmp_path).cases[1]
-    row = running.carry_out(case)
+    row = one_run.carry_out(case)
     words = [*case.command().split()[1:], "--no-report", "--json", "--out", "x"]
     code = "import sys; from rthyb_rt import cli; sys.exit(cli.main(sys.argv[1:]))"
     done = subprocess.run(
@@ -178,18 +187,18 @@ def test_row_of_a_run_has_the_figures_of_rthyb_run(tmp_path: Path) -> None:
 def test_run_that_trips_is_kept_with_its_cause_and_runs_again_as_it_stands(tmp_path: Path) -> None:
     text = TWO_LAWS.replace('"alpha-beta"', '"none"').replace("[3]", "[8]")
     case = campaign(tmp_path, text).cases[1]
-    row = running.carry_out(case, "tripped", str(tmp_path))
+    row = one_run.carry_out(case, "tripped", str(tmp_path))
     assert row["ending"] == plan.STOPPED
     assert "limit 15 kN" in row["cause"]
     kept = tmp_path / row["folder"]
     assert {p.name for p in kept.iterdir()} >= {"recording.h5", "test.toml", "rig.toml"}
-    again = running.carry_out(Case(0, {}, -1, 0, str(kept / "test.toml"), "", ()))
+    again = one_run.carry_out(PlannedRun(0, {}, -1, 0, str(kept / "test.toml"), "", ()))
     assert again["peak_measured_m"] == row["peak_measured_m"]
 
 
 def test_run_that_cannot_be_carried_out_is_a_row_that_says_why(tmp_path: Path) -> None:
     case = campaign(tmp_path, TWO_LAWS + '"numerical.mass_kg" = [4220, -1]\n').cases[1]
-    row = running.carry_out(case)
+    row = one_run.carry_out(case)
     assert row["ending"] == plan.FAILED
     assert "numerical.mass_kg" in row["cause"]
     assert json.dumps(row, allow_nan=False)
@@ -197,14 +206,14 @@ def test_run_that_cannot_be_carried_out_is_a_row_that_says_why(tmp_path: Path) -
 
 def test_noise_seeds_repeat_a_run_with_other_noise_alone(tmp_path: Path) -> None:
     cases = campaign(tmp_path, "noise_seeds = 2\n" + TWO_LAWS).cases
-    one, two = (running.carry_out(case) for case in cases[:2])
+    one, two = (one_run.carry_out(case) for case in cases[:2])
     assert one["tracking_nrmse"] != two["tracking_nrmse"]
     assert abs(one["tracking_nrmse"] / two["tracking_nrmse"] - 1.0) < 0.1
 
 
 def test_processes_give_the_rows_that_one_process_gives(tmp_path: Path) -> None:
-    found = conducting.conduct(campaign(tmp_path), tmp_path / "out", jobs=2)
-    assert found.rows == [running.carry_out(case) for case in found.plan.cases]
+    found = whole_campaign.conduct(campaign(tmp_path), tmp_path / "out", jobs=2)
+    assert found.rows == [one_run.carry_out(case) for case in found.plan.cases]
 
 
 # ---- what is kept -------------------------------------------------------------------------------
@@ -220,22 +229,24 @@ def test_interrupted_campaign_goes_on_where_it_was(
     whole = campaign(tmp_path, "noise_seeds = 3\n" + TWO_LAWS)
     with book.Book(tmp_path / "out", whole) as kept:
         for case in whole.cases[:4]:
-            kept.add(running.carry_out(case))
+            kept.add(one_run.carry_out(case))
     # The power fails while a line is written.
     with (tmp_path / "out" / book.ROWS).open("a") as file:
         file.write('{"case": 4, "ending"')
     asked: list[int] = []
 
-    def locally(cases: list[Case], jobs: int, keep: str, folder: str, done: pools.Done) -> None:
+    def locally(
+        cases: list[PlannedRun], jobs: int, keep: str, folder: str, done: pools.Done
+    ) -> None:
         asked.extend(case.number for case in cases)
         for case in cases:
-            done(running.carry_out(case))
+            done(one_run.carry_out(case))
 
     monkeypatch.setattr(pools, "locally", locally)
-    found = conducting.conduct(whole, tmp_path / "out")
+    found = whole_campaign.conduct(whole, tmp_path / "out")
     assert asked == [4, 5]
     assert [row["case"] for row in found.rows] == list(range(6))
-    assert conducting.conduct(whole, tmp_path / "out").rows == found.rows
+    assert whole_campaign.conduct(whole, tmp_path / "out").rows == found.rows
     assert asked == [4, 5]
 
 
@@ -323,7 +334,7 @@ def test_row_that_comes_twice_is_kept_once(tmp_path: Path) -> None:
 # ---- processes that die -------------------------------------------------------------------------
 
 
-def dies_at(case: Case, keep: str, folder: str, wanted: str) -> Row:
+def dies_at(case: PlannedRun, keep: str, folder: str, wanted: str) -> Row:
     """Carry out what `deadly` says: a run that kills its process once, or each time."""
     marks = Path(folder)
     if case.repeat == 1 and not (marks / f"{case.number}").exists():
@@ -334,8 +345,8 @@ def dies_at(case: Case, keep: str, folder: str, wanted: str) -> Row:
     return case.identity() | {"ending": "completed", "cause": ""}
 
 
-def deadly(repeats: list[int]) -> list[Case]:
-    return [Case(n, {}, -1, repeat, "", "", ()) for n, repeat in enumerate(repeats)]
+def deadly(repeats: list[int]) -> list[PlannedRun]:
+    return [PlannedRun(n, {}, -1, repeat, "", "", ()) for n, repeat in enumerate(repeats)]
 
 
 def test_process_that_dies_loses_no_run_and_doubles_none(
@@ -355,7 +366,7 @@ def test_process_that_dies_while_the_next_run_is_handed_over_costs_no_run(
     handed: list[int] = []
 
     class Dies(Executor):
-        def submit(self, function: Any, case: Case, *_: Any) -> Future[Row]:  # type: ignore[override]
+        def submit(self, function: Any, case: PlannedRun, *_: Any) -> Future[Row]:  # type: ignore[override]
             handed.append(case.number)
             if len(handed) == 4:
                 raise BrokenProcessPool
@@ -421,7 +432,7 @@ def test_cluster_whose_worker_is_killed_loses_no_run_and_doubles_none(tmp_path: 
 
         pools.on_cluster(whole.cases, cluster.scheduler_address, "nothing", str(tmp_path), done)
     assert sorted(row["case"] for row in rows) == list(range(40))
-    alone = running.carry_out(whole.cases[7])
+    alone = one_run.carry_out(whole.cases[7])
     assert next(row for row in rows if row["case"] == 7) == alone
 
 
@@ -453,22 +464,22 @@ def test_groups_tell_median_worst_and_how_many_ended_early() -> None:
 
 def test_tables_hold_every_run_and_column(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    tables.write_csv(ROWS, tmp_path / "t.csv")
+    campaign_tables.write_csv(ROWS, tmp_path / "t.csv")
     with (tmp_path / "t.csv").open() as file:
         read = list(csv.DictReader(file))
     assert [row["case"] for row in read] == ["0", "1", "2", "3"]
     assert float(read[1]["tracking_nrmse"]) == 0.05
     assert read[3]["tracking_nrmse"] == ""
-    assert tables.write_parquet(ROWS, tmp_path / "t.parquet")
+    assert campaign_tables.write_parquet(ROWS, tmp_path / "t.parquet")
     table = parquet.read_table(tmp_path / "t.parquet")
-    assert table.column_names == tables.columns(ROWS)
+    assert table.column_names == campaign_tables.columns(ROWS)
     assert table["tracking_nrmse"].to_pylist() == [0.01, 0.05, 0.02, None]
 
 
 def test_page_leads_to_the_worst_run_and_says_why_one_ended_early(tmp_path: Path) -> None:
     rows = [ROWS[0], ROWS[1] | {"controller.type": "alpha-beta"}]
     rows[1] |= {"ending": "stopped", "cause": "force 15 kN (limit)", "folder": "runs/000001"}
-    html = page.render(campaign(tmp_path), rows)
+    html = campaign_page.render(campaign(tmp_path), rows)
     assert "1 of 2 runs completed, 1 was ended by a limit or a trip." in html
     assert 'href="#run-1"' in html
     assert 'href="runs/000001/"' in html
@@ -493,13 +504,14 @@ def test_campaign_of_thousands_costs_in_proportion(tmp_path: Path) -> None:
 
     def seconds(count: int) -> float:
         rows = [made_up(n, tracking_nrmse=1.0 / (n + 1), response_nrmse=0.1) for n in range(count)]
-        whole = plan.Plan("x", "nothing", tuple(Case(n, {"controller.type": "paper"}, -1, 0, "", "",
-                                                     ()) for n in range(count)), "f")  # fmt: skip
+        whole = plan.Plan("x", "nothing", tuple(
+            PlannedRun(n, {"controller.type": "paper"}, -1, 0, "", "", ()) for n in range(count)
+        ), "f")  # fmt: skip
         began = time.process_time()
         with book.Book(tmp_path / str(count), whole) as kept:
             for row in rows:
                 kept.add(row)
-        tables.write_csv(rows, tmp_path / f"{count}.csv")
+        campaign_tables.write_csv(rows, tmp_path / f"{count}.csv")
         groups.group(rows, ["controller.type"])
         return time.process_time() - began
 
@@ -514,7 +526,7 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples" / "campaigns").glob("*
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_shipped_campaign_can_be_carried_out(path: Path) -> None:
     cases = campaigns.read(path).cases
-    row = running.carry_out(cases[-1])
+    row = one_run.carry_out(cases[-1])
     assert row["ending"] == plan.COMPLETED
     keys = json.loads(json.dumps(config.json_schema("campaign")))["properties"]
     assert set(tomllib.loads(path.read_text())) <= set(keys)

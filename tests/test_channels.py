@@ -229,7 +229,7 @@ def test_rows_with_channels_go_through_the_ring_and_are_recovered(
     session = dataclasses.replace(rec, samples=rows[:0], channels=channels)
     made = ring.Ring.create(tmp_path, session, capacity=512)
     made.push(rows)
-    with ring.Reader(made.path) as reader:
+    with ring.RingReader(made.path) as reader:
         assert reader.about["channels"] == [dataclasses.asdict(one) for one in channels]
         assert reader.dtype == core.row_dtype(channels)
         newest = reader.newest()
@@ -245,7 +245,7 @@ def test_a_record_whose_channels_nobody_knows_has_none(tmp_path: Path) -> None:
     rec = with_channels()
     made = ring.Ring.create(tmp_path, dataclasses.replace(rec, samples=rec.samples[:0]), 256)
     made.push(core.as_records(rec.samples))
-    with ring.Reader(made.path) as reader:
+    with ring.RingReader(made.path) as reader:
         rows = reader.read().samples
     made.remove()
     assert np.isnan(rows["oil_k"]).all()
@@ -259,7 +259,7 @@ def test_a_frozen_ring_shows_the_channels_of_its_newest_row(tmp_path: Path) -> N
     tripped["state"] = core.STATES.index("TRIPPED")
     tripped["oil_k"] = np.arange(tripped.size)
     made.push(tripped)
-    with ring.Reader(made.path) as reader:
+    with ring.RingReader(made.path) as reader:
         assert reader.frozen
         newest = reader.newest()
         assert newest is not None

@@ -14,7 +14,7 @@ from rthyb_rt.analysis import loop_roots, margins
 from rthyb_rt.api import files
 from rthyb_rt.api.running import prepared
 from rthyb_rt.checking import curves
-from rthyb_rt.checking.figures import figures_of
+from rthyb_rt.checking.check_figures import figures_of
 from rthyb_rt.lab.experiment import Setup
 
 

@@ -24,7 +24,7 @@ from realtime_bench import ATTEMPTS, SHORT, STALLED, Process
 from rthyb_rt import config, core, report
 from rthyb_rt.cli import connecting
 from rthyb_rt.record import recording
-from rthyb_rt.rig.commissioning import certificate, guide, moving
+from rthyb_rt.rig.commissioning import certificate, guide, guided_motion
 
 pytestmark = pytest.mark.alone
 
@@ -137,8 +137,8 @@ def test_check_says_whether_the_rig_is_commissioned_as_its_file_stands(
     assert "Warning: a test in real time will be refused: this rig has not been" in plain
     rig = config.load_rig(path)
     steps = {
-        "link": certificate.Step("link", True, "2026-11-20T08:00:00+00:00"),
-        "polarity": certificate.Step("polarity", False, "2026-11-20T08:01:00+00:00"),
+        "link": certificate.CheckedStep("link", True, "2026-11-20T08:00:00+00:00"),
+        "polarity": certificate.CheckedStep("polarity", False, "2026-11-20T08:01:00+00:00"),
     }
     failed = certificate.Certificate(
         "column", certificate.rig_hash(rig), False, "socket", steps=steps
@@ -146,7 +146,7 @@ def test_check_says_whether_the_rig_is_commissioned_as_its_file_stands(
     certificate.write(certificate.place(path), failed)
     assert found()["commissioned"] is False
     assert "has passed: polarity FAILED, limits was not done" in found()["why_not"]
-    passed = certificate.Step("polarity", True, "2026-11-21T09:30:00+00:00")
+    passed = certificate.CheckedStep("polarity", True, "2026-11-21T09:30:00+00:00")
     signs_alone = failed.with_step(passed)
     certificate.write(certificate.place(path), signs_alone)
     assert found()["commissioned"] is False
@@ -156,7 +156,7 @@ def test_check_says_whether_the_rig_is_commissioned_as_its_file_stands(
     assert "limits was not done, watchdog was not done, trip was not done" in plain
     whole = signs_alone
     for name in ("limits", "watchdog", "trip"):
-        whole = whole.with_step(certificate.Step(name, True, "2026-11-20T08:02:00+00:00"))
+        whole = whole.with_step(certificate.CheckedStep(name, True, "2026-11-20T08:02:00+00:00"))
     certificate.write(certificate.place(path), whole)
     good = found()
     assert (good["commissioned"], good["why_not"]) == (True, "")
@@ -334,7 +334,7 @@ def test_commissioning_that_is_interrupted_says_to_machines_what_was_written(
     rthyb: Rthyb, tmp_path: Path, stepped: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupted(*_: object) -> None:
-        raise moving.StoppedError("small-motion: stopped by the operator")
+        raise guided_motion.StoppedError("small-motion: stopped by the operator")
 
     monkeypatch.setattr(guide, "commission", interrupted)
     answer = rthyb("commission", rig_file(tmp_path), "--yes", "--json")
@@ -458,7 +458,7 @@ def wait_until_it_runs(lab: Lab, jog: Process) -> None:
         time.sleep(0.01)
         for path in (path for folder in folders if folder.is_dir() for path in ring.find(folder)):
             try:
-                with ring.Reader(path) as reader:
+                with ring.RingReader(path) as reader:
                     if reader.about["pid"] != jog.process.pid:
                         continue
                     rows = reader.read(ring.CAPACITY).samples

@@ -272,7 +272,7 @@ def test_without_the_report_packages_the_results_are_written_all_the_same(
 ) -> None:
     import sys
 
-    monkeypatch.delitem(sys.modules, "rthyb_rt.studies.figures", raising=False)
+    monkeypatch.delitem(sys.modules, "rthyb_rt.studies.studies_figures", raising=False)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     answer = rthyb("reproduce", "2.1", "--out", "here", "--json")
     assert answer.code == 0

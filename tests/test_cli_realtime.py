@@ -379,13 +379,15 @@ def test_signal_ends_the_rig_at_whatever_instant_it_comes(monkeypatch: pytest.Mo
     main = threading.get_ident()
     with handled(signal.SIGUSR1, hangs):
         for number in range(50):
-            stop = virtual_rig.Stop()
+            stop = virtual_rig.StopRequest()
             patience = threading.Timer(PATIENCE_S, signal.pthread_kill, (main, signal.SIGUSR1))
             with handled(signal.SIGALRM, lambda *_, stop=stop: stop.set()):
                 patience.start()
                 signal.setitimer(signal.ITIMER_REAL, 1e-3 + 1e-5 * number)
                 try:
-                    serving._look_after(drives, [(line, None)], virtual_rig.Plan(), stop, watcher)
+                    serving._look_after(
+                        drives, [(line, None)], virtual_rig.RigPlan(), stop, watcher
+                    )
                 finally:
                     patience.cancel()
 

@@ -19,9 +19,9 @@ from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import ring
-from rthyb_rt.rig.commissioning import guide, jogging, limits, moving, polarity, stops
+from rthyb_rt.rig.commissioning import guide, guided_motion, jogging, limit_checks, polarity, stops
 from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate
-from rthyb_rt.rig.identify import Part, Sweep, check_not_limited, identify, identify_live
+from rthyb_rt.rig.identify import SineRows, SweepPlan, check_not_limited, identify, identify_live
 
 pytestmark = pytest.mark.alone
 
@@ -50,7 +50,7 @@ def no_ring_is_left(tmp_path: Path) -> bool:
 def test_way_keeps_to_speed_and_acceleration(
     distance_m: float, speed: float, acceleration: float
 ) -> None:
-    path = np.concatenate([[0.0, 0.0], moving.eased(distance_m, speed, acceleration)])
+    path = np.concatenate([[0.0, 0.0], guided_motion.eased(distance_m, speed, acceleration)])
     velocity = np.diff(path) * core.FS_HZ
     assert path[-1] == pytest.approx(distance_m, rel=1e-12)
     assert np.abs(velocity).max() <= speed * (1 + 1e-9)
@@ -60,7 +60,7 @@ def test_way_keeps_to_speed_and_acceleration(
 
 def test_way_is_as_short_as_its_speed_allows() -> None:
     # The quintic's peak is 15/8 of its mean velocity.
-    assert moving.eased(4e-3, 1e-3, 10.0).size == math.ceil(1.875 * 4.0 * core.FS_HZ)
+    assert guided_motion.eased(4e-3, 1e-3, 10.0).size == math.ceil(1.875 * 4.0 * core.FS_HZ)
 
 
 # ---- jog ----------------------------------------------------------------------------------------
@@ -250,7 +250,7 @@ def test_rig_with_similitude_jogs_by_the_structures_millimetres() -> None:
 
 def commissioned(given: config.RigFile, wired: config.RigFile, *steps: str) -> Certificate:
     with at(given, wired) as there:
-        return guide.commission(there.connection, guide.Plan(steps or STEPS))
+        return guide.commission(there.connection, guide.CommissioningSettings(steps or STEPS))
 
 
 @pytest.mark.parametrize(
@@ -309,7 +309,7 @@ def test_actuator_that_is_off_is_found() -> None:
 
 def test_polarity_check_leaves_the_specimen_where_it_was() -> None:
     with at(rig(), rig(REVERSED_SENSOR)) as there:
-        guide.commission(there.connection, guide.Plan(("polarity",)))
+        guide.commission(there.connection, guide.CommissioningSettings(("polarity",)))
         assert there.position_m == pytest.approx(0.0, abs=30e-6)
         assert np.abs(there.drive.log["target_m"]).max() == pytest.approx(1e-3, abs=30e-6)
 
@@ -334,16 +334,18 @@ def test_motion_after_motion_goes_on_from_the_command_that_the_drive_has() -> No
 
 
 def test_recording_of_a_motion_that_went_on_is_replayed_bit_for_bit() -> None:
-    still = moving.Motion("still", np.zeros(100), whole_force=False)
+    still = guided_motion.GuidedMotion("still", np.zeros(100), whole_force=False)
     with at(rig(), rig(CREEPING)) as there:
-        moving.carry_out(there.connection, still)
-        rec = moving.carry_out(there.connection, still).recording
+        guided_motion.carry_out(there.connection, still)
+        rec = guided_motion.carry_out(there.connection, still).recording
         codec = there.connection.opened.codec
     taken = np.flatnonzero(rec.samples["flags"] & FLAGS["taken_over"])
     assert taken.size == 1
     assert rec.samples["x_cmd_m"][taken[0]] == pytest.approx(0.6e-3, abs=5e-6)
     assert rec.meta["real_time"]["commands_before"] > 0
-    settings = moving.station_of(experiment.prescribed(rig(), still.name, still.path_m), still)
+    settings = guided_motion.station_of(
+        experiment.prescribed(rig(), still.name, still.path_m), still
+    )
     reach = settings.watches["position"]
     counted = dataclasses.replace(
         core.Parameters.of(settings), watches={**settings.watches, "rig_position": reach}
@@ -356,9 +358,9 @@ def test_recording_of_a_motion_that_went_on_is_replayed_bit_for_bit() -> None:
 
 @pytest.mark.parametrize("meanwhile", ["stopped", "moved", "other calibration"])
 def test_command_begins_at_the_reading_where_the_drive_may_stand_elsewhere(meanwhile: str) -> None:
-    still = moving.Motion("still", np.zeros(100))
+    still = guided_motion.GuidedMotion("still", np.zeros(100))
     with at(rig(), rig(CREEPING)) as there:
-        moving.carry_out(there.connection, still)
+        guided_motion.carry_out(there.connection, still)
         opened = there.connection.opened
         assert opened.left is not None
         if meanwhile == "stopped":
@@ -374,10 +376,10 @@ def test_command_begins_at_the_reading_where_the_drive_may_stand_elsewhere(meanw
         else:
             other = core.Calibration(x_offset_m=1e-3)
             opened.left = dataclasses.replace(opened.left, calibration=other)
-        rec = moving.carry_out(there.connection, still).recording
+        rec = guided_motion.carry_out(there.connection, still).recording
     assert not (rec.samples["flags"] & FLAGS["taken_over"]).any()
     assert rec.meta["real_time"]["commands_before"] > 0
-    first = rec.samples[moving.fresh(rec.samples)][0]
+    first = rec.samples[guided_motion.fresh(rec.samples)][0]
     sent = rec.samples[(rec.samples["flags"] & FLAGS["not_sent"]) == 0][1]
     assert sent["x_cmd_m"] == pytest.approx(first["x_meas_m"], abs=2e-9)
 
@@ -385,11 +387,13 @@ def test_command_begins_at_the_reading_where_the_drive_may_stand_elsewhere(meanw
 def test_motion_at_the_first_contact_is_made_good_at_a_gentle_speed() -> None:
     """The drive goes where it reads: 0.3 mm. What it reads then is zero, and that is approached."""
     with at(rig(), rig(CREEPING)) as there:
-        moving.carry_out(there.connection, moving.Motion("still", np.zeros(100)))
+        guided_motion.carry_out(
+            there.connection, guided_motion.GuidedMotion("still", np.zeros(100))
+        )
         log = there.drive.log
     ramp = log["target_m"][log["state"] == STATES.index("RAMP_IN")]
     assert np.ptp(ramp) == pytest.approx(0.3e-3, abs=5e-6)
-    assert np.abs(np.diff(ramp)).max() * core.FS_HZ <= moving.GENTLE_M_PER_S * 1.01
+    assert np.abs(np.diff(ramp)).max() * core.FS_HZ <= guided_motion.GENTLE_M_PER_S * 1.01
 
 
 # ---- link ---------------------------------------------------------------------------------------
@@ -399,7 +403,7 @@ def test_link_step_has_rate_noise_and_zero() -> None:
     given = rig({"sensors.force.bias_n": "40"})
     with at(given) as there:
         jogging.jog(there.connection, 3e-4)
-        plan = guide.Plan(("link",))
+        plan = guide.CommissioningSettings(("link",))
         step = guide.commission(there.connection, plan).steps["link"]
     assert step.passed is True
     figures = step.figures
@@ -425,14 +429,14 @@ def test_rig_that_jumps_as_commands_begin_is_found() -> None:
 def test_link_that_loses_frames_fails() -> None:
     faults = (loop.Fault("drop", 0, 2**40, 0.1),)
     with at(rig(), faults=faults) as there:
-        found = guide.commission(there.connection, guide.Plan())
+        found = guide.commission(there.connection, guide.CommissioningSettings())
     assert list(found.steps) == ["link"]
     assert "% of the ticks had a new pair" in found.steps["link"].faults[0]
 
 
 def test_drive_that_is_silent_fails_the_link_step_and_nothing_follows() -> None:
     with at(rig(), faults=(loop.Fault("silence", 0, 2**40),)) as there:
-        found = guide.commission(there.connection, guide.Plan())
+        found = guide.commission(there.connection, guide.CommissioningSettings())
     assert list(found.steps) == ["link"]
     assert "nothing arrived in 10 s" in found.steps["link"].faults[0]
 
@@ -462,7 +466,7 @@ def test_every_limit_is_provoked_and_does_what_the_rig_file_says() -> None:
         return True
 
     with at(given) as there:
-        checks = limits.check_all(there.connection, 1e-3, allowed)
+        checks = limit_checks.check_all(there.connection, 1e-3, allowed)
         assert there.position_m == pytest.approx(0.0, abs=50e-6)
         assert np.abs(there.drive.log["target_m"]).max() < 1.05e-3
     found = {check.key: check for check in checks}
@@ -490,7 +494,7 @@ def limit_of(given: config.RigFile, key: str) -> float:
 def test_plain_velocity_limit_is_seen_to_bound_the_command() -> None:
     given = rig({"limits.command_velocity_m_per_s": "0.1"})
     with at(given) as there:
-        checks = limits.check_all(there.connection, 1e-3, lambda _: True)
+        checks = limit_checks.check_all(there.connection, 1e-3, lambda _: True)
     (check,) = (check for check in checks if check.key == "command_velocity_m_per_s")
     assert (check.action, check.seen, check.fault) == ("limit", "command limited", "")
     assert check.value == pytest.approx(0.5e-3, rel=0.01)
@@ -507,15 +511,15 @@ def test_limit_that_does_something_else_than_the_rig_file_says_fails(
     reaction: core.Reaction, fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A station whose force limit has the wrong reaction."""
-    station_of = moving.station_of
+    station_of = guided_motion.station_of
 
-    def weak(setup: object, motion: moving.Motion) -> core.StationConfig:
+    def weak(setup: object, motion: guided_motion.GuidedMotion) -> core.StationConfig:
         made = station_of(setup, motion)  # type: ignore[arg-type]
         force = made.watches["force"]
         watches = {**made.watches, "force": core.Watch(force.value, reaction)}
         return dataclasses.replace(made, watches=watches)
 
-    monkeypatch.setattr(moving, "station_of", weak)
+    monkeypatch.setattr(guided_motion, "station_of", weak)
     step = commissioned(rig(), rig(), "limits").steps["limits"]
     assert step.passed is False
     assert any(text.startswith(fault) for text in step.faults)
@@ -524,7 +528,9 @@ def test_limit_that_does_something_else_than_the_rig_file_says_fails(
 
 def test_limit_that_may_not_be_tried_leaves_the_step_unfinished() -> None:
     with at(rig()) as there:
-        plan = guide.Plan(("limits",), allowed=lambda question: "force_n" not in question)
+        plan = guide.CommissioningSettings(
+            ("limits",), allowed=lambda question: "force_n" not in question
+        )
         found = guide.commission(there.connection, plan)
     step = found.steps["limits"]
     assert step.passed is False
@@ -536,7 +542,7 @@ def test_rig_without_a_velocity_limit_is_told_to_state_one(stated: bool) -> None
     said: list[str] = []
     given = {"limits.command_velocity_m_per_s": "0.2"} if stated else {}
     with at(rig(given)) as there:
-        plan = guide.Plan(("limits",), allowed=lambda _: False, tell=said.append)
+        plan = guide.CommissioningSettings(("limits",), allowed=lambda _: False, tell=said.append)
         guide.commission(there.connection, plan)
     missing = [text for text in said if "command_velocity_m_per_s is missing" in text]
     assert len(missing) == (0 if stated else 1)
@@ -564,7 +570,7 @@ def test_drive_stops_by_itself_at_its_twentieth_sample() -> None:
         assert jogging.jog(there.connection, 0.5e-3, 4e-3).cause == "completed"
 
 
-def attended(there: Drive) -> moving.Connection:
+def attended(there: Drive) -> guided_motion.Connection:
     """As `rthyb commission` has it: whoever is asked before each motion has the drive reset."""
     return dataclasses.replace(there.connection, resets=True)
 
@@ -577,7 +583,9 @@ def test_drive_that_follows_again_by_itself_after_its_stop_fails() -> None:
     """So did every drive that kept to the frames of before."""
     with at(rig()) as there:
         there.tell = lambda: released_by_any_command(there)
-        found = guide.commission(attended(there), guide.Plan(("watchdog",))).steps["watchdog"]
+        found = guide.commission(attended(there), guide.CommissioningSettings(("watchdog",))).steps[
+            "watchdog"
+        ]
     assert found.passed is False
     assert (
         "followed again as soon as it received commands, although nobody had reset it"
@@ -619,7 +627,7 @@ def test_stop_of_a_drive_without_status_is_what_the_operator_saw(
         there.drive._c.latched = 0  # released at its panel
         return seen
 
-    plan = guide.Plan(("watchdog", "trip"), witness=witness)
+    plan = guide.CommissioningSettings(("watchdog", "trip"), witness=witness)
     with at(rig()) as there:
         # As its frames would be: nothing in them of a stop.
         there.tell = lambda: setattr(there.drive._c, "latched", 0)
@@ -645,7 +653,7 @@ def test_stop_of_a_drive_without_status_is_what_the_operator_saw(
 def test_drive_whose_watchdog_is_broken_fails(fault: object, step: str, message: str) -> None:
     with at(rig()) as there:
         there.tell = lambda: fault(there)  # type: ignore[operator]
-        found = guide.commission(there.connection, guide.Plan((step,))).steps[step]
+        found = guide.commission(there.connection, guide.CommissioningSettings((step,))).steps[step]
     assert found.passed is False
     assert re.search(message, found.faults[0])
 
@@ -688,12 +696,12 @@ def test_frames_lost_around_the_stop_are_no_late_stop() -> None:
 
 def test_numbers_of_commands_agree_with_the_echo_of_the_drive() -> None:
     with at(rig()) as there:
-        moved = moving.carry_out(
-            there.connection, limits.small_motion(there.connection.rig, 0.2e-3)
+        moved = guided_motion.carry_out(
+            there.connection, limit_checks.small_motion(there.connection.rig, 0.2e-3)
         )
     rows = moved.rows
-    known = moving.fresh(rows) & (rows["echo"] > 0)
-    delay = (moving.command_numbers(rows) - rows["echo"].astype(np.int64))[known] % 256
+    known = guided_motion.fresh(rows) & (rows["echo"] > 0)
+    delay = (guided_motion.command_numbers(rows) - rows["echo"].astype(np.int64))[known] % 256
     assert set(delay) == {0}
     assert known.sum() > 1000
 
@@ -705,7 +713,7 @@ def test_sound_rig_passes_every_step_and_is_asked_before_each_motion() -> None:
     asked: list[str] = []
     kept: list[Certificate] = []
     with at(rig()) as there:
-        plan = guide.Plan(allowed=lambda q: asked.append(q) or True)  # type: ignore[func-returns-value]
+        plan = guide.CommissioningSettings(allowed=lambda q: asked.append(q) or True)  # type: ignore[func-returns-value]
         found = guide.commission(there.connection, plan, keep=kept.append)
     assert [(step.name, step.passed) for step in found.steps.values()] == [
         (name, True) for name in STEPS
@@ -721,7 +729,9 @@ def test_sound_rig_passes_every_step_and_is_asked_before_each_motion() -> None:
 
 def test_operator_who_says_no_moves_nothing() -> None:
     with at(rig()) as there:
-        found = guide.commission(there.connection, guide.Plan(allowed=lambda _: False))
+        found = guide.commission(
+            there.connection, guide.CommissioningSettings(allowed=lambda _: False)
+        )
         assert there.drive.ticks == 0
     assert found.steps == {}
 
@@ -734,14 +744,14 @@ def test_operator_who_stops_a_motion_ends_the_commissioning() -> None:
                 there.operator()
 
         there.tell = look
-        with pytest.raises(moving.StoppedError) as caught:
-            guide.commission(there.connection, guide.Plan(("polarity",)))
+        with pytest.raises(guided_motion.StoppedError) as caught:
+            guide.commission(there.connection, guide.CommissioningSettings(("polarity",)))
     assert caught.value.exit_code == 130
 
 
 # ---- identification over the link ---------------------------------------------------------------
 
-QUICK = Sweep((2.0, 4.0), 0.5e-3)
+QUICK = SweepPlan((2.0, 4.0), 0.5e-3)
 
 
 def test_identification_over_the_link_finds_what_the_virtual_rig_is() -> None:
@@ -777,9 +787,9 @@ def test_lost_readings_are_left_out_of_the_fits() -> None:
 
 
 def test_limit_that_ends_the_sweep_is_named_with_its_frequency() -> None:
-    sweep = Sweep((2.0, 4.0), 0.5e-3)
+    sweep = SweepPlan((2.0, 4.0), 0.5e-3)
     limit = {"limits.tracking_error_m": '"0.11 mm"'}  # 12 samples at 4 Hz, 0.5 mm: 0.15 mm
-    with at(rig(limit)) as there, pytest.raises(moving.LimitError) as caught:
+    with at(rig(limit)) as there, pytest.raises(guided_motion.LimitError) as caught:
         identify_live(there.connection, sweep)
     assert "the sweep ended at 4 Hz: tripped: tracking limit" in str(caught.value)
     assert caught.value.exit_code == 6
@@ -787,7 +797,7 @@ def test_limit_that_ends_the_sweep_is_named_with_its_frequency() -> None:
 
 def test_limit_of_the_rig_file_ends_a_sweep_in_virtual_time_as_well() -> None:
     limit = {"limits.tracking_error_m": '"0.11 mm"'}  # 12 samples at 4 Hz, 0.5 mm: 0.15 mm
-    with pytest.raises(moving.LimitError) as caught:
+    with pytest.raises(guided_motion.LimitError) as caught:
         identify(rig(limit), QUICK)
     assert "the sweep ended at 4 Hz: tripped: tracking limit" in str(caught.value)
 
@@ -798,13 +808,13 @@ def test_limit_of_the_rig_file_ends_a_sweep_in_virtual_time_as_well() -> None:
 def test_motion_that_this_pc_spoils_every_time_is_a_matter_of_timing(
     monkeypatch: pytest.MonkeyPatch, cause: str, code: int
 ) -> None:
-    still = moving.Motion("still", np.zeros(100))
+    still = guided_motion.GuidedMotion("still", np.zeros(100))
     with at(rig()) as there:
-        moved = moving.carry_out(there.connection, still)
+        moved = guided_motion.carry_out(there.connection, still)
         moved.recording.meta["station"]["cause"] = cause
-        monkeypatch.setattr(moving, "carry_out", lambda *_, **__: moved)
+        monkeypatch.setattr(guided_motion, "carry_out", lambda *_, **__: moved)
         with pytest.raises(RthybError, match="3 times; run `rthyb jitter`") as caught:
-            moving.undisturbed(there.connection, still)
+            guided_motion.undisturbed(there.connection, still)
         assert caught.value.exit_code == code
         with pytest.raises(RthybError, match="the sweep ended before it moved") as caught:
             identify_live(there.connection, QUICK)
@@ -823,7 +833,7 @@ def test_command_limited_after_skipped_ticks_is_the_fault_of_the_pc(
     rows["flags"][2010:2020] = FLAGS["limited"]
     if skipped is not None:
         rows["flags"][skipped] = FLAGS["blind"]
-    parts = [Part(1.0, 0, slice(0, 500)), Part(2.0, 600, slice(600, 4000))]
+    parts = [SineRows(1.0, 0, slice(0, 500)), SineRows(2.0, 600, slice(600, 4000))]
     with pytest.raises(InputError, match=message):
         check_not_limited(rows, parts)
 
@@ -862,6 +872,6 @@ def test_sweep_stopped_by_the_operator_finds_nothing() -> None:
                 there.operator()
 
         there.tell = look
-        with pytest.raises(moving.StoppedError, match="stopped at 2 Hz; there is no result"):
+        with pytest.raises(guided_motion.StoppedError, match="stopped at 2 Hz; there is no result"):
             identify_live(there.connection, QUICK)
         assert there.position_m == pytest.approx(0.0, abs=30e-6)

@@ -15,7 +15,7 @@ from rthyb_rt import config
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.rig.commissioning import certificate
-from rthyb_rt.rig.commissioning.certificate import Certificate, Step
+from rthyb_rt.rig.commissioning.certificate import Certificate, CheckedStep
 
 K_E = "elastic_stiffness_n_per_m = 5"
 DATE = "2026-11-20T10:00:00+00:00"
@@ -37,7 +37,7 @@ def certified(path: Path, date: str = DATE, passed: bool | None = True) -> Certi
     given = config.load_rig(path)
     made = Certificate(given.rig.name, certificate.rig_hash(given), False, "a socket")
     for name in certificate.STEPS:
-        made = made.with_step(Step(name, passed, date, {"figure": 1.5}, ()))
+        made = made.with_step(CheckedStep(name, passed, date, {"figure": 1.5}, ()))
     certificate.write(certificate.place(path), made)
     return made
 
@@ -219,7 +219,7 @@ def test_each_check_that_did_not_pass_is_refused_by_its_name(
 ) -> None:
     path = rig_file(tmp_path)
     made = certified(path)
-    certificate.write(certificate.place(path), made.with_step(Step(name, passed, DATE)))
+    certificate.write(certificate.place(path), made.with_step(CheckedStep(name, passed, DATE)))
     with pytest.raises(RefusedError, match=f"has passed: {name} {told}; run ") as caught:
         demanded(path)
     assert f"`rthyb commission {path} --steps {name}`" in str(caught.value)
@@ -227,7 +227,7 @@ def test_each_check_that_did_not_pass_is_refused_by_its_name(
 
 def test_test_on_a_real_link_is_refused_where_all_but_the_signs_failed(tmp_path: Path) -> None:
     path = rig_file(tmp_path)
-    made = certified(path, passed=False).with_step(Step("polarity", True, DATE))
+    made = certified(path, passed=False).with_step(CheckedStep("polarity", True, DATE))
     certificate.write(certificate.place(path), made)
     told = "link FAILED, limits FAILED, watchdog FAILED, trip FAILED"
     with pytest.raises(RefusedError, match=told):

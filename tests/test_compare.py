@@ -11,7 +11,7 @@ import pytest
 
 import rthyb_rt as rt
 from rthyb_rt import cli
-from rthyb_rt.comparing import courses, overlay, page
+from rthyb_rt.comparing import comparison_page, courses, overlay
 from rthyb_rt.comparing.courses import Course
 
 FS_HZ = 1024.0
@@ -107,7 +107,7 @@ def test_moved_over_the_first_what_came_late_differs_no_more() -> None:
     assert over.rows[1]["x_difference_nrmse"] < 1e-3
     assert over.rows[1]["lag_s"] == apart.rows[1]["lag_s"]
     assert apart.rows[1]["lag_samples"] == pytest.approx(0.05 * FS_HZ, abs=0.01)
-    heads, rows = page.table(apart)
+    heads, rows = comparison_page.table(apart)
     assert heads[2] == "b"
     lags = [(name, second) for name, _, second in rows if name.startswith("Lag")]
     assert [name for name, _ in lags] == ["Lag, ms", "Lag, samples"]
@@ -214,24 +214,24 @@ def test_command_writes_page_and_table_and_says_the_same_as_json(
     assert found["schema"] == "rthyb-compare/1"
     assert found["rows"][1]["label"] == "monday"
     assert "monday differs from monday, reference simulation by" in printed.err
-    html = (out / page.PAGE).read_text()
+    html = (out / comparison_page.PAGE).read_text()
     assert html.count("<figure id=") == 4
     assert re.findall(r'(?:src|href)="(?!#)', html) == []
-    assert (out / page.TABLE).read_text().startswith("label,ending,peak_command_m,")
+    assert (out / comparison_page.TABLE).read_text().startswith("label,ending,peak_command_m,")
     assert cli.main(["compare", str(kept), "--out", str(out)]) == 2
 
 
 def test_ten_courses_stand_below_one_another_and_two_beside(tmp_path: Path) -> None:
     many = [course(f"run {i}", (1 + 0.01 * i) * sine(3, FS_HZ)) for i in range(courses.MOST)]
-    heads, rows = page.table(overlay.Overlay.of(many))
+    heads, rows = comparison_page.table(overlay.Overlay.of(many))
     assert heads[0] == ""
     assert [row[0] for row in rows] == [f"run {i}" for i in range(10)]
     most = 1e3 * 0.09 * np.abs(sine(3, FS_HZ)).max()
-    assert page.sentence(overlay.Overlay.of(many)) == (
+    assert comparison_page.sentence(overlay.Overlay.of(many)) == (
         f"Of the 9 others run 9 differs most from run 0: 9.0 % (NRMSE), {most:.3f} mm at most."
     )
-    heads, rows = page.table(overlay.Overlay.of(many[:2]))
+    heads, rows = comparison_page.table(overlay.Overlay.of(many[:2]))
     assert heads == ["", "run 0", "run 1"]
-    page.write(overlay.Overlay.of(many), tmp_path / "page.html")
+    comparison_page.write(overlay.Overlay.of(many), tmp_path / "page.html")
     html = (tmp_path / "page.html").read_text()
     assert all(f">run {i}</th>" in html for i in range(10))

@@ -279,7 +279,7 @@ def test_real_rig_takes_limits_within_those_commissioned_and_no_others(
     rig = config.load_rig(path)
     made = certificate.Certificate(rig.rig.name, certificate.rig_hash(rig), False, "wire")
     for name in certificate.STEPS:
-        made = made.with_step(certificate.Step(name, True, certificate.now()))
+        made = made.with_step(certificate.CheckedStep(name, True, certificate.now()))
     certificate.write(certificate.place(path), made)
     with served(
         place,

@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from test_diagnose_colour import coloured, resonant
 from test_diagnose_noise import written
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, engine, estimate, force
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
@@ -112,7 +112,7 @@ def problem_of(noise_kg: float, dashpot_n_s_per_m: float) -> Problem:
     assert found is not None
     found = replace(
         found,
-        motion=Motion(x, v, a),
+        motion=ComputedMotion(x, v, a),
         exact=True,
         force=force,
         whiten=lambda y: y / F_STD,
@@ -171,7 +171,7 @@ def pushed(seed: int = 5) -> Problem:
     found = estimate.from_sensors(case)
     assert found is not None
     found = replace(
-        found, motion=Motion(x, v, a), force=channels["f_in"], whiten=lambda y: y / F_STD,
+        found, motion=ComputedMotion(x, v, a), force=channels["f_in"], whiten=lambda y: y / F_STD,
         pieces=None,
     )  # fmt: skip
     return Problem(case, engine.context_of(case, found), found, effects.catalogue().values())

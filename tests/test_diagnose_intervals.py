@@ -8,7 +8,7 @@ import pytest
 from diagnose_answers import diagnosed
 from scipy import signal
 
-from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion, actuator
+from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
 from rthyb_rt.diagnose import effects, engine, reading
 from rthyb_rt.diagnose.actuation import Actuation
 from rthyb_rt.diagnose.effects.base import Context, Trial
@@ -164,7 +164,7 @@ def test_motions_about_a_fitted_actuator_lie_one_standard_deviation_away(tmp_pat
     assert disp.best.names == ("delay",)
     task: Actuation = disp.task
     own = disp.best.motion
-    around = task.around(disp.best, 1.0, Motion(own.x, own.v, own.a))
+    around = task.around(disp.best, 1.0, ComputedMotion(own.x, own.v, own.a))
     apart = [np.sum(((m.x - own.x)[task.rows] / task.sigma) ** 2) for m in around]
     # A delay and an offset in time are one number to the rows; the offset's prior parts them.
     assert 0.5 < np.sum(apart) < 3.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rthyb_rt import config, core
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, engine, reading
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.effects.base import Context, Trial
@@ -32,7 +32,7 @@ def ctx(tmp_path_factory):
     _, toml = cases.write(tmp_path_factory.mktemp("ctx"), cases.channels())
     x, v, a = cases.moved(cases.command())
     t = np.arange(x.size) * H
-    return Context(reading.read_model(toml), Motion(x, v, a), t, K * x, {})
+    return Context(reading.read_model(toml), ComputedMotion(x, v, a), t, K * x, {})
 
 
 def force_of(found, ctx):
@@ -210,7 +210,9 @@ def test_a_rig_file_may_have_nothing_but_a_loop_for_a_specimen(tmp_path, monkeyp
 def test_the_column_of_the_core_is_the_one_that_was_fitted(variant, tmp_path):
     _, toml = cases.write(tmp_path, cases.channels(), naive())
     x, v, a = cases.moved(cases.command())
-    ctx = Context(reading.read_model(toml), Motion(x, v, a), np.arange(x.size) * H, K * x, {})
+    ctx = Context(
+        reading.read_model(toml), ComputedMotion(x, v, a), np.arange(x.size) * H, K * x, {}
+    )
     effect = effects.catalogue()["hysteresis+pinching+degradation"]
     trial = next(one for one in effect.trials(ctx) if one.variant == variant)
     fitted = effect.columns(ctx, trial)[0] * 0.9

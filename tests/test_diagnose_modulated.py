@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import engine, outcome
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.reading import read_case
@@ -23,7 +23,7 @@ FRICTION_N, FRICTION_PER_V, DRAG_PER_V = 300.0, 110.0, 3500.0
 X_STD, F_STD = 1e-6, 6.0
 
 
-def driven(seed: int, seconds: float = 24.0) -> tuple[Floats, Motion]:
+def driven(seed: int, seconds: float = 24.0) -> tuple[Floats, ComputedMotion]:
     """Return time and a motion of fourteen sines between .3 and 3 Hz, none of the model's kind."""
     rng = np.random.default_rng(seed)
     t = np.arange(int(FS_HZ * seconds)) / FS_HZ
@@ -34,7 +34,7 @@ def driven(seed: int, seconds: float = 24.0) -> tuple[Floats, Motion]:
         x += size * np.sin(w * t + phase)
         v += size * w * np.cos(w * t + phase)
         a -= size * w**2 * np.sin(w * t + phase)
-    return t, Motion(x, v, a)
+    return t, ComputedMotion(x, v, a)
 
 
 def voltage(seed: int, t: Floats) -> Floats:
@@ -44,7 +44,12 @@ def voltage(seed: int, t: Floats) -> Floats:
 
 
 def recorded(
-    seed: int, t: Floats, motion: Motion, missing: Floats, further: dict[str, Floats], known: bool
+    seed: int,
+    t: Floats,
+    motion: ComputedMotion,
+    missing: Floats,
+    further: dict[str, Floats],
+    known: bool,
 ) -> Case:
     """Return a recording of spring, dashpot and mass with a missing force, beside its model."""
     rng = np.random.default_rng(seed + 90)
@@ -59,7 +64,7 @@ def recorded(
     return Case("case", model, t, channels, np.ones(t.size, dtype=np.bool_), further=further)
 
 
-def friction(motion: Motion) -> Floats:
+def friction(motion: ComputedMotion) -> Floats:
     return np.asarray(np.tanh(motion.v / 5e-4))
 
 
@@ -108,7 +113,7 @@ def test_a_voltage_that_changes_a_law_is_named_with_its_size_and_foretells(
     assert after < 0.3 * mean
 
 
-def spectator(kind: str, seed: int, t: Floats, motion: Motion) -> Floats:
+def spectator(kind: str, seed: int, t: Floats, motion: ComputedMotion) -> Floats:
     rng = np.random.default_rng(seed + 70)
     level = 0.02 * rng.standard_normal(t.size)
     if kind == "steps":

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from rthyb_rt import core
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, engine, reading
 from rthyb_rt.diagnose.effects import springs
 from rthyb_rt.diagnose.effects.base import Context, Trial
@@ -54,7 +54,7 @@ def test_contact_that_spreads_becomes_springs_of_a_rig_file(name, trial, beta, t
     _, toml = cases.write(tmp_path, cases.channels())
     x, v, a = cases.moved(cases.command())
     t = np.arange(x.size) / cases.FS
-    ctx = Context(reading.read_model(toml), Motion(x, v, a), t, K * x, {})
+    ctx = Context(reading.read_model(toml), ComputedMotion(x, v, a), t, K * x, {})
     effect = effects.catalogue()[name]
     fitted = beta * effect.columns(ctx, trial)[0]
     elements = effect.elements(ctx, trial, np.array([beta]))

@@ -10,7 +10,7 @@ import pytest
 from diagnose_cases import F_STD, FS, C, K, M, command, moved
 from scipy.stats import chi2, norm
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, engine, steady
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.estimate import Estimate
@@ -30,7 +30,7 @@ def fitted(force: Force, *names: str, seed: int = 1, kind: str = "sweep") -> tup
     f_meas = K * x + C * v + M * a + force(t, x, v) + noise
     rows = np.ones(x.size, dtype=np.bool_)
     case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": f_meas}, rows)
-    found = Estimate(Motion(x, v, a), f_meas, rows, lambda y: y / F_STD, F_STD, True)
+    found = Estimate(ComputedMotion(x, v, a), f_meas, rows, lambda y: y / F_STD, F_STD, True)
     laws = effects.catalogue()
     problem = Problem(case, engine.context_of(case, found), found, laws.values())
     shapes = product(*(laws[n].trials(problem.ctx) for n in names))

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from rthyb_rt.benchmark import campaigns
-from rthyb_rt.campaign import conducting
+from rthyb_rt.campaign import whole_campaign
 from rthyb_rt.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -159,7 +159,7 @@ def test_workers_that_have_it_not_are_refused_before_anything_runs(
         cluster_of(built) as address,
         pytest.raises(InputError, match="not every worker has the same rthyb_rt"),
     ):
-        conducting.conduct(plan, tmp_path / "out", cluster=address)
+        whole_campaign.conduct(plan, tmp_path / "out", cluster=address)
     assert (tmp_path / "out" / "rows.jsonl").read_text(encoding="utf-8") == ""
 
 

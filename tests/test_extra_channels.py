@@ -353,7 +353,7 @@ def test_recordings_and_exports_have_them_with_their_units(
 def test_an_identification_records_them_too() -> None:
     setup = experiment.prescribed(rig_of(), "identify", np.zeros(64))
     assert [c.name for c in setup.channels] == ["table_acceleration", "lvdt_2"]
-    found = identify.identify(rig_of(), identify.Sweep((1.0, 2.0, 4.0)))
+    found = identify.identify(rig_of(), identify.SweepPlan((1.0, 2.0, 4.0)))
     assert found.alpha == pytest.approx(17, rel=0.05)
 
 

@@ -31,7 +31,7 @@ def history(text: str) -> Any:
     return config.parse_test(HEAD + text).history
 
 
-def planned(text: str, most: float = 0.2, scale: float = 1.0) -> histories.Plan:
+def planned(text: str, most: float = 0.2, scale: float = 1.0) -> histories.HistoryPlan:
     return histories.plan(history(text), FS, most, scale)
 
 

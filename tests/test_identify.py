@@ -13,7 +13,13 @@ from rthyb_rt import config, core
 from rthyb_rt.config import Rate, RigFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.rig.identify import Result, Sweep, identified_rig, identify, standard_lead
+from rthyb_rt.rig.identify import (
+    IdentificationResult,
+    SweepPlan,
+    identified_rig,
+    identify,
+    standard_lead,
+)
 
 TABLE = "shaking-table-portal-frame"
 PLATE_N_PER_M = 666400.0
@@ -26,7 +32,7 @@ def rig(name: str, **changes: str) -> RigFile:
 
 
 @pytest.fixture(scope="module")
-def table() -> Result:
+def table() -> IdentificationResult:
     return identify(rig(TABLE))
 
 
@@ -44,7 +50,7 @@ rig = { name = "servo", load_cell = "specimen", elastic_stiffness_n_per_m = 5e5,
 actuator = { kind = "second-order", natural_frequency_hz = 15, damping_ratio = 0.8 }
 specimen = [{ element = "stiffness", k_n_per_m = 5e5 }, { element = "viscous", c_n_s_per_m = 900 }]
 """
-TO_10_HZ = Sweep((0.5, 2.0, 4.0, 10.0), 1e-3)
+TO_10_HZ = SweepPlan((0.5, 2.0, 4.0, 10.0), 1e-3)
 
 
 @pytest.mark.parametrize(("hold", "half_periods"), [("zoh", 1), ("foh", 2)])
@@ -137,31 +143,31 @@ def test_second_order_actuator_follows_its_closed_form() -> None:
 # --- the shaking table --------------------------------------------------------------------------
 
 
-def test_shaking_table_has_the_papers_seventeen_samples(table: Result) -> None:
+def test_shaking_table_has_the_papers_seventeen_samples(table: IdentificationResult) -> None:
     assert 16.5 <= table.alpha <= 17.5
     assert 16.3 <= table.delay_s * core.FS_HZ <= 17.5
     assert_allclose(next(t.gain for t in table.tones if t.frequency_hz == 2.0), 0.98, atol=0.005)
 
 
-def test_elastic_stiffness_is_found_within_one_per_cent(table: Result) -> None:
+def test_elastic_stiffness_is_found_within_one_per_cent(table: IdentificationResult) -> None:
     assert_allclose(table.k_e_n_per_m, PLATE_N_PER_M, rtol=0.01)
 
 
-def test_moving_mass_of_the_table_is_found(table: Result) -> None:
+def test_moving_mass_of_the_table_is_found(table: IdentificationResult) -> None:
     assert table.moving_mass_kg is not None
     assert_allclose(table.moving_mass_kg, 45.0, rtol=0.1)
 
 
-def test_rest_noise_is_found_within_ten_per_cent(table: Result) -> None:
+def test_rest_noise_is_found_within_ten_per_cent(table: IdentificationResult) -> None:
     assert_allclose(table.rest_noise_m, 2e-6, rtol=0.1)
     assert_allclose(table.rest_noise_n, 5.0, rtol=0.1)
 
 
-def test_friction_beside_the_specimen_is_noted(table: Result) -> None:
+def test_friction_beside_the_specimen_is_noted(table: IdentificationResult) -> None:
     assert any("in phase with velocity" in note for note in table.notes)
 
 
-def doubts(result: Result) -> list[str]:
+def doubts(result: IdentificationResult) -> list[str]:
     return [note for note in result.notes if "sinusoidal: friction" in note]
 
 
@@ -198,7 +204,7 @@ def test_friction_is_told_behind_noise_as_large() -> None:
     assert doubts(identify(smooth)) == []
 
 
-def test_five_times_the_noise_moves_nothing_much(table: Result) -> None:
+def test_five_times_the_noise_moves_nothing_much(table: IdentificationResult) -> None:
     loud = identify(
         rig(TABLE, sensors__displacement__noise_std_m="10e-6", sensors__force__noise_std_n="20")
     )
@@ -207,7 +213,7 @@ def test_five_times_the_noise_moves_nothing_much(table: Result) -> None:
     assert_allclose(loud.rest_noise_m, 10e-6, rtol=0.1)
 
 
-def test_untared_sensors_are_reported_and_change_no_figure(table: Result) -> None:
+def test_untared_sensors_are_reported_and_change_no_figure(table: IdentificationResult) -> None:
     result = identify(rig(TABLE, sensors__displacement__bias_m="1e-4", sensors__force__bias_n="50"))
     assert_allclose(result.offset_m, 1e-4, atol=1e-6)
     assert_allclose(result.offset_n, 50.0, atol=1.0)
@@ -221,7 +227,7 @@ def test_spring_alone_has_no_moving_mass() -> None:
 
 
 def test_specimen_that_yields_is_called_no_spring() -> None:
-    result = identify(rig("delay-10-bouc-wen"), Sweep.up_to(4.0, amplitude_m=0.03))
+    result = identify(rig("delay-10-bouc-wen"), SweepPlan.up_to(4.0, amplitude_m=0.03))
     assert result.k_e_n_per_m < 0.9 * 4737410.0
     assert any("yielding" in note for note in result.notes)
 
@@ -261,17 +267,17 @@ def test_sensor_at_the_end_of_its_range_is_refused(change: dict[str, str], name:
 @pytest.mark.parametrize(
     ("sweep", "message"),
     [
-        (Sweep((0.5, 200.0)), "frequencies 200 Hz; each must be from 0.05 to 100 Hz"),
-        (Sweep((0.01,)), "frequencies 0.01 Hz"),
-        (Sweep((math.nan,)), "frequencies nan Hz"),
-        (Sweep(()), "frequencies none"),
-        (Sweep((2.0, 1.0)), "must increase"),
-        (Sweep(amplitude_m=0.0), "amplitude of 0 m"),
-        (Sweep(amplitude_m=math.nan), "amplitude of nan m"),
-        (Sweep(amplitude_m=2.0), "at most 1 m"),
+        (SweepPlan((0.5, 200.0)), "frequencies 200 Hz; each must be from 0.05 to 100 Hz"),
+        (SweepPlan((0.01,)), "frequencies 0.01 Hz"),
+        (SweepPlan((math.nan,)), "frequencies nan Hz"),
+        (SweepPlan(()), "frequencies none"),
+        (SweepPlan((2.0, 1.0)), "must increase"),
+        (SweepPlan(amplitude_m=0.0), "amplitude of 0 m"),
+        (SweepPlan(amplitude_m=math.nan), "amplitude of nan m"),
+        (SweepPlan(amplitude_m=2.0), "at most 1 m"),
     ],
 )
-def test_sweep_that_cannot_be_run_is_refused(sweep: Sweep, message: str) -> None:
+def test_sweep_that_cannot_be_run_is_refused(sweep: SweepPlan, message: str) -> None:
     with pytest.raises(InputError, match=message):
         identify(rig("delay-10-elastic"), sweep)
 
@@ -280,37 +286,37 @@ def test_sweep_that_cannot_be_run_is_refused(sweep: Sweep, message: str) -> None
 
 
 def test_sweep_ends_at_the_frequency_asked_for() -> None:
-    assert Sweep.up_to(10.0) == Sweep()
-    assert Sweep.up_to(2.5).frequencies_hz == (0.5, 1.0, 1.5, 2.0, 2.5)
-    assert Sweep.up_to(0.2).frequencies_hz == (0.2,)
-    assert Sweep.up_to(100.0).frequencies_hz[-2:] == (80.0, 100.0)
+    assert SweepPlan.up_to(10.0) == SweepPlan()
+    assert SweepPlan.up_to(2.5).frequencies_hz == (0.5, 1.0, 1.5, 2.0, 2.5)
+    assert SweepPlan.up_to(0.2).frequencies_hz == (0.2,)
+    assert SweepPlan.up_to(100.0).frequencies_hz[-2:] == (80.0, 100.0)
 
 
 def test_sweep_stays_below_its_velocity() -> None:
-    sweep = Sweep.up_to(100.0, amplitude_m=0.01)
+    sweep = SweepPlan.up_to(100.0, amplitude_m=0.01)
     for frequency in sweep.frequencies_hz:
         assert 2 * math.pi * frequency * sweep.amplitude_at(frequency) <= 0.05 * (1 + 1e-12)
 
 
 def test_one_slow_sine_is_enough() -> None:
-    result = identify(rig("delay-10-elastic"), Sweep.up_to(0.3))
+    result = identify(rig("delay-10-elastic"), SweepPlan.up_to(0.3))
     assert_allclose(result.k_e_n_per_m, 4737410.0, rtol=1e-6)
     assert result.moving_mass_kg is None
 
 
 def test_progress_counts_to_the_end_of_the_sweep() -> None:
     seen: list[tuple[int, int]] = []
-    sweep = Sweep.up_to(1.0)
+    sweep = SweepPlan.up_to(1.0)
     identify(rig("delay-10-elastic"), sweep, lambda *step: seen.append(step))
     assert seen[-1] == (sweep.ticks + 1, sweep.ticks + 1)  # one row more brings the last reading
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
 
 
-def test_identifying_twice_gives_the_same(table: Result) -> None:
+def test_identifying_twice_gives_the_same(table: IdentificationResult) -> None:
     assert identify(rig(TABLE)) == table
 
 
-def test_identified_rig_reads_back_and_carries_a_test(table: Result) -> None:
+def test_identified_rig_reads_back_and_carries_a_test(table: IdentificationResult) -> None:
     found = identified_rig(rig(TABLE), table)
     again = config.parse_rig(config.dump(found))
     assert again == found
@@ -329,7 +335,7 @@ def test_identified_rig_reads_back_and_carries_a_test(table: Result) -> None:
     assert np.sqrt(np.mean(error**2) / np.mean(rec.samples["x_num_m"] ** 2)) < 0.02
 
 
-def test_whatever_is_written_is_a_rig_file_or_refused(table: Result) -> None:
+def test_whatever_is_written_is_a_rig_file_or_refused(table: IdentificationResult) -> None:
     from dataclasses import replace
 
     with pytest.raises(InputError, match=r"identified\.gain"):

@@ -16,7 +16,7 @@ from rthyb_rt.config import AxesRig, matrix_response
 from rthyb_rt.config.axes_response import response_of_rig
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig import identify_axes
-from rthyb_rt.rig.identify import Sweep
+from rthyb_rt.rig.identify import SweepPlan
 
 H = 1.0 / 1024.0
 K = [[8e5, 2e4], [2e4, 6e4]]
@@ -28,7 +28,7 @@ A = np.block(
 )
 B = np.vstack([np.zeros((2, 2)), np.array([[8e3, 9e2], [3e2, 6.6e3]])])
 C = np.hstack([np.eye(2), np.zeros((2, 2))])
-SWEEP = Sweep((1.0, 2.0, 4.0, 8.0, 16.0), 1e-3)
+SWEEP = SweepPlan((1.0, 2.0, 4.0, 8.0, 16.0), 1e-3)
 
 
 def text(sensors: str = "", limits: str = "", actuators: bool = False) -> str:

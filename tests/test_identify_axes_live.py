@@ -18,16 +18,16 @@ from rthyb_rt.core import loop
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import realtime
 from rthyb_rt.rig import virtual_rig
-from rthyb_rt.rig.commissioning.moving import AxesConnection, LimitError, StoppedError
-from rthyb_rt.rig.identify import Sweep, command_of
+from rthyb_rt.rig.commissioning.guided_motion import AxesConnection, LimitError, StoppedError
+from rthyb_rt.rig.identify import SweepPlan, command_of
 from rthyb_rt.rig.identify_axes import AxesResult, identified_rig, identify_rig
 from rthyb_rt.rig.identify_axes_live import identify_axes_live, setup_of
 from rthyb_rt.rig.links import opening
 
 __all__ = ["stepped"]
 
-SWEEP = Sweep((1.0, 4.0, 10.0), 1e-3)
-SHORT = Sweep((4.0, 10.0), 1e-3)
+SWEEP = SweepPlan((1.0, 4.0, 10.0), 1e-3)
+SHORT = SweepPlan((4.0, 10.0), 1e-3)
 BOUNDED = LIMITED.replace(
     'command_position_m = "20 mm" }', 'command_position_m = "20 mm", force_n = "90 kN" }'
 )
@@ -38,12 +38,12 @@ def within_reach(
     given: AxesRig, faults: tuple[loop.Fault, ...] = (), **more: object
 ) -> Iterator[AxesConnection]:
     ours, theirs = opening.socket_pairs(given.names)
-    plan = virtual_rig.Plan(faults=faults)
+    plan = virtual_rig.RigPlan(faults=faults)
     with ours, theirs, virtual_rig.in_step(given, theirs, plan) as drives:
         yield AxesConnection(given, ours, "stepped", drives.tick, **more)  # type: ignore[arg-type]
 
 
-def live(given: AxesRig, sweep: Sweep, *faults: loop.Fault) -> AxesResult:
+def live(given: AxesRig, sweep: SweepPlan, *faults: loop.Fault) -> AxesResult:
     with within_reach(given, faults) as connection:
         return identify_axes_live(connection, sweep)
 
@@ -84,7 +84,7 @@ def test_drives_of_another_rate_give_the_matrix_that_those_of_1024_hz_give(rate_
     channels = ("/left", "/right")
     given = linked(*channels, kind="socket", further=f"sample_rate_hz = {rate_hz}\n")
     assert given.rate.hz == rate_hz
-    sweep = Sweep((1.0, 4.0), 1e-3)
+    sweep = SweepPlan((1.0, 4.0), 1e-3)
     found, wanted = live(given, sweep), identify_rig(pair_of(), sweep)
     now, before = (identified_rig(given, one).identified for one in (found, wanted))
     assert now is not None
@@ -156,13 +156,13 @@ def test_limits_that_are_missing_or_too_narrow_are_named_by_axis_and_key() -> No
     where = [problem.where for problem in caught.value.problems]
     assert where == [f"axis.{name}.limits.force_n" for name in AXES]
     with pytest.raises(InputError, match="25 mm is more than the limit of 20 mm"):
-        live(pair_of(), Sweep((1.0,), 25e-3))
+        live(pair_of(), SweepPlan((1.0,), 25e-3))
 
 
 def test_a_sweep_that_a_limit_of_the_command_changes_is_refused() -> None:
     slow = LIMITED.replace("[limits]\n", '[limits]\ncommand_velocity_m_per_s = "20 mm/s"\n')
     with pytest.raises(InputError, match=r"the sweep of axis left: .*limits on velocity"):
-        live(pair_of(slow), Sweep((10.0,), 1e-3))
+        live(pair_of(slow), SweepPlan((10.0,), 1e-3))
 
 
 # ---- the command line ----------------------------------------------------------------------------

@@ -19,11 +19,11 @@ import pytest
 from rthyb_rt import cli, core
 from rthyb_rt.cli.jitter import UNFIT
 from rthyb_rt.config import Rate
-from rthyb_rt.core.ticker import PRIVILEGES, Counts, JitterRun, Latency, Payload, Timing
+from rthyb_rt.core.ticker import PRIVILEGES, JitterRun, Latency, Payload, TickCounts, Timing
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import jitter
-from rthyb_rt.lab.jitter import CASES, Case, Result
-from rthyb_rt.record.ring import Reader, Rows, default_folder
+from rthyb_rt.lab.jitter import CASES, JitterResult, KindOfRun
+from rthyb_rt.record.ring import RingReader, Rows, default_folder
 from rthyb_rt.report import jitter as page
 
 pytestmark = pytest.mark.alone
@@ -58,7 +58,7 @@ def assert_every_tick_is_accounted_for(timing: Timing, ticks: int) -> None:
 
 @pytest.mark.parametrize("payload", ["none", "sample", "exchange"])
 def test_every_tick_of_both_threads_is_accounted_for(payload: Payload) -> None:
-    result = jitter.measure(Case(payload, False), 300, LOAD)
+    result = jitter.measure(KindOfRun(payload, False), 300, LOAD)
     measured, reference = result.measured, result.reference
     assert_every_tick_is_accounted_for(measured, 300)
     assert_every_tick_is_accounted_for(reference, 300)
@@ -70,7 +70,7 @@ def test_every_tick_of_both_threads_is_accounted_for(payload: Payload) -> None:
 
 
 def test_a_tick_waits_for_the_clock_alone_and_reads_no_page_from_disk() -> None:
-    measured = jitter.measure(Case("exchange", False), 300, LOAD).measured
+    measured = jitter.measure(KindOfRun("exchange", False), 300, LOAD).measured
     assert measured.blocked == 0
     assert measured.major_faults == 0 or "memory_locked" not in measured.privileges
 
@@ -79,16 +79,16 @@ def test_telemetry_reader_finds_the_record_of_every_tick_that_was_executed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     parts: list[np.ndarray] = []
-    read = Reader.read
+    read = RingReader.read
 
-    def keep(reader: Reader) -> Rows:
+    def keep(reader: RingReader) -> Rows:
         parts.append((rows := read(reader)).samples)
         return rows
 
-    monkeypatch.setattr(Reader, "read", keep)
+    monkeypatch.setattr(RingReader, "read", keep)
     folder = default_folder()
     before = set(folder.glob("jitter-*"))
-    measured = jitter.measure(Case("exchange", False, telemetry=True), 1024, LOAD).measured
+    measured = jitter.measure(KindOfRun("exchange", False, telemetry=True), 1024, LOAD).measured
     ticks = np.concatenate([part["tick"] for part in parts])
     np.testing.assert_array_equal(ticks, np.arange(measured.counts.executed))
     assert sum(part.size > 0 for part in parts) > 1
@@ -119,9 +119,9 @@ def test_a_run_ends_early_when_it_is_told_to() -> None:
 def test_a_run_at_the_rate_of_a_drive_takes_that_long(rate_hz: float) -> None:
     load = jitter.Load.built_in(Rate(rate_hz))
     assert load.controller.period_s == 1.0 / rate_hz
-    jitter.measure(Case("exchange", False, telemetry=True), 200, load)
+    jitter.measure(KindOfRun("exchange", False, telemetry=True), 200, load)
     began_ns = time.monotonic_ns()
-    result = jitter.measure(Case("sample", False), round(0.25 * rate_hz), load)
+    result = jitter.measure(KindOfRun("sample", False), round(0.25 * rate_hz), load)
     assert time.monotonic_ns() - began_ns >= 0.24e9 * result.attempts
     assert result.rate.hz == rate_hz
     assert result.measured.counts.elapsed == round(0.25 * rate_hz)
@@ -140,8 +140,8 @@ def test_the_verdict_is_of_the_rate_and_of_its_quarter_of_a_tick() -> None:
 
 
 @pytest.mark.speed
-@pytest.mark.parametrize("case", [*CASES, Case("none", False)], ids=lambda case: case.title)
-def test_wake_up_is_as_punctual_as_that_of_a_bare_thread(case: Case) -> None:
+@pytest.mark.parametrize("case", [*CASES, KindOfRun("none", False)], ids=lambda case: case.title)
+def test_wake_up_is_as_punctual_as_that_of_a_bare_thread(case: KindOfRun) -> None:
     cpu = jitter.choose_cpu(jitter.machine_facts())
     for _ in range(3):  # a stall that only one of two threads met says nothing about them
         result = jitter.measure(case, 1024, LOAD, cpu)
@@ -170,7 +170,7 @@ def timing(
 ) -> Timing:
     executed = len(wake_ns)
     return Timing(
-        counts=Counts(executed + skipped, executed, skipped, skipped),
+        counts=TickCounts(executed + skipped, executed, skipped, skipped),
         wake=latency(*wake_ns),
         sent=latency(*(sent_ns,) * executed),
         privileges=privileges,
@@ -191,8 +191,8 @@ GOOD_PC: dict[str, Any] = {
 }  # fmt: skip
 
 
-def results(measured: Timing = GOOD, reference: Timing = GOOD) -> list[Result]:
-    return [Result(case, measured, reference, 1, False) for case in CASES]
+def results(measured: Timing = GOOD, reference: Timing = GOOD) -> list[JitterResult]:
+    return [JitterResult(case, measured, reference, 1, False) for case in CASES]
 
 
 @dataclass
@@ -375,8 +375,8 @@ def unfit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every run be one in which ticks were skipped, the first of them repeated."""
     skipping = timing(*(10_000,) * 100, skipped=3)
 
-    def measure(case: Case, *_: Any) -> Result:
-        return Result(case, skipping, GOOD, 3 if case == CASES[0] else 1, False)
+    def measure(case: KindOfRun, *_: Any) -> JitterResult:
+        return JitterResult(case, skipping, GOOD, 3 if case == CASES[0] else 1, False)
 
     monkeypatch.setattr(jitter, "measure", measure)
 

@@ -14,7 +14,7 @@ from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import config, core, units
 from rthyb_rt.config import lawtables
-from rthyb_rt.core.laws import LAWS, Law, parameters
+from rthyb_rt.core.laws import LAWS, LawDescription, parameters
 from rthyb_rt.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -23,7 +23,7 @@ STATUS = core.STATUS
 each_law = pytest.mark.parametrize("name", LAWS)
 
 
-def settings_of(law: Law, **changes: float) -> dict[str, float]:
+def settings_of(law: LawDescription, **changes: float) -> dict[str, float]:
     """A law's defaults; a delay that only a rig knows is eight samples."""
     found = {p.key: 8.0 if p.default is None else p.default for p in law.parameters}
     return found | changes

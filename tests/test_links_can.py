@@ -15,13 +15,13 @@ from link_tools import nothing_left_open, wanted
 from rthyb_rt.core import wire
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import can_bus, netlink
-from rthyb_rt.rig.links.netlink import Interface
+from rthyb_rt.rig.links.netlink import NetworkInterface
 from rthyb_rt.rig.links.opening import open_link
 
 RECORDED = Path(__file__).parent / "data" / "links" / "rtnetlink" / "links.bin"
 """Answer of a 6.1 kernel: lo, vcan0, vcan1, a pair of vxcan, and can0: slcan at 500 kbit/s."""
 
-CAN0 = Interface(
+CAN0 = NetworkInterface(
     name="can0",
     is_can=True,
     driver="can",
@@ -32,14 +32,14 @@ CAN0 = Interface(
     restart_ms=0,
     state="ERROR_ACTIVE",
 )
-VCAN0 = Interface("vcan0", True, "vcan", True, "UNKNOWN", 72)
-ETH0 = Interface("eth0", False, "", True, "UP", 1500)
+VCAN0 = NetworkInterface("vcan0", True, "vcan", True, "UNKNOWN", 72)
+ETH0 = NetworkInterface("eth0", False, "", True, "UP", 1500)
 
 
 # ---- what the kernel says ------------------------------------------------------------------------
 
 
-def decoded(messages: bytes) -> dict[str, Interface]:
+def decoded(messages: bytes) -> dict[str, NetworkInterface]:
     from pyroute2.netlink.rtnl.ifinfmsg import ifinfmsg
 
     links = []
@@ -88,15 +88,15 @@ def test_a_kernels_answer_as_recorded() -> None:
     assert list(found) == ["lo", "vcan0", "vcan1", "vxcan1", "vxcan0", "can0"]
     assert not found["lo"].is_can
     assert found["vcan0"] == VCAN0
-    assert found["vxcan1"] == Interface("vxcan1", True, "vxcan", True, "UP", 72)
-    assert found["can0"] == Interface(
+    assert found["vxcan1"] == NetworkInterface("vxcan1", True, "vxcan", True, "UP", 72)
+    assert found["can0"] == NetworkInterface(
         "can0", True, "can", False, "DOWN", 16, 500_000, None, 0, "STOPPED", False
     )
 
 
 def test_an_adapters_answer_by_the_kernels_headers() -> None:
     assert decoded(hardware()) == {
-        "can7": Interface(
+        "can7": NetworkInterface(
             "can7", True, "can", True, "UP", 72, 500_000, 2_000_000, 0, "ERROR_ACTIVE", False
         )
     }
@@ -144,7 +144,9 @@ def test_kernel_that_does_not_answer(monkeypatch: pytest.MonkeyPatch) -> None:
 # ---- what is refused -----------------------------------------------------------------------------
 
 
-def refusal(interface: Interface, bitrate: int | None = None, fd: bool = False, **more: int) -> str:
+def refusal(
+    interface: NetworkInterface, bitrate: int | None = None, fd: bool = False, **more: int
+) -> str:
     with pytest.raises(InputError) as refused:
         can_bus.check(interface, bitrate, fd, **more)
     (problem,) = refused.value.problems
@@ -236,7 +238,7 @@ def test_bit_rate_too_low_for_the_samples() -> None:
     can_bus.check_load(VCAN0, wire.can())
 
 
-def no_interface(channel: str, *there: Interface) -> str:
+def no_interface(channel: str, *there: NetworkInterface) -> str:
     with pytest.raises(InputError) as refused:
         can_bus.find(channel, {each.name: each for each in there})
     return str(refused.value)

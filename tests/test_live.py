@@ -847,7 +847,7 @@ def test_ring_of_a_service_that_cannot_be_opened_is_told(
         raise OtherVersionError("the ring has other fields", str(path))
 
     with served(memory), monkeypatch.context() as patch:
-        patch.setattr("rthyb_rt.live.sources.ring.Reader", refuse)
+        patch.setattr("rthyb_rt.live.sources.ring.RingReader", refuse)
         source = open_source(memory, memory)
 
         def told() -> dict[str, Any]:

@@ -46,7 +46,7 @@ from test_live_replay import assert_the_same
 from rthyb_rt import core
 from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.errors import RthybError
-from rthyb_rt.record.ring import Reader, Ring
+from rthyb_rt.record.ring import Ring, RingReader
 
 BUS_STATE: Final = 0x2000_0200
 
@@ -140,7 +140,7 @@ def test_alpha_minus_link_delay_is_the_rigs_own_delay(medium: str, late: int) ->
 
 def test_every_record_reaches_the_ring(medium: str, tmp_path: Path) -> None:
     ring = Ring.create(tmp_path, made_up_recording(), capacity=4096)
-    with Bench(medium, ring=ring) as bench, Reader(ring.path) as reader:
+    with Bench(medium, ring=ring) as bench, RingReader(ring.path) as reader:
         bench.running(50)
         bench.step(skipped=3)
         np.testing.assert_array_equal(reader.read().samples, bench.rows())

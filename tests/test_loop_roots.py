@@ -13,7 +13,7 @@ from kernels import H
 
 from rthyb_rt import config, core
 from rthyb_rt.analysis import loop_roots, margins
-from rthyb_rt.analysis.loop_roots import Block, Verdict, judge
+from rthyb_rt.analysis.loop_roots import Block, LoopVerdict, judge
 from rthyb_rt.benchmark import plants as rths_benchmark
 from rthyb_rt.config import RigFile, response
 from rthyb_rt.config.rigfile import Identified
@@ -52,7 +52,7 @@ def table(law: str, rig: str = "shaking-table-portal-frame", **more: str) -> Set
     return experiment.prepare(test, config.load_rig(config.shipped_rig(rig)))
 
 
-def judged(setup: Setup) -> Verdict:
+def judged(setup: Setup) -> LoopVerdict:
     found = judge(setup)
     assert found is not None
     return found
@@ -92,7 +92,7 @@ def test_rig_is_scipys_zero_order_hold_of_its_polynomial_behind_a_delay(
     p = np.array([1.01, 0.025, 1.07e-4, 3.9e-7, 5.8e-10, 1.38e-12])
     h = 1.0 / rate
     whole = round(delay_s / h)
-    model = response.Plant(p, whole * h, 1.2e6, 110.0, 29.0, 80.0, 0.0)
+    model = response.IdentifiedPlant(p, whole * h, 1.2e6, 110.0, 29.0, 80.0, 0.0)
     block = loop_roots.rig(model, h, "zoh")
     z = np.exp(2j * np.pi * np.array([0.5, 4.0, 20.0, 66.0, 80.0]) / rate)
     system = scipy.signal.cont2discrete(([1.0], p[::-1]), h, "zoh")
@@ -242,7 +242,7 @@ def silent(rig: RigFile) -> RigFile:
     return rig.model_copy(update={"sensors": sensors, "actuator": actuator})
 
 
-def exact(rig: RigFile) -> response.Plant:
+def exact(rig: RigFile) -> response.IdentifiedPlant:
     """The benchmark's transfer functions as they are, and not as a sweep has found them."""
     a, m = rig.actuator, 29.13
     assert a.kind == "servo-valve"
@@ -253,7 +253,7 @@ def exact(rig: RigFile) -> response.Plant:
     valve = [1.0, a.valve_b1_per_s, a.valve_b2_per_s2]
     whole = np.polyadd(np.polymul(valve, flow), [a.valve_n_per_m_s3])
     p = whole[::-1] / (a.valve_n_per_m_s3 * a.gain)
-    return response.Plant(p, 0.0, k, c, m, 80.0, 0.0)
+    return response.IdentifiedPlant(p, 0.0, k, c, m, 80.0, 0.0)
 
 
 @pytest.mark.parametrize("rate", [1024, 4096])
@@ -313,7 +313,7 @@ def test_uncompensated_shaking_table_grows_at_the_structures_own_frequency() -> 
 
 
 def test_little_to_spare_is_said_in_figures() -> None:
-    verdict = Verdict(0.9999, 67.0, 1.1, 0.6, 80.0)
+    verdict = LoopVerdict(0.9999, 67.0, 1.1, 0.6, 80.0)
     assert verdict.thin
     text = loop_roots.remark(verdict)
     assert text is not None
@@ -322,8 +322,8 @@ def test_little_to_spare_is_said_in_figures() -> None:
         "an additional delay of 0.6 samples (0.586 ms); at least 1 sample (0.977 ms) is advised"
         in text
     )
-    assert not Verdict(0.9999, 3.6, 2.0, math.inf, 80.0).thin
-    assert loop_roots.remark(Verdict(0.9999, 3.6, 2.0, math.inf, 80.0)) is None
+    assert not LoopVerdict(0.9999, 3.6, 2.0, math.inf, 80.0).thin
+    assert loop_roots.remark(LoopVerdict(0.9999, 3.6, 2.0, math.inf, 80.0)) is None
 
 
 def test_without_an_identified_response_nothing_is_judged() -> None:

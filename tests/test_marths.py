@@ -16,7 +16,7 @@ from kernels import Floats
 
 from rthyb_rt.benchmark import marths, marths_laws, marths_table
 from rthyb_rt.benchmark import marths_frame as frame
-from rthyb_rt.benchmark.marths import Run
+from rthyb_rt.benchmark.marths import MarthsRun
 from rthyb_rt.core.coupled_plant import CoupledPlant
 from rthyb_rt.errors import InputError
 
@@ -159,7 +159,7 @@ def test_newmark_gives_what_an_exact_solution_gives() -> None:
 @pytest.mark.parametrize("law", ["none", "rodeac", "matrix-inverse"])
 def test_kr_alpha_and_newmark_agree_on_the_response(law: str) -> None:
     runs = [
-        marths.simulate(Run(law, "elcentro", integrator=integrator, noisy=False))
+        marths.simulate(MarthsRun(law, "elcentro", integrator=integrator, noisy=False))
         for integrator in marths.PARTS
     ]
     one, other = (found.displacement[:, list(frame.UPPER.values())] for found in runs if found)
@@ -180,12 +180,12 @@ def test_the_delay_is_the_lag_of_the_largest_correlation_of_either_sign() -> Non
     assert marths._delay(np.zeros(50), np.zeros(50)) == 0
 
 
-def signals(error: float) -> marths.Signals:
+def signals(error: float) -> marths.MarthsSignals:
     """A run whose readings are all wrong by so much of their size, without noise."""
     as_one = marths.joined("elcentro")
     node = marths._node(as_one)
     target, _ = frame.kinematics().axes(node)
-    found = marths.Signals.of(len(target))
+    found = marths.MarthsSignals.of(len(target))
     rows = zip(target, node, as_one, strict=True)
     for n, (axes, pose, x) in enumerate(rows):
         found.put(n, (axes, (1 + error) * axes, axes, axes, pose, x, np.zeros(3)))
@@ -193,7 +193,7 @@ def signals(error: float) -> marths.Signals:
 
 
 def test_figures_of_a_run_that_is_wrong_by_a_known_share() -> None:
-    figures = marths.figures(Run("none", "elcentro"), signals(0.02))
+    figures = marths.figures(MarthsRun("none", "elcentro"), signals(0.02))
     for name in ("J2", "J3"):
         assert of(figures, name) == pytest.approx([2.0, 2.0], rel=1e-9)
     for name in ("J5", "J6", "true", "joined", "joined-upper", "J1", "force"):
@@ -222,7 +222,7 @@ def test_forces_of_the_actuators_do_the_specimens_work() -> None:
 
 
 def test_without_compensation_the_actuators_err_by_half() -> None:
-    figures = marths.measure(Run("none", "elcentro")).figures
+    figures = marths.measure(MarthsRun("none", "elcentro")).figures
     assert of(figures, "J2") == pytest.approx([53, 32.5], abs=0.5)
     assert of(figures, "J5") == pytest.approx([39, 12.5], abs=0.6)
     assert of(figures, "J7") == pytest.approx([36, 11.3], abs=0.5)
@@ -233,9 +233,9 @@ def test_without_compensation_the_actuators_err_by_half() -> None:
 @pytest.mark.long
 def test_rodeac_is_what_another_derivation_of_it_is() -> None:
     """Figures of a simulation of ours that shares nothing with this one but the sources."""
-    quiet = marths.measure(Run("rodeac", "elcentro", noisy=False)).figures
+    quiet = marths.measure(MarthsRun("rodeac", "elcentro", noisy=False)).figures
     assert of(quiet, "J2") == pytest.approx([0.92, 1.11], abs=0.02)
-    figures = marths.measure(Run("rodeac", "elcentro")).figures
+    figures = marths.measure(MarthsRun("rodeac", "elcentro")).figures
     assert of(figures, "J2") == pytest.approx([3.4, 1.8], abs=0.1)
     assert of(figures, "J5") == pytest.approx([1.65, 5.2], abs=0.1)
     assert of(figures, "J7") == pytest.approx([9.6, 8.5], abs=0.1)
@@ -244,7 +244,7 @@ def test_rodeac_is_what_another_derivation_of_it_is() -> None:
 @pytest.mark.parametrize("integrator", marths.PARTS)
 @pytest.mark.parametrize("plant", [marths.NOMINAL, 8001, 8012])
 def test_our_own_keeps_to_what_is_wanted_of_it(plant: int, integrator: str) -> None:
-    figures = marths.measure(Run("matrix-inverse", "elcentro", plant, integrator)).figures
+    figures = marths.measure(MarthsRun("matrix-inverse", "elcentro", plant, integrator)).figures
     first, second = of(figures, "J2")
     assert first <= 3.3
     assert second <= 2.0
@@ -254,7 +254,7 @@ def test_our_own_keeps_to_what_is_wanted_of_it(plant: int, integrator: str) -> N
 
 def test_matrices_undo_what_axes_by_themselves_cannot() -> None:
     alone, together = (
-        of(marths.measure(Run(law, "elcentro", noisy=False)).figures, "J2")
+        of(marths.measure(MarthsRun(law, "elcentro", noisy=False)).figures, "J2")
         for law in ("lead", "matrix-inverse")
     )
     assert together[0] < 0.2 * alone[0]
@@ -268,7 +268,7 @@ def test_a_run_that_goes_unstable_ends_and_says_so(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(frame, "STROKE_M", 1e3)
     monkeypatch.setattr(marths_laws, "compensation", lambda name: Wrong())
-    outcome = marths.measure(Run("none", "elcentro"))
+    outcome = marths.measure(MarthsRun("none", "elcentro"))
     assert not outcome.completed
     line = marths_table.lines([outcome])[0]
     assert line.unstable == 1

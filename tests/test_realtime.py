@@ -640,9 +640,9 @@ class Threads:
     def __init__(self, made: experiment.Setup) -> None:
         self.ours, theirs = opening.socket_pair()
         line = virtual_rig.OpenedLine(theirs)
-        self.stop = virtual_rig.Stop()
-        self.results: list[virtual_rig.Result] = []
-        plan = virtual_rig.Plan(log_ticks=60000)
+        self.stop = virtual_rig.StopRequest()
+        self.results: list[virtual_rig.RigResult] = []
+        plan = virtual_rig.RigPlan(log_ticks=60000)
 
         def serve() -> None:
             self.results.append(virtual_rig.serve(made.rig, line, plan, self.stop))

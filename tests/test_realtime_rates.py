@@ -58,10 +58,10 @@ def short_test(rate_hz: float, rig: config.RigFile | None = None) -> experiment.
 
 
 def run(
-    setup: experiment.Setup, *, plan: virtual_rig.Plan | None = None, skip: int = 0
+    setup: experiment.Setup, *, plan: virtual_rig.RigPlan | None = None, skip: int = 0
 ) -> recording.Recording:
     """Run a test with a drive in step; ``skip``: ticks slept through before every one at rest."""
-    plan = plan or virtual_rig.Plan(rate=setup.rate)
+    plan = plan or virtual_rig.RigPlan(rate=setup.rate)
     ours, theirs = opening.socket_pair()
     with ours, theirs, virtual_rig.in_step(setup.rig, theirs, plan) as drive:
         assert isinstance(drive, loop.Drive)
@@ -137,7 +137,7 @@ def test_a_drive_that_samples_at_another_rate_is_named(drive_hz: int, test_hz: i
     """On the stepped clock, with as many of the drive's samples a tick as both rates say."""
     setup = short_test(test_hz)
     ours, theirs = opening.socket_pair()
-    plan = virtual_rig.Plan(rate=config.Rate(float(drive_hz)))
+    plan = virtual_rig.RigPlan(rate=config.Rate(float(drive_hz)))
     with ours, theirs, virtual_rig.in_step(setup.rig, theirs, plan) as drive:
         due = [0.0]
 
@@ -229,7 +229,7 @@ def test_a_jog_is_as_fast_at_every_rate(rate_hz: int) -> None:
 @pytest.mark.parametrize("rate_hz", [256, 2048])
 def test_a_rig_is_commissioned_at_its_rate(rate_hz: int) -> None:
     with at(rig_at(rate_hz)) as there:
-        found = guide.commission(there.connection, guide.Plan(distance_m=1e-3))
+        found = guide.commission(there.connection, guide.CommissioningSettings(distance_m=1e-3))
     assert {name: step.faults for name, step in found.steps.items()} == dict.fromkeys(
         certificate.STEPS, ()
     )
@@ -242,7 +242,7 @@ def test_a_certificate_holds_at_its_rate_alone(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     path.write_text(LAG, encoding="utf-8")
     made_at = rig_at(1024)
-    step = certificate.Step("link", True, certificate.now())
+    step = certificate.CheckedStep("link", True, certificate.now())
     known = certificate.Certificate("column", certificate.rig_hash(made_at), False, "a link")
     certificate.write(certificate.place(path), known.with_step(step))
     assert certificate.standing(made_at, path).holds is not None
@@ -271,7 +271,7 @@ def config_json(document: dict[str, Any]) -> str:
 def test_a_sweep_over_the_link_at_the_drives_rate_finds_what_it_finds_at_1024_hz(
     rate_hz: int,
 ) -> None:
-    sweep = identify.Sweep((1.0, 4.0), 0.5e-3)
+    sweep = identify.SweepPlan((1.0, 4.0), 0.5e-3)
     with at(rig_at(rate_hz)) as there:
         found = identify.identify_live(there.connection, sweep)
     known = identify.identify(rig_at(1024), sweep)
@@ -289,7 +289,7 @@ def test_a_sweep_over_the_link_at_the_drives_rate_finds_what_it_finds_at_1024_hz
 
 
 def test_a_sweep_in_virtual_time_is_that_of_1024_hz_whatever_the_drives_rate() -> None:
-    sweep = identify.Sweep((1.0, 2.0), 1e-3)
+    sweep = identify.SweepPlan((1.0, 2.0), 1e-3)
     one, other = (identify.identify(rig_at(hz), sweep) for hz in (1024, 2048))
     assert one.delay_s == other.delay_s
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from rthyb_rt.errors import InputError
-from rthyb_rt.studies.page import document, render, write_page
-from rthyb_rt.studies.results import Curve, Panel, Row, Study, band_text, value_text
+from rthyb_rt.studies.results import Curve, Panel, Study, StudyRow, band_text, value_text
+from rthyb_rt.studies.studies_page import document, render, write_page
 
 pytest.importorskip("matplotlib")
 
@@ -25,7 +25,7 @@ def page(paper: list[Study]) -> str:
     return render(paper)
 
 
-def small(*rows: Row, **changes: object) -> Study:
+def small(*rows: StudyRow, **changes: object) -> Study:
     t = np.linspace(0.0, 1.0, 50)
     panel = Panel("p", "A curve", "time, s", "x, mm", (Curve("x", t, np.sin(6 * t)),))
     study = Study("9.9", "Small", "A study.", rows, (panel,), ("Nothing is open.",))
@@ -98,8 +98,8 @@ def test_all_bands_met_is_said_first(paper: list[Study], page: str) -> None:
 @pytest.mark.parametrize("case", ["", "PLC"])
 def test_missed_band_is_named_on_top_and_marked_by_sign_and_word(case: str) -> None:
     rows = (
-        Row("Peak", 2.5, "mm", 1.0, 2.0, "about 1.5", "Tests", case),
-        Row("Delay", 1.5, "s", 1.0, 2.0, "", "Tests", case),
+        StudyRow("Peak", 2.5, "mm", 1.0, 2.0, "about 1.5", "Tests", case),
+        StudyRow("Delay", 1.5, "s", 1.0, 2.0, "", "Tests", case),
     )
     page = render([small(*rows)])
     text = text_of(page)
@@ -111,7 +111,7 @@ def test_missed_band_is_named_on_top_and_marked_by_sign_and_word(case: str) -> N
 
 
 def test_value_that_is_no_number_is_a_missed_band_and_null_in_json(tmp_path: Path) -> None:
-    study = small(Row("Peak", float("nan"), "mm", 1.0, 2.0), Row("Ratio", float("inf")))
+    study = small(StudyRow("Peak", float("nan"), "mm", 1.0, 2.0), StudyRow("Ratio", float("inf")))
     write_page([study], tmp_path)
     found = json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))
     assert [row["value"] for row in found["rows"]] == [None, None]
@@ -120,7 +120,7 @@ def test_value_that_is_no_number_is_a_missed_band_and_null_in_json(tmp_path: Pat
 
 
 def test_notice_of_a_study_stands_above_its_tables() -> None:
-    page = text_of(render([small(Row("Peak", 1.0), notice="Run without the record.")]))
+    page = text_of(render([small(StudyRow("Peak", 1.0), notice="Run without the record.")]))
     assert page.index("Run without the record.") < page.index("Peak")
 
 
@@ -138,7 +138,7 @@ def test_results_hold_every_row_with_its_place(paper: list[Study], tmp_path: Pat
 
 
 def test_titles_cannot_break_out_of_the_page() -> None:
-    page = render([small(Row("<b>bold</b>", 1.0), title="<script>alert(1)</script>")])
+    page = render([small(StudyRow("<b>bold</b>", 1.0), title="<script>alert(1)</script>")])
     assert "<script>alert" not in page
     assert "<b>bold" not in page
 
@@ -146,10 +146,10 @@ def test_titles_cannot_break_out_of_the_page() -> None:
 def test_page_without_matplotlib_names_the_remedy_and_leaves_the_results(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delitem(sys.modules, "rthyb_rt.studies.figures", raising=False)
+    monkeypatch.delitem(sys.modules, "rthyb_rt.studies.studies_figures", raising=False)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(InputError, match=r"needs matplotlib.*pip install 'rthyb-rt\[report\]'"):
-        write_page([small(Row("Peak", 1.0))], tmp_path)
+        write_page([small(StudyRow("Peak", 1.0))], tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["results.json"]
 
 
@@ -157,8 +157,8 @@ def test_short_window_of_a_long_test_is_drawn_as_it_was() -> None:
     t = np.arange(40 * 1024) / 1024.0
     curve = Curve("", t, np.sin(2 * np.pi * 50.0 * t))
     panel = Panel("short", "Short", "time, s", "y", (curve,), x_range=(2.0, 2.5))
-    from rthyb_rt.studies.figures import draw_all
+    from rthyb_rt.studies.studies_figures import draw_all
 
-    (plate,) = draw_all(small(Row("Peak", 1.0), panels=(panel,)))
+    (plate,) = draw_all(small(StudyRow("Peak", 1.0), panels=(panel,)))
     path = max(re.findall(r' d="([^"]*)"', plate.svg), key=len)
     assert len(re.findall(r"[ML]", path)) > 300

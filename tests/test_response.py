@@ -19,7 +19,7 @@ from rthyb_rt.config.rigfile import Identified
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.rig.identify import FREQUENCIES_HZ, Sweep, identified_rig, identify
+from rthyb_rt.rig.identify import FREQUENCIES_HZ, SweepPlan, identified_rig, identify
 
 TEST = """schema = "rthyb-test/1"
 test = {{ name = "t", sample_rate_hz = {rate} }}
@@ -101,7 +101,7 @@ def test_identify_finds_the_resonance_of_actuator_and_specimen(seed: int | None)
     whole = np.polyadd(np.polymul(valve, flow), [a.valve_n_per_m_s3])
     poles = np.roots(whole)
     light = poles[(poles.imag > 0) & (-poles.real < 0.1 * np.abs(poles))]
-    result = identify(rig, Sweep.up_to(80.0))
+    result = identify(rig, SweepPlan.up_to(80.0))
     assert result.resonance_hz == pytest.approx(float(np.abs(light[0])) / (2 * np.pi), rel=0.02)
     written = identified_rig(rig, result).identified
     assert written is not None
@@ -120,7 +120,7 @@ def test_identify_finds_the_resonance_of_actuator_and_specimen(seed: int | None)
     ],
 )
 def test_a_rig_without_one_in_the_sweep_has_no_resonance(name: str, top_hz: float) -> None:
-    result = identify(config.load_rig(config.shipped_rig(name)), Sweep.up_to(top_hz))
+    result = identify(config.load_rig(config.shipped_rig(name)), SweepPlan.up_to(top_hz))
     assert result.resonance_hz is None
     assert identified_rig(nominal(), result).identified.roll_off_hz is None  # type: ignore[union-attr]
 
@@ -259,7 +259,7 @@ def test_a_strong_motion_behind_an_unknown_delay_is_followed_to_a_twentieth_of_a
     """Section 4.2 of the paper; the rig is swept to 40 Hz, and the estimate begins at 0."""
     rig = config.load_rig(config.shipped_rig("delay-10-bouc-wen"))
     k_e_n_per_m = rig.rig.elastic_stiffness_n_per_m
-    rig = identified_rig(rig, identify(rig, Sweep.up_to(40.0)))
+    rig = identified_rig(rig, identify(rig, SweepPlan.up_to(40.0)))
     # Swept at 2 mm, where it has begun to yield a little.
     assert rig.rig.elastic_stiffness_n_per_m == pytest.approx(k_e_n_per_m, rel=0.01)
     test = config.load_test(SECTION_4_2, {"controller.type": law, "ground_motion.pga_g": "0.2"})

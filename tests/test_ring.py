@@ -35,7 +35,7 @@ from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, realtime, virtual_time
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import AFTER_TRIP, CAPACITY, Reader, Ring
+from rthyb_rt.record.ring import AFTER_TRIP, CAPACITY, Ring, RingReader
 
 pytestmark = pytest.mark.alone
 
@@ -295,7 +295,7 @@ def test_closed_ring_takes_no_more(small: Ring) -> None:
     small.close()
     with pytest.raises(RthybError, match="the ring is closed"):
         small.push(rows(3, 1))
-    with Reader(small.path) as reader:
+    with RingReader(small.path) as reader:
         assert reader.closed
         assert not reader.alive
         assert reader.read().samples["tick"].tolist() == [0, 1, 2]
@@ -305,7 +305,7 @@ def test_closed_ring_takes_no_more(small: Ring) -> None:
 
 
 def test_readers_follow_at_their_own_pace(small: Ring) -> None:
-    with Reader(small.path) as quick, Reader(small.path) as slow:
+    with RingReader(small.path) as quick, RingReader(small.path) as slow:
         assert quick.newest() is None
         assert quick.read().samples.size == 0
         for start in (0, 20, 40):
@@ -319,7 +319,7 @@ def test_readers_follow_at_their_own_pace(small: Ring) -> None:
 
 def test_late_reader_begins_with_the_oldest_record(small: Ring) -> None:
     small.push(rows(0, 150))
-    with Reader(small.path) as reader:
+    with RingReader(small.path) as reader:
         found = reader.read()
         assert found.first == 150 - 64
         assert found.samples["tick"].tolist() == list(range(86, 150))
@@ -327,7 +327,7 @@ def test_late_reader_begins_with_the_oldest_record(small: Ring) -> None:
 
 
 def test_lapped_reader_knows_what_it_lost(small: Ring) -> None:
-    with Reader(small.path) as reader:
+    with RingReader(small.path) as reader:
         small.push(rows(0, 10))
         reader.read()
         small.push(rows(10, 100))
@@ -351,7 +351,7 @@ def test_whatever_the_pace_records_come_whole_in_order_or_are_counted_as_lost(
 ) -> None:
     made = Ring.create(tmp_path, session, capacity=capacity)
     pushed = read = 0
-    with Reader(made.path) as reader:
+    with RingReader(made.path) as reader:
         for is_push, count in steps:
             if is_push:
                 made.push(rows(pushed, count))
@@ -381,7 +381,7 @@ def test_readers_in_threads_get_whole_records_of_a_running_ring(
     seen: list[tuple[int, int]] = []
 
     def follow() -> None:
-        with Reader(made.path) as reader:
+        with RingReader(made.path) as reader:
             read, last = 0, -1
             while reader.next < total:
                 found = reader.read(256)
@@ -413,12 +413,12 @@ def test_readers_in_threads_get_whole_records_of_a_running_ring(
 def test_reader_needs_no_right_to_write(small: Ring) -> None:
     small.push(rows(0, 5))
     small.path.chmod(0o440)
-    with Reader(small.path) as reader:
+    with RingReader(small.path) as reader:
         assert reader.read().samples.size == 5
 
 
 def test_reader_knows_whether_the_process_lives(small: Ring) -> None:
-    with Reader(small.path) as one, Reader(small.path) as other:
+    with RingReader(small.path) as one, RingReader(small.path) as other:
         assert one.alive
         assert other.alive
         small.close()
@@ -427,7 +427,7 @@ def test_reader_knows_whether_the_process_lives(small: Ring) -> None:
 
 
 def test_description_names_every_field_with_its_unit(small: Ring) -> None:
-    with Reader(small.path) as reader:
+    with RingReader(small.path) as reader:
         fields = {field["name"]: field for field in reader.about["fields"]}
     assert {name: field["unit"] for name, field in fields.items()} == recording.UNITS
     for name, field in fields.items():
@@ -463,7 +463,7 @@ def test_ring_stands_still_a_second_after_a_trip_while_the_status_page_goes_on(
     tmp_path: Path, session: Recording
 ) -> None:
     made = Ring.create(tmp_path, session, capacity=4096)
-    with Reader(made.path) as reader:
+    with RingReader(made.path) as reader:
         made.push(rows(0, 100))
         made.push(rows(100, AFTER_TRIP - 1, TRIPPED))
         assert not reader.frozen
@@ -477,7 +477,7 @@ def test_ring_stands_still_a_second_after_a_trip_while_the_status_page_goes_on(
         assert reader.pushed == 100 + AFTER_TRIP
         assert reader.read().samples["tick"].tolist() == list(range(100 + AFTER_TRIP))
     made.close()
-    with Reader(made.path) as reader:  # closing does not thaw it
+    with RingReader(made.path) as reader:  # closing does not thaw it
         assert reader.frozen
         assert reader.closed
     made.remove()
@@ -487,7 +487,7 @@ def test_reset_lets_the_ring_go_on_and_the_next_trip_freezes_it_again(
     tmp_path: Path, session: Recording
 ) -> None:
     made = Ring.create(tmp_path, session, capacity=4096)
-    with Reader(made.path) as reader:
+    with RingReader(made.path) as reader:
         made.push(rows(0, 2000, TRIPPED))
         made.push(rows(2000, 10, IDLE))
         assert not reader.frozen
@@ -508,7 +508,7 @@ def test_reset_lets_the_ring_go_on_and_the_next_trip_freezes_it_again(
 
 def refusal(path: Path) -> str:
     with pytest.raises(InputError) as caught:
-        Reader(path)
+        RingReader(path)
     assert caught.value.exit_code == 3
     assert caught.value.problems[0].where == str(path)
     return str(caught.value)
@@ -594,7 +594,7 @@ def test_damage_never_makes_a_reader_crash_or_hang(
     copy = tmp_path / "copy"
     copy.write_bytes(data)
     try:
-        reader = Reader(copy)
+        reader = RingReader(copy)
     except InputError:
         return
     with reader:
@@ -646,7 +646,7 @@ def test_process_killed_between_two_instructions_costs_its_last_tick_at_most(
 def test_half_written_status_page_does_not_hang_a_reader(small: Ring) -> None:
     small.push(rows(0, AFTER_TRIP + 5, TRIPPED))
     patch(small.path, NEWEST_AT, struct.pack("<Q", 13))
-    with Reader(small.path) as reader:
+    with RingReader(small.path) as reader:
         assert reader.frozen
         assert reader.newest() is None
 
@@ -684,7 +684,7 @@ def killed_producer(folder: Path, capacity: int, batch: int, wait_s: float) -> t
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stdout is not None
         path = Path(process.stdout.readline().strip())
-        with Reader(path) as reader:
+        with RingReader(path) as reader:
             assert reader.alive
         while counter.read_bytes() == bytes(8):
             time.sleep(1e-3)
@@ -694,7 +694,7 @@ def killed_producer(folder: Path, capacity: int, batch: int, wait_s: float) -> t
     return path, int(struct.unpack("<q", counter.read_bytes())[0])
 
 
-def follows_its_rows(found: ring.Recovered) -> bool:
+def follows_its_rows(found: ring.RecoveredRecording) -> bool:
     """Whether every record is whole and where it was pushed."""
     samples = found.recording.samples
     wanted = np.arange(found.rows[0], found.rows[1] + 1) % CYCLE

@@ -7,6 +7,8 @@ import graphlib
 import shutil
 import subprocess
 import sys
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -89,6 +91,41 @@ def test_the_core_is_used_without_the_library_of_the_recordings() -> None:
         "sys.exit('h5py' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# What stands for two things: how often each name occurs. A name may leave these lists, and none may
+# join them or occur more often. Those of the public interface (Diagnosis, Recording, Rig)
+# and of the tables of files, which the JSON schemas show, keep their names.
+REPEATED_MODULES = {
+    "engine": 2, "experiment": 2, "export": 2, "extras": 2, "files": 2, "history": 3,
+    "identify": 2, "jitter": 3, "laws": 2, "own": 2, "recorder": 2, "replaying": 2,
+    "several": 2, "sizes": 2, "units": 2,
+}  # fmt: skip
+REPEATED_CLASSES = {
+    "BoucWen": 3, "Calibration": 2, "Channel": 2, "Column": 2, "Controller": 2, "Diagnosis": 2,
+    "Drift": 2, "Element": 2, "Entry": 2, "Fitter": 2, "GroundMotion": 2, "Law": 2, "Link": 2,
+    "Numerical": 2, "Part": 4, "Problem": 2, "Recording": 2, "Rfc": 2, "Rig": 2, "Specimen": 2,
+    "Table": 2, "_Unknown": 3,
+}  # fmt: skip
+
+
+def _repeated(names: Iterable[str]) -> dict[str, int]:
+    return {name: n for name, n in sorted(Counter(names).items()) if n > 1}
+
+
+def test_a_module_name_stands_for_one_thing() -> None:
+    names = (path.stem for path in PACKAGE.rglob("*.py") if not path.stem.startswith("__"))
+    assert _repeated(names) == REPEATED_MODULES
+
+
+def test_a_class_name_stands_for_one_thing() -> None:
+    names = (
+        node.name
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    )
+    assert _repeated(names) == REPEATED_CLASSES
 
 
 HEADERS = sorted((PACKAGE.parent / "csrc").glob("rthyb_*.h"))

@@ -473,7 +473,7 @@ def test_the_check_of_a_test_says_the_same_times(rate_hz: float, rthyb: Rthyb) -
 def test_a_held_test_brakes_as_check_says_at_4096_hz() -> None:
     """The station's brake and the one that `rthyb check` reckons with, tick by tick."""
     rate = Rate(4096.0)
-    course = braking.Course.of(1e-3 * np.sin(2 * np.pi * 2 * np.arange(4096) / 4096), rate)
+    course = braking.BrakingCourse.of(1e-3 * np.sin(2 * np.pi * 2 * np.arange(4096) / 4096), rate)
     brake = braking.Brake.of(course.x[300], course.v[300], course.a[300], 0.2, rate)
     assert float(brake.turn_s) == pytest.approx(16 / 1024)
     x, v, a = brake.at(float(brake.lasts_s))

@@ -340,7 +340,7 @@ def test_service_ends_whatever_comes_at_that_moment(place: Path, turns: int) -> 
     """A request that arrives as its connection is ended must not have it wait for another one."""
 
     async def end_with_a_request_on_its_way() -> None:
-        server = control.ControlServer(place / "s", echoing(), control.Limits(message_s=60.0))
+        server = control.ControlServer(place / "s", echoing(), control.ClientLimits(message_s=60.0))
         await server.start()
         with socket.socket(socket.AF_UNIX) as client:
             client.connect(str(place / "s"))
@@ -528,7 +528,7 @@ def test_who_comes_again_and_again_has_no_more_than_who_stays(
 
 
 def test_credit_of_a_user_is_bounded_and_so_are_the_users() -> None:
-    credits = control._Credits(control.Limits(per_s=50.0, burst=10.0))
+    credits = control._Credits(control.ClientLimits(per_s=50.0, burst=10.0))
     for _ in range(10_000):
         waits_s = credits.take(7)
     assert waits_s <= 64 / 50.0
@@ -786,7 +786,7 @@ def resident_mb() -> float:
 def test_service_lives_through_any_number_of_malformed_and_oversized_requests(place: Path) -> None:
     """Of somebody who may do everything, at the socket itself: nothing comes of any."""
     chance = random.Random(17)
-    limits = control.Limits(per_s=1e9, burst=1e9)
+    limits = control.ClientLimits(per_s=1e9, burst=1e9)
     refused: Counter[str] = Counter()
     long = torn = 0
     begun_mb, descriptors = 0.0, 0

@@ -41,7 +41,7 @@ from rthyb_rt.record.recording import Recording
 from rthyb_rt.record.ring import Ring, session_path
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.commissioning import certificate
-from rthyb_rt.rig.commissioning.moving import command_numbers
+from rthyb_rt.rig.commissioning.guided_motion import command_numbers
 from rthyb_rt.rig.links import opening
 from rthyb_rt.service import daemon as daemons
 from rthyb_rt.service import installing, systemd
@@ -535,7 +535,7 @@ def test_rig_that_was_commissioned_is_so_for_the_service_too(
     own.write_text(config.dump(rig_file()) + link, encoding="utf-8")
     rig = config.load_rig(own)
     made = certificate.Certificate(rig.rig.name, certificate.rig_hash(rig), False, "wire")
-    steps = [certificate.Step(name, True, certificate.now()) for name in certificate.STEPS]
+    steps = [certificate.CheckedStep(name, True, certificate.now()) for name in certificate.STEPS]
     for step in steps:
         made = made.with_step(step)
     certificate.write(certificate.place(own), made)
@@ -567,7 +567,7 @@ def test_dbc_file_of_a_rig_goes_with_it(
     rig = config.load_rig(own)
     made = certificate.Certificate(rig.rig.name, certificate.rig_hash(rig), False, "can0")
     for name in certificate.STEPS:
-        made = made.with_step(certificate.Step(name, True, certificate.now()))
+        made = made.with_step(certificate.CheckedStep(name, True, certificate.now()))
     certificate.write(certificate.place(own), made)
     root = tmp_path / "system"
     answer = rthyb("install-service", "--root", root, "--rig", own)

@@ -261,7 +261,7 @@ def test_drive_that_goes_silent_is_not_one_that_says_it_has_stopped(rings: Path)
 def engines_at_one_drive(rings: Path) -> Iterator[tuple[Callable[[], Bench], loop.Drive]]:
     """Give a way to begin a service anew, at a drive that has seen the others."""
     rig = rig_file()
-    plan = virtual_rig.Plan(log_ticks=60000)
+    plan = virtual_rig.RigPlan(log_ticks=60000)
     ours, theirs = opening.socket_pair()
     made: list[Bench] = []
     with ours, theirs, virtual_rig.in_step(rig, theirs, plan) as drive:
@@ -424,7 +424,7 @@ def test_trip_is_recorded_at_once_and_stays_until_it_is_reset(rings: Path) -> No
         assert any(text.endswith(f"cause: {figures}") for text in told)
         assert any(f"ended: tripped: position limit, {figures} at " in text for text in told)
         (path, *_) = [p for p in ring.find(rings) if p != made.engine.ring_path]
-        with ring.Reader(path) as reader:
+        with ring.RingReader(path) as reader:
             assert reader.closed
         with pytest.raises(StateError, match="zero is allowed in IDLE or ZEROED"):
             made.engine.zero()

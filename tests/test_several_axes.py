@@ -14,7 +14,7 @@ from command_line import Rthyb
 from test_axes_tests import RIG, TEST
 
 from rthyb_rt import config
-from rthyb_rt.analysis import several as measured
+from rthyb_rt.analysis import several_axes as measured
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.axes_reference import joint_model, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes

@@ -62,7 +62,7 @@ def test_the_electric_cylinder_is_two_loops_in_series() -> None:
 def test_what_a_shipped_rig_says_of_itself_is_what_an_identification_finds(name: str) -> None:
     rig = shipped(name)
     said = rig.identified
-    found = identify.identify(rig, identify.Sweep.up_to(10.0))
+    found = identify.identify(rig, identify.SweepPlan.up_to(10.0))
     slow = len(found.tones)
     assert found.alpha == pytest.approx(said.alpha, rel=0.01)
     assert found.delay_s == pytest.approx(said.delay_s, rel=0.01)

@@ -14,8 +14,8 @@ from rthyb_rt import core, studies
 from rthyb_rt.errors import InputError
 from rthyb_rt.studies import estimator, inelastic, stability, table_tests
 from rthyb_rt.studies.results import (
-    Row,
     Study,
+    StudyRow,
     band_text,
     grouped,
     tables,
@@ -209,31 +209,33 @@ def test_record_that_is_not_there_is_refused() -> None:
 def test_band_decides(
     number: float, low: float | None, high: float | None, inside: bool | None
 ) -> None:
-    assert Row("q", number, low=low, high=high).inside is inside
+    assert StudyRow("q", number, low=low, high=high).inside is inside
 
 
 @pytest.mark.parametrize(
     ("row", "value", "band"),
     [
-        (Row("q", 3.0, low=2, high=4), "3", "2 – 4"),
-        (Row("q", 12.3160, low=11, high=13), "12.32", "11 – 13"),
-        (Row("q", -0.012345, high=0.25), "−0.01235", "≤ 0.25"),
-        (Row("q", 55.749, low=50), "55.75", "≥ 50"),
-        (Row("q", 0.0, low=0, high=0), "0", "0"),
-        (Row("q", math.nan), "–", ""),
-        (Row("q", math.inf), "∞", ""),
-        (Row("q", 1.0053, low=1.0053 - 1e-3, high=1.0053 + 1e-3), "1.005", "1.0043 – 1.0063"),
+        (StudyRow("q", 3.0, low=2, high=4), "3", "2 – 4"),
+        (StudyRow("q", 12.3160, low=11, high=13), "12.32", "11 – 13"),
+        (StudyRow("q", -0.012345, high=0.25), "−0.01235", "≤ 0.25"),
+        (StudyRow("q", 55.749, low=50), "55.75", "≥ 50"),
+        (StudyRow("q", 0.0, low=0, high=0), "0", "0"),
+        (StudyRow("q", math.nan), "–", ""),
+        (StudyRow("q", math.inf), "∞", ""),
+        (StudyRow("q", 1.0053, low=1.0053 - 1e-3, high=1.0053 + 1e-3), "1.005", "1.0043 – 1.0063"),
     ],
 )
-def test_numbers_are_written_for_people(row: Row, value: str, band: str) -> None:
+def test_numbers_are_written_for_people(row: StudyRow, value: str, band: str) -> None:
     assert value_text(row) == value
     assert band_text(row) == band
 
 
 def test_cases_become_columns_and_gaps_stay_gaps() -> None:
-    rows = grouped("g", [Row("error", 1.0, "mm", paper="small"), Row("delay", 2.0, "s")], "a")
-    rows += grouped("g", [Row("error", 3.0, "mm", paper="small")], "b")
-    rows += grouped("alone", [Row("peak", 4.0)])
+    rows = grouped(
+        "g", [StudyRow("error", 1.0, "mm", paper="small"), StudyRow("delay", 2.0, "s")], "a"
+    )
+    rows += grouped("g", [StudyRow("error", 3.0, "mm", paper="small")], "b")
+    rows += grouped("alone", [StudyRow("peak", 4.0)])
     wide, plain = tables(Study("0", "t", "", tuple(rows), ()))
     assert wide.cases == ("a", "b")
     assert [(line.quantity, line.unit, line.paper) for line in wide.lines] == [

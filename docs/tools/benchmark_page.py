@@ -22,9 +22,9 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from measuring import facts_text, markdown
 
-from rthyb_rt.benchmark import cases, runs, table
-from rthyb_rt.benchmark.runs import Outcome, Run
-from rthyb_rt.benchmark.table import Line
+from rthyb_rt.benchmark import benchmark_runs, benchmark_table, cases
+from rthyb_rt.benchmark.benchmark_runs import BenchmarkRun, RunOutcome
+from rthyb_rt.benchmark.benchmark_table import EntrantLine
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.report import drawing
 
@@ -35,47 +35,62 @@ KEPT = ROOT / "build" / "benchmark-rths.json"
 SHORT = ("J2", "J4", "J6", "J8", "true")
 
 
-def plan() -> dict[str, list[Run]]:
+def plan() -> dict[str, list[BenchmarkRun]]:
     """Return the runs behind the page, by part."""
     names = [one.name for one in cases.entrants()]
     rates = list(cases.RATES)
     return {
-        "elcentro": runs.planned(names, rates, [1, 4], ["elcentro"], runs.seeds_of(20)),
-        "between": runs.planned(names, rates, [2, 3], ["elcentro"], runs.seeds_of(4)),
-        "motions": runs.planned(names, rates, [1, 4], ["kobe", "morgan"], runs.seeds_of(4)),
-        "wide": runs.planned(names, rates, [1, 4], ["elcentro"], runs.seeds_of(20), width=3.0),
-        "yielding": runs.planned(
-            names, rates, [1, 4], ["elcentro"], runs.seeds_of(2), yielding=True
+        "elcentro": benchmark_runs.planned(
+            names, rates, [1, 4], ["elcentro"], benchmark_runs.seeds_of(20)
+        ),
+        "between": benchmark_runs.planned(
+            names, rates, [2, 3], ["elcentro"], benchmark_runs.seeds_of(4)
+        ),
+        "motions": benchmark_runs.planned(
+            names, rates, [1, 4], ["kobe", "morgan"], benchmark_runs.seeds_of(4)
+        ),
+        "wide": benchmark_runs.planned(
+            names, rates, [1, 4], ["elcentro"], benchmark_runs.seeds_of(20), width=3.0
+        ),
+        "yielding": benchmark_runs.planned(
+            names, rates, [1, 4], ["elcentro"], benchmark_runs.seeds_of(2), yielding=True
         ),
     }
 
 
-def measure(part: str, wanted: Sequence[Run], jobs: int) -> None:
+def measure(part: str, wanted: Sequence[BenchmarkRun], jobs: int) -> None:
     """Do the runs of a part, and keep them."""
-    measuring.measure(KEPT, part, len(wanted), lambda: table.document(runs.measured(wanted, jobs)))
+    measuring.measure(
+        KEPT,
+        part,
+        len(wanted),
+        lambda: benchmark_table.document(benchmark_runs.measured(wanted, jobs)),
+    )
 
 
-def outcome(kept: dict[str, Any]) -> Outcome:
+def outcome(kept: dict[str, Any]) -> RunOutcome:
     """Return a run that was kept."""
     figures, end, beyond = (kept.pop(key) for key in ("figures", "end", "beyond"))
-    return Outcome(Run(**kept), end, figures, beyond)
+    return RunOutcome(BenchmarkRun(**kept), end, figures, beyond)
 
 
 # ---- tables -------------------------------------------------------------------------------------
 
 
-def whole_table(lines: Sequence[Line], rate_hz: int) -> str:
+def whole_table(lines: Sequence[EntrantLine], rate_hz: int) -> str:
     """Return cases 1 and 4 with all figures."""
-    heads = ["law", "case", *table.heads()]
+    heads = ["law", "case", *benchmark_table.heads()]
     rows = [
-        [f"`{line.entrant}`", str(line.case), *table.cells(line)]
+        [f"`{line.entrant}`", str(line.case), *benchmark_table.cells(line)]
         for line in lines
         if line.rate_hz == rate_hz
     ]
     return markdown(heads, rows, 1)
 
 
-def short_table(lines: Sequence[Line], kind: Callable[[Line], str], kinds: Sequence[str]) -> str:
+def short_table(
+    lines: Sequence[EntrantLine], kind: Callable[[EntrantLine], str], kinds: Sequence[str]
+) -> str:
     """Return a line a law: the figures of `SHORT` as means, case 1 / case 4, in each kind."""
     rows = []
     for name in dict.fromkeys(line.entrant for line in lines):
@@ -93,26 +108,26 @@ def short_table(lines: Sequence[Line], kind: Callable[[Line], str], kinds: Seque
     return markdown(heads, rows, 1)
 
 
-def _case(line: Line) -> str:
+def _case(line: EntrantLine) -> str:
     return f"case {line.case}"
 
 
-def _motion(line: Line) -> str:
+def _motion(line: EntrantLine) -> str:
     return line.motion
 
 
-def _mean(line: Line, key: str) -> str:
-    return table.short(line.mean[key]) if line.mean else "–"
+def _mean(line: EntrantLine, key: str) -> str:
+    return benchmark_table.short(line.mean[key]) if line.mean else "–"
 
 
-def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, str]:
+def parts(found: dict[str, list[RunOutcome]], facts: dict[str, Any]) -> dict[str, str]:
     """Return what stands between the markers, by name."""
     made = {"facts": facts_text(facts)}
-    lines = table.lines(found["elcentro"])
+    lines = benchmark_table.lines(found["elcentro"])
     for rate in cases.RATES:
         made[f"elcentro-{rate}"] = whole_table(lines, rate)
     for part in [name for name in plan() if name in found and name != "elcentro"]:
-        lines, kind = table.lines(found[part]), _case if part == "between" else _motion
+        lines, kind = benchmark_table.lines(found[part]), _case if part == "between" else _motion
         for rate in cases.RATES:
             own = [line for line in lines if line.rate_hz == rate]
             made[f"{part}-{rate}"] = short_table(own, kind, list(dict.fromkeys(map(kind, own))))
@@ -122,7 +137,7 @@ def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, s
 # ---- the picture --------------------------------------------------------------------------------
 
 
-def picture(outcomes: Sequence[Outcome]) -> str:
+def picture(outcomes: Sequence[RunOutcome]) -> str:
     """Return tracking against response error in case 1, every law a point with its spread."""
     with rc_context(drawing.STYLE):
         figure = Figure(figsize=(drawing.FULL_WIDTH_IN, 4.4))
@@ -139,11 +154,11 @@ def picture(outcomes: Sequence[Outcome]) -> str:
         return pictures.on_paper(drawing.to_svg(figure, "benchmark-rths", title))
 
 
-def _shown(one: Outcome, rate: int) -> bool:
+def _shown(one: RunOutcome, rate: int) -> bool:
     return one.completed and one.run.rate_hz == rate and one.run.case == 1
 
 
-def _draw_rate(axes: Any, outcomes: Sequence[Outcome]) -> None:
+def _draw_rate(axes: Any, outcomes: Sequence[RunOutcome]) -> None:
     names = list(dict.fromkeys(one.run.entrant for one in outcomes))
     named = []
     for name in names:

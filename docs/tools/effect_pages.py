@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from pictures import on_paper
 
-from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion, actuator
+from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.catalogue import Entry, entries
@@ -86,7 +86,7 @@ OWN_ABSCISSA = {
 """What shows an effect better than displacement does, in the middle of its picture."""
 
 
-def command() -> Motion:
+def command() -> ComputedMotion:
     """Return the motion of the pictures: cycles of 1 Hz that grow to 10 mm, then 3 Hz of 5 mm."""
     t = np.arange(int(6.0 * FS)) / FS
     size = _smooth(np.interp(t, [0.0, 3.2, 4.2, 6.0], [2e-3, 10e-3, 5e-3, 5e-3]))
@@ -94,7 +94,7 @@ def command() -> Motion:
     phase = 2 * np.pi * np.cumsum(rate) / FS
     x = size * np.sin(phase)
     v = np.gradient(x) * FS
-    return Motion(x, v, np.gradient(v) * FS)
+    return ComputedMotion(x, v, np.gradient(v) * FS)
 
 
 def _smooth(y: np.ndarray) -> np.ndarray:

@@ -32,7 +32,7 @@ from rthyb_rt.config import (
 from rthyb_rt.config.fields import Count, Names, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.history import Amplitudes, CycleCounts
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
-from rthyb_rt.config.own import Parameters, Settings
+from rthyb_rt.config.own import NamedParameters, Settings
 from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.core.laws import LAWS, parameters
 from rthyb_rt.record import recording
@@ -514,7 +514,7 @@ def _row(model: type[Table], key: str, info: FieldInfo, parts: list[Any]) -> str
             allowed = "list, different names"
         elif isinstance(part, Names):
             allowed, meaning = "list of different strings", part.what
-        elif isinstance(part, (Parameters, Settings)):
+        elif isinstance(part, (NamedParameters, Settings)):
             allowed, meaning = part.form, part.what
         elif isinstance(part, Sign):
             allowed, meaning = "1, -1", part.what

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from measuring import facts_text, markdown
 
 from rthyb_rt.benchmark import marths, marths_laws, marths_table
-from rthyb_rt.benchmark.marths import Outcome, Run
+from rthyb_rt.benchmark.marths import MarthsOutcome, MarthsRun
 from rthyb_rt.report import drawing
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,7 +29,7 @@ KEPT = ROOT / "build" / "benchmark-marths.json"
 OURS = ("lead", "lead-decoupled", "matrix", "matrix-inverse")
 
 
-def plan() -> dict[str, list[Run]]:
+def plan() -> dict[str, list[MarthsRun]]:
     """Return the runs behind the page, by part."""
     names = list(marths_laws.NAMES)
     return {
@@ -40,20 +40,20 @@ def plan() -> dict[str, list[Run]]:
     }
 
 
-def measure(part: str, wanted: Sequence[Run], jobs: int) -> None:
+def measure(part: str, wanted: Sequence[MarthsRun], jobs: int) -> None:
     """Do the runs of a part, and keep them."""
     measuring.measure(
         KEPT, part, len(wanted), lambda: marths_table.document(marths.measured(wanted, jobs))
     )
 
 
-def outcome(kept: dict[str, Any]) -> Outcome:
+def outcome(kept: dict[str, Any]) -> MarthsOutcome:
     """Return a run that was kept."""
     figures = kept.pop("figures")
-    return Outcome(Run(**kept), figures)
+    return MarthsOutcome(MarthsRun(**kept), figures)
 
 
-def table_of(outcomes: Sequence[Outcome], motion: str, names: Sequence[str]) -> str:
+def table_of(outcomes: Sequence[MarthsOutcome], motion: str, names: Sequence[str]) -> str:
     """Return a line a law, with one motion."""
     rows = [
         [f"`{line.law}`", *marths_table.cells(line, names)]
@@ -63,7 +63,7 @@ def table_of(outcomes: Sequence[Outcome], motion: str, names: Sequence[str]) -> 
     return markdown(["law", *marths_table.heads(names)], rows, 1)
 
 
-def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, str]:
+def parts(found: dict[str, list[MarthsOutcome]], facts: dict[str, Any]) -> dict[str, str]:
     """Return what stands between the markers, by name."""
     made = {"facts": facts_text(facts)}
     made["laws"] = markdown(
@@ -82,7 +82,7 @@ def parts(found: dict[str, list[Outcome]], facts: dict[str, Any]) -> dict[str, s
     return made
 
 
-def picture(outcomes: Sequence[Outcome]) -> str:
+def picture(outcomes: Sequence[MarthsOutcome]) -> str:
     """Return tracking against response error, every law a point with its spread, each actuator."""
     with rc_context(drawing.STYLE):
         figure = Figure(figsize=(drawing.FULL_WIDTH_IN, 4.0))
@@ -103,7 +103,7 @@ def picture(outcomes: Sequence[Outcome]) -> str:
         return pictures.on_paper(drawing.to_svg(figure, "benchmark-marths", title))
 
 
-def _points(outcomes: Sequence[Outcome], name: str, axis: int) -> Any:
+def _points(outcomes: Sequence[MarthsOutcome], name: str, axis: int) -> Any:
     own = [one.figures for one in outcomes if one.run.law == name and one.completed]
     return np.array(
         [

@@ -11,7 +11,7 @@ from pathlib import Path
 from key_tables import renewed
 
 from rthyb_rt import studies
-from rthyb_rt.studies.results import Row, Study, Table, band_text, tables, value_text
+from rthyb_rt.studies.results import Study, StudyRow, StudyTable, band_text, tables, value_text
 
 PAGE = Path(__file__).resolve().parents[1] / "paper.md"
 
@@ -28,7 +28,7 @@ def _section(study: Study) -> str:
     return "\n\n".join([count, *shown])
 
 
-def _table(table: Table) -> str:
+def _table(table: StudyTable) -> str:
     if table.cases:
         rows = [f"| | {' | '.join(_text(case) for case in table.cases)} | unit | the paper |"]
         rows.append("|---|" + "---|" * (len(table.cases) + 2))
@@ -44,7 +44,7 @@ def _table(table: Table) -> str:
     return f"**{_text(table.title)}**\n\n" + "\n".join(rows)
 
 
-def _cell(row: Row | None) -> str:
+def _cell(row: StudyRow | None) -> str:
     if row is None:
         return ""
     band = band_text(row)

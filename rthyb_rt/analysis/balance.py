@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rthyb_rt.analysis import measures
 
 if TYPE_CHECKING:
-    from rthyb_rt.analysis.summary import Setup
+    from rthyb_rt.analysis.summary import SummarySettings
     from rthyb_rt.record.recording import Recording
 
 Floats = NDArray[np.float64]
@@ -65,7 +65,7 @@ class EnergyBalance:
         return float(np.max(np.abs(self.rest_j), initial=0.0)) / whole if whole else float("nan")
 
 
-def of_recording(rec: Recording, given: Setup) -> EnergyBalance | None:
+def of_recording(rec: Recording, given: SummarySettings) -> EnergyBalance | None:
     """Return the balance of a recording; None if mass, damping or stiffness are not known.
 
     A structure with many degrees of freedom is handled by `structure_balance`. Only rows up to the

@@ -31,7 +31,7 @@ only 0.07 % below the peak of a sine."""
 
 
 @dataclass(frozen=True)
-class Loop:
+class MeasuredCycle:
     """One measured cycle.
 
     Attributes:
@@ -60,15 +60,15 @@ class Amplitude:
     """
 
     amplitude_m: float
-    loops: tuple[Loop, ...]
+    loops: tuple[MeasuredCycle, ...]
 
     @property
-    def first(self) -> Loop:
+    def first(self) -> MeasuredCycle:
         """The first cycle, whose peaks are points of the backbone."""
         return self.loops[0]
 
     @property
-    def last(self) -> Loop:
+    def last(self) -> MeasuredCycle:
         """The last cycle, which no longer depends on the previous amplitude."""
         return self.loops[-1]
 
@@ -88,7 +88,7 @@ def amplitudes(rec: Recording) -> tuple[Amplitude, ...]:
     run = rec.samples[rec.samples["state"] == RUNNING]
     x, f = (np.ascontiguousarray(run[name]) for name in ("x_meas_m", "f_meas_n"))
     late = _late_rows(np.ascontiguousarray(run["x_num_m"]), x, rec.fs_hz)
-    found: dict[int, list[Loop]] = {}
+    found: dict[int, list[MeasuredCycle]] = {}
     for cycle in plan.cycles:
         # A row contains the command of the previous sample.
         start, stop = cycle.start + 1 + late, cycle.stop + 1 + late
@@ -98,7 +98,7 @@ def amplitudes(rec: Recording) -> tuple[Amplitude, ...]:
     return tuple(Amplitude(sizes[step], tuple(loops)) for step, loops in found.items())
 
 
-def plan_of(rec: Recording) -> histories.Plan | None:
+def plan_of(rec: Recording) -> histories.HistoryPlan | None:
     """Return the history that a recording followed; None if it has none that can be read."""
     try:
         raw = tomllib.loads(rec.test_toml)
@@ -119,14 +119,14 @@ def _late_rows(x_num: Floats, x_meas: Floats, fs_hz: float) -> int:
     return max(round(delay_s * fs_hz), 0) if np.isfinite(delay_s) else 0
 
 
-def _loop(x: Floats, f: Floats, start: int, stop: int) -> Loop:
+def _loop(x: Floats, f: Floats, start: int, stop: int) -> MeasuredCycle:
     own, force = x[start : stop + 1], f[start : stop + 1]
     upper, lower = _peak(own, force, int(np.argmax(own))), _peak(own, force, int(np.argmin(own)))
     way = upper[0] - lower[0]
     secant = (upper[1] - lower[1]) / way if way > 0.0 else 0.0
     energy = float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(own)))
     elastic = 2.0 * np.pi * secant * (0.5 * way) ** 2
-    return Loop(
+    return MeasuredCycle(
         (start, stop + 1), upper, lower, secant, energy, energy / elastic if elastic > 0.0 else 0.0
     )
 

@@ -127,7 +127,7 @@ def backward_velocity(h: float) -> Block:
     return rational(np.array([3.0, -4.0, 1.0]) / (2.0 * h), np.array([1.0, 0.0, 0.0]))
 
 
-def rig(model: response.Plant, h: float, hold: str | None) -> Block:
+def rig(model: response.IdentifiedPlant, h: float, hold: str | None) -> Block:
     """Return command -> x_m and force, as seen by a controller with a sampling period.
 
     Args:
@@ -200,7 +200,9 @@ def low_pass(cutoff_hz: float, h: float) -> Block:
     return rational(top, bottom)
 
 
-def laws(law: LawConfig, model: response.Plant, h: float, hold: str | None) -> list[Block]:
+def laws(
+    law: LawConfig, model: response.IdentifiedPlant, h: float, hold: str | None
+) -> list[Block]:
     """Return a control law with its initial settings, and as adapted to the rig's response."""
     given = dict(zip((p.key for p in law.law.parameters), law.values(), strict=True))
     table = law.name.replace("-", "_")
@@ -263,7 +265,7 @@ def _inverse(own: dict[str, float], h: float) -> Block:
 
 
 @dataclass(frozen=True)
-class Loop:
+class LinearLoop:
     """A loop in parts: -N from f* to x_c, the feedback through the rig, and that without it."""
 
     part: Block
@@ -312,7 +314,9 @@ class Loop:
         return margins.first_crossing(self.opened, peaks, 0)
 
 
-def loop_of(config: ControllerConfig, model: response.Plant, law: Block, hold: str | None) -> Loop:
+def loop_of(
+    config: ControllerConfig, model: response.IdentifiedPlant, law: Block, hold: str | None
+) -> LinearLoop:
     """Assemble the loop of a test, with the tangent stiffness of force compensation at k_e."""
     h, rfc = config.period_s, config.rfc
     k = rfc.k_e_n_per_m if rfc.enabled else 0.0
@@ -328,11 +332,11 @@ def loop_of(config: ControllerConfig, model: response.Plant, law: Block, hold: s
     if late:
         # RK4 has its own velocity; this second-order difference is as good for roots.
         beside = beside.beside(backward_velocity(h)).weighted((1.0, late))
-    return Loop(numerical(config), lead.then(back), beside)
+    return LinearLoop(numerical(config), lead.then(back), beside)
 
 
 @dataclass(frozen=True)
-class Verdict:
+class LoopVerdict:
     """Stability of a loop.
 
     Attributes:
@@ -364,7 +368,7 @@ class Verdict:
         )
 
 
-def judge(setup: Setup) -> Verdict | None:
+def judge(setup: Setup) -> LoopVerdict | None:
     """Return the stability of the loop of a test; None if the rig's response is not known.
 
     The worse of the law's initial settings and those to which the response leads it.
@@ -388,7 +392,7 @@ _FAST: Final = (
 )
 
 
-def remark(found: Verdict | None) -> str | None:
+def remark(found: LoopVerdict | None) -> str | None:
     """Return a remark for the user on an unstable or nearly unstable loop, or None."""
     if found is None or not (found.unstable or found.thin):
         return None
@@ -428,12 +432,12 @@ def demand(setup: Setup) -> str | None:
     return text
 
 
-def _verdict(loop: Loop, rate: Rate, swept_hz: float) -> Verdict:
+def _verdict(loop: LinearLoop, rate: Rate, swept_hz: float) -> LoopVerdict:
     roots = loop.roots()
     largest = roots[np.argmax(np.abs(roots))]
     radius, frequency = float(np.abs(largest)), float(abs(np.angle(largest))) * rate.hz
     stable = radius <= 1.0 + ROUNDING
-    return Verdict(
+    return LoopVerdict(
         radius=radius,
         frequency_hz=frequency / (2.0 * math.pi),
         gain_margin=loop.gain_margin() if stable else 0.0,

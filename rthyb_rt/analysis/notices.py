@@ -10,7 +10,7 @@ from rthyb_rt.numbers import count, delay, number, percent
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.attention import Finding
-    from rthyb_rt.analysis.summary import Setup
+    from rthyb_rt.analysis.summary import SummarySettings
 
 
 class Notice(NamedTuple):
@@ -66,7 +66,7 @@ def flag_notices(flags: Mapping[str, int], test_samples: int, skipped_ticks: int
     return found
 
 
-def attention_in_words(one: Finding, given: Setup, all_found: Sequence[Finding]) -> str:
+def attention_in_words(one: Finding, given: SummarySettings, all_found: Sequence[Finding]) -> str:
     """Return one sentence on what has gone wrong, with the key to change.
 
     Args:
@@ -129,7 +129,7 @@ def _allowed(one: Finding) -> str:
     return f"at most {100.0 * one.allowed:g} % is allowed"
 
 
-def _remedy_of_response(given: Setup, beside: set[str]) -> str:
+def _remedy_of_response(given: SummarySettings, beside: set[str]) -> str:
     if not given.plc_enabled:
         return 'nothing compensates the delay: set controller.type = "robust"'
     if beside & {"delay", "stiffness"}:
@@ -144,7 +144,7 @@ def _remedy_of_response(given: Setup, beside: set[str]) -> str:
     return "update controller.alpha0 with rthyb identify, and examine the tracking error"
 
 
-def _remedy_of_delay(given: Setup, allowed: float) -> str:
+def _remedy_of_delay(given: SummarySettings, allowed: float) -> str:
     if not given.estimator_enabled:
         return "set controller.alpha0 to that delay, or identify the rig again"
     start, identified = given.alpha_start, given.alpha_identified
@@ -159,7 +159,7 @@ def _remedy_of_delay(given: Setup, allowed: float) -> str:
     return f"{less}; if the rig has changed, identify it again"
 
 
-def _remedy_of_damping(given: Setup, beside: set[str]) -> str:
+def _remedy_of_damping(given: SummarySettings, beside: set[str]) -> str:
     if not given.plc_enabled:
         return 'compensate the delay: controller.type = "robust"'
     if "delay" in beside:
@@ -171,7 +171,7 @@ def _remedy_of_damping(given: Setup, beside: set[str]) -> str:
     return "update controller.alpha0 with rthyb identify, and check noise and friction"
 
 
-def _remedy_of_stiffness(given: Setup) -> str:
+def _remedy_of_stiffness(given: SummarySettings) -> str:
     if given.tangent == "mean-of-ratios":
         return (
             'set controller.rfc.tangent = "least-squares", which tolerates more noise, or increase '

@@ -25,7 +25,7 @@ from rthyb_rt.config.rate import Rate
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.core import FLAGS, RUNNING, STATES, Integrator, MotionConfig
-from rthyb_rt.core.laws import LAWS, Law
+from rthyb_rt.core.laws import LAWS, LawDescription
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import trips
 from rthyb_rt.lab.trips import Met
@@ -45,7 +45,7 @@ OUT_OF_RANGE = 1 << 1
 
 
 @dataclass(frozen=True)
-class Setup:
+class SummarySettings:
     """Settings from test and rig file for measures and figures; None if not given.
 
     Attributes:
@@ -104,7 +104,7 @@ class Setup:
     alpha_start: float | None = None
 
 
-def setup(rec: Recording) -> Setup:
+def setup(rec: Recording) -> SummarySettings:
     """Return the settings that the measures need from the two resolved files.
 
     Tolerant, since a recording of another version must still give a report.
@@ -151,7 +151,7 @@ def setup(rec: Recording) -> Setup:
     law = LAWS.get(controller or "")
     # The table exists for every law; a law unknown to this version may have its own keys.
     bounded = law is None or law.parameter("delay_estimator.alpha_min") is not None
-    return Setup(
+    return SummarySettings(
         controller=controller,
         plc_enabled=plc,
         estimator_enabled=plc
@@ -260,7 +260,7 @@ def _reference_peak(rec: Recording, name: str) -> float | None:
     return peak if peak > 0.0 else None
 
 
-def _gain(law: Law | None, controller: Any, rate: Rate) -> str | None:
+def _gain(law: LawDescription | None, controller: Any, rate: Rate) -> str | None:
     """Return the setting that a control law's table declares for display, as text."""
     said = []
     for parameter in law.parameters if law else ():
@@ -425,7 +425,7 @@ class Summary:
     attention: tuple[Finding, ...]
     ended_by: Met | None
     live: Live | None
-    setup: Setup = field(repr=False)
+    setup: SummarySettings = field(repr=False)
     loops: tuple[Amplitude, ...] = ()
 
     @property
@@ -499,7 +499,7 @@ def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
     return (rows[:length], rec.reference["x_ref_m"][:length]) if length else None
 
 
-def subject(given: Setup, fs_hz: float) -> Subject:
+def subject(given: SummarySettings, fs_hz: float) -> Subject:
     """Return what must be known about a test to judge its rows."""
     critical = given.critical_delay_samples
     return Subject(
@@ -659,7 +659,7 @@ def _share(mask: NDArray[np.bool_]) -> float:
     return float(np.mean(mask)) if mask.size else 0.0
 
 
-def _share_at_bound(alpha: Floats, given: Setup) -> float:
+def _share_at_bound(alpha: Floats, given: SummarySettings) -> float:
     if not given.estimator_enabled:
         return 0.0
     at_bound = np.zeros(alpha.shape, dtype=np.bool_)
@@ -825,7 +825,7 @@ def key_figures(s: Summary) -> list[str]:
     return found
 
 
-class Row(NamedTuple):
+class SummaryRow(NamedTuple):
     """One row of the result table: label, value, definition."""
 
     label: str
@@ -833,7 +833,7 @@ class Row(NamedTuple):
     formula: str
 
 
-def result_table(rec: Recording) -> list[Row]:
+def result_table(rec: Recording) -> list[SummaryRow]:
     """Return the result table of a recording: label, value with unit, definition.
 
     Definitions and sources are given in `rthyb_rt.analysis.measures`.
@@ -841,16 +841,18 @@ def result_table(rec: Recording) -> list[Row]:
     return table(summarize(rec))
 
 
-def table(s: Summary) -> list[Row]:
+def table(s: Summary) -> list[SummaryRow]:
     """Return the result table of a summary."""
     rows = [
-        Row("Result", _end(s), ""),
+        SummaryRow("Result", _end(s), ""),
         *_limit_rows(s.ended_by),
-        Row("Peak command", quantity(s.peak_command_m, "mm", 1e3), "max |x_num|"),
-        Row("Peak displacement", quantity(s.peak_measured_m, "mm", 1e3), "max |x_meas|"),
-        Row("Peak force", quantity(s.peak_force_n, "kN", 1e-3), "max |f|"),
-        Row("Tracking, NRMSE", percent(s.tracking_nrmse), "rms(x_meas − x_num) / rms(x_num)"),
-        Row(
+        SummaryRow("Peak command", quantity(s.peak_command_m, "mm", 1e3), "max |x_num|"),
+        SummaryRow("Peak displacement", quantity(s.peak_measured_m, "mm", 1e3), "max |x_meas|"),
+        SummaryRow("Peak force", quantity(s.peak_force_n, "kN", 1e-3), "max |f|"),
+        SummaryRow(
+            "Tracking, NRMSE", percent(s.tracking_nrmse), "rms(x_meas − x_num) / rms(x_num)"
+        ),
+        SummaryRow(
             "Tracking, largest difference",
             f"{quantity(s.tracking_peak_difference_m, 'mm', 1e3)} "
             f"({percent(s.tracking_peak_error)})",
@@ -860,17 +862,19 @@ def table(s: Summary) -> list[Row]:
     if s.setup.history:
         rows += _loop_rows(s.loops)
     elif s.response_nrmse is None:
-        rows.append(Row("Response", "no reference simulation", ""))
+        rows.append(SummaryRow("Response", "no reference simulation", ""))
     else:
         rows += [
-            Row("Response, NRMSE", percent(s.response_nrmse), "rms(x_meas − x_ref) / rms(x_ref)"),
-            Row(
+            SummaryRow(
+                "Response, NRMSE", percent(s.response_nrmse), "rms(x_meas − x_ref) / rms(x_ref)"
+            ),
+            SummaryRow(
                 "Response, largest difference",
                 f"{quantity(s.response_peak_difference_m, 'mm', 1e3)} "
                 f"({percent(s.response_peak_error)})",
                 "max |x_meas − x_ref|, of max |x_ref|",
             ),
-            Row(
+            SummaryRow(
                 "Accumulated error",
                 quantity(s.accumulated_error_m, "m"),
                 "Σ |x_meas − x_ref| over samples, Eqn 4.3",
@@ -878,7 +882,7 @@ def table(s: Summary) -> list[Row]:
         ]
     at = "" if np.isnan(s.fei_frequency_hz) else f" at {number(s.fei_frequency_hz)} Hz"
     rows += [
-        Row(
+        SummaryRow(
             "Remaining delay",
             f"{quantity(s.fei_delay_s, 'ms', 1e3)} "
             f"({quantity(s.fei_delay_s, 'samples', s.fs_hz)}){at}"
@@ -886,21 +890,21 @@ def table(s: Summary) -> list[Row]:
             else "–",
             "frequency evaluation index of x_meas against x_num",
         ),
-        Row("Amplitude ratio", number(s.fei_amplitude, 4), "|FEI|; 1 is ideal"),
-        Row("Final delay estimate", _alpha(s), "alpha"),
+        SummaryRow("Amplitude ratio", number(s.fei_amplitude, 4), "|FEI|; 1 is ideal"),
+        SummaryRow("Final delay estimate", _alpha(s), "alpha"),
         *([] if s.setup.history else [_energy_row(s)]),
-        Row(
+        SummaryRow(
             "Tracking indicator",
             quantity(s.tracking_indicator_m2, "mm²", 1e6),
             "½ ∫ (x_meas dx_num − x_num dx_meas); negative: lag",
         ),
-        Row("Samples", _samples(s), "rows of the recording, and flagged rows"),
+        SummaryRow("Samples", _samples(s), "rows of the recording, and flagged rows"),
     ]
     return rows + live_rows(s.live)
 
 
-def _energy_row(s: Summary) -> Row:
-    return Row(
+def _energy_row(s: Summary) -> SummaryRow:
+    return SummaryRow(
         "Energy error",
         f"{quantity(s.energy_error_j, 'J')}"
         + (
@@ -912,9 +916,9 @@ def _energy_row(s: Summary) -> Row:
     )
 
 
-def _loop_rows(loops: tuple[Amplitude, ...]) -> list[Row]:
+def _loop_rows(loops: tuple[Amplitude, ...]) -> list[SummaryRow]:
     return [
-        Row(
+        SummaryRow(
             f"Loops at {quantity(one.amplitude_m, 'mm', 1e3)}",
             f"{quantity(one.last.secant_n_per_m, 'kN/m', 1e-3)}, "
             f"{quantity(one.last.energy_j, 'J')} a cycle, damping "
@@ -925,12 +929,12 @@ def _loop_rows(loops: tuple[Amplitude, ...]) -> list[Row]:
     ]
 
 
-def _limit_rows(met: Met | None) -> list[Row]:
+def _limit_rows(met: Met | None) -> list[SummaryRow]:
     text = "" if met is None else trips.figures(met.cause, met.value, met.limit)
-    return [Row("Limit reached", text, "first cause")] if text else []
+    return [SummaryRow("Limit reached", text, "first cause")] if text else []
 
 
-def live_rows(found: Live | None) -> list[Row]:
+def live_rows(found: Live | None) -> list[SummaryRow]:
     """Return the result rows of a test in real time; none for a test in virtual time."""
     if found is None:
         return []
@@ -946,12 +950,12 @@ def live_rows(found: Live | None) -> list[Row]:
     if found.link_delay_ms is not None:
         samples = count(found.link_delay_samples, "sample")
         delay = f"{samples} ({number(found.link_delay_ms)} ms)"
-    punctuality = Row(
+    punctuality = SummaryRow(
         "Punctuality",
         f"{wake}; {count(found.skipped_ticks, 'tick')} skipped",
         "wake-up after the due time",
     )
-    link = Row(
+    link = SummaryRow(
         "Link",
         f"{count(found.lost_pairs, 'pair')} lost, {count(found.slips, 'slip')}, delay {delay}",
         found.link,

@@ -14,7 +14,7 @@ from rthyb_rt.config import AxesRig
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.checking.axes import ExaminedAxes
+    from rthyb_rt.checking.checked_axes import ExaminedAxes
     from rthyb_rt.checking.examined import Examined
 
 
@@ -77,10 +77,10 @@ class Check:
                 installed, or the rig has several axes.
             RthybError: the file cannot be written.
         """
-        from rthyb_rt.checking import page
+        from rthyb_rt.checking import check_page
 
         target = path_of(path, "report", "the page to write, check.html")
-        page.write(self._of_one_axis("report"), target)
+        check_page.write(self._of_one_axis("report"), target)
         return target
 
     def _of_one_axis(self, what: str) -> Examined:
@@ -125,7 +125,7 @@ def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
         >>> round(check("section5-T0.5").figures["period_s"], 3)
         0.5
     """
-    from rthyb_rt.checking.axes import examine_axes
+    from rthyb_rt.checking.checked_axes import examine_axes
     from rthyb_rt.checking.examined import examine
 
     found = files.as_test(test)

@@ -10,7 +10,7 @@ from rthyb_rt.api.files import Place, path_of
 from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
 from rthyb_rt.api.recordings import Plot, Recording, extra, plot_of
 from rthyb_rt.api.tables import html_table
-from rthyb_rt.comparing import courses, page
+from rthyb_rt.comparing import comparison_page, courses
 from rthyb_rt.comparing.overlay import Overlay
 from rthyb_rt.errors import InputError
 
@@ -74,7 +74,7 @@ class Comparison:
         from rthyb_rt.report.html import extra_needed
 
         with extra_needed("a figure"):
-            from rthyb_rt.comparing.figures import displacement
+            from rthyb_rt.comparing.comparison_figures import displacement
         plate = displacement(self._found)
         return plot_of(plate)
 
@@ -87,7 +87,7 @@ class Comparison:
             RthybError: the file cannot be written.
         """
         target = path_of(path, "report", "the page to write, comparison.html")
-        page.write(self._found, target)
+        comparison_page.write(self._found, target)
         return target
 
     def __repr__(self) -> str:
@@ -97,7 +97,7 @@ class Comparison:
         from html import escape
 
         lines = [f"<p>{escape(note)}</p>" for note in self.notes]
-        heads, rows = page.table(self._found)
+        heads, rows = comparison_page.table(self._found)
         lines.append(html_table(rows, heads))
         try:
             lines.append(self.plot()._repr_html_())

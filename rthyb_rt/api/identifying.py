@@ -34,7 +34,7 @@ class Identification:
         rig: the rig with the identified values filled in, to be used in tests.
     """
 
-    def __init__(self, found: sweeping.Result, rig: Rig) -> None:
+    def __init__(self, found: sweeping.IdentificationResult, rig: Rig) -> None:
         self._found, self.rig = found, rig
 
     @property
@@ -179,7 +179,7 @@ def identify(
         10
     """
     on = files.as_rig(rig)
-    sweep = sweeping.Sweep.up_to(
+    sweep = sweeping.SweepPlan.up_to(
         _read(max_frequency, "max_frequency", _FREQUENCY), _read(amplitude, "amplitude", _AMPLITUDE)
     )
     file, called = files.file_of_rig(on), f"identified {on.name}"

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from rthyb_rt.analysis.balance import EnergyBalance
-    from rthyb_rt.analysis.several import AxesSummary
+    from rthyb_rt.analysis.several_axes import AxesSummary
     from rthyb_rt.analysis.spectra import FrequencyResponse
     from rthyb_rt.analysis.summary import Summary
     from rthyb_rt.report.drawing import Plate
@@ -369,11 +369,11 @@ class Recording(Mapping[str, NDArray[Any]]):
     @cached_property
     def _of_axes(self) -> AxesSummary | None:
         """The summary for several axes; None if the rig has one axis or the test never ran."""
-        from rthyb_rt.analysis import several
+        from rthyb_rt.analysis import several_axes
 
         if not self.axis_names or not self.running.any():
             return None
-        return several.summarize(self._raw)
+        return several_axes.summarize(self._raw)
 
     @cached_property
     def measures(self) -> dict[str, Any]:
@@ -394,10 +394,10 @@ class Recording(Mapping[str, NDArray[Any]]):
     @property
     def table(self) -> list[tuple[str, str, str]]:
         """The table that ``rthyb run`` prints: measure, value, formula."""
-        from rthyb_rt.analysis import several, summary
+        from rthyb_rt.analysis import several_axes, summary
 
         if self.axis_names:
-            rows = [] if self._of_axes is None else several.table(self._of_axes)
+            rows = [] if self._of_axes is None else several_axes.table(self._of_axes)
         else:
             rows = summary.table(self.summary)
         return [(row.label, row.value, row.formula) for row in rows]
@@ -428,22 +428,26 @@ class Recording(Mapping[str, NDArray[Any]]):
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
-        from rthyb_rt.analysis import several, summary
+        from rthyb_rt.analysis import several_axes, summary
 
         if not self.axis_names:
             return summary.verdict(self.summary)
         if self._of_axes is None:
             return f"The test did not complete: {self._end_reason}."
-        return several.verdict(self._of_axes)
+        return several_axes.verdict(self._of_axes)
 
     @property
     def notices(self) -> list[str]:
         """Important remarks, the most serious first."""
-        from rthyb_rt.analysis import several, summary
+        from rthyb_rt.analysis import several_axes, summary
 
         if not self.axis_names:
             return [notice.text for notice in summary.notices(self.summary)]
-        return [] if self._of_axes is None else [one.text for one in several.notices(self._of_axes)]
+        return (
+            []
+            if self._of_axes is None
+            else [one.text for one in several_axes.notices(self._of_axes)]
+        )
 
     @property
     def meta(self) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from rthyb_rt.api.files import Place, Rig, Test, plain
 from rthyb_rt.api.messages import in_python
 from rthyb_rt.api.recordings import Recording, extra, open_recording
 from rthyb_rt.api.tables import html_table
-from rthyb_rt.campaign import conducting, given, plan, pools, tables
+from rthyb_rt.campaign import campaign_tables, given, plan, pools, whole_campaign
 from rthyb_rt.campaign.groups import group
 from rthyb_rt.campaign.plan import FAILED, STOPPED, Measure, Row
 from rthyb_rt.config.campaignfile import CampaignFile
@@ -47,7 +47,7 @@ class Sweep:
         notes: what was omitted, and how to obtain it.
     """
 
-    def __init__(self, found: conducting.Campaign, folder: Path) -> None:
+    def __init__(self, found: whole_campaign.Campaign, folder: Path) -> None:
         self.name, self.folder = found.plan.name, folder
         self.rows: list[Row] = found.rows
         self.paths, self.notes = dict(found.paths), found.notes
@@ -91,7 +91,7 @@ class Sweep:
                     "statistics",
                 )
         wanted = [Measure(name, name, "", 1.0) for name in measures] or list(self._measures)
-        return tables.statistics(group(self.rows, self._keys, wanted), wanted)
+        return campaign_tables.statistics(group(self.rows, self._keys, wanted), wanted)
 
     def _columns(self) -> list[str]:
         return list(dict.fromkeys(name for row in self.rows for name in row))
@@ -213,7 +213,7 @@ def sweep(
     folder = files.path_of(where, f"{_CALLED}: out", "the folder of the sweep").resolve()
     try:
         planned = given.plan_of(folder, parts)
-        found = conducting.conduct(
+        found = whole_campaign.conduct(
             planned, folder, jobs=jobs or pools.processors(), cluster=client,
             progress=progress or _line(called),
         )  # fmt: skip

@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from rthyb_rt import config
-from rthyb_rt.benchmark import cases, runs
-from rthyb_rt.benchmark.runs import NOMINAL, Run
+from rthyb_rt.benchmark import benchmark_runs, cases
+from rthyb_rt.benchmark.benchmark_runs import NOMINAL, BenchmarkRun
 from rthyb_rt.campaign import plan
-from rthyb_rt.campaign.plan import COMPLETED, Case, Measure, Plan, Row
+from rthyb_rt.campaign.plan import COMPLETED, Measure, Plan, PlannedRun, Row
 from rthyb_rt.config.campaignfile import BENCHMARK_KEYS, CampaignFile, Scalar
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab.experiment import Setup
@@ -30,14 +30,14 @@ MEASURES: Final = (
 
 
 @dataclass(frozen=True)
-class BenchmarkCase(Case):
+class BenchmarkCase(PlannedRun):
     """A run of the benchmark, which has its own test and rig, and its own figures.
 
     Attributes:
         run: the run.
     """
 
-    run: Run
+    run: BenchmarkRun
 
     def command(self) -> str:
         """Return the command line that repeats this run."""
@@ -55,11 +55,11 @@ class BenchmarkCase(Case):
 
     def prepared(self) -> Setup:
         """Return the test, ready to run."""
-        return runs.prepared(self.run)
+        return benchmark_runs.prepared(self.run)
 
     def recorded(self, setup: Setup) -> Recording:
         """Run it in virtual time, with the additional data that the figures require."""
-        return runs.recorded(setup)
+        return benchmark_runs.recorded(setup)
 
     def measured(self, setup: Setup, rec: Recording) -> Row:
         """Return ``ending``, ``cause`` and the figures of `criteria.MEANINGS`.
@@ -69,10 +69,10 @@ class BenchmarkCase(Case):
         """
         row = plan.ended(rec)
         if row["ending"] != COMPLETED:
-            beyond = runs.is_beyond(setup)
+            beyond = benchmark_runs.is_beyond(setup)
             own = "; the reference simulation of this plant exceeds that limit as well"
             return row | {"cause": row["cause"] + (own if beyond else ""), "beyond": beyond}
-        figures = runs.figures_of(setup, rec)
+        figures = benchmark_runs.figures_of(setup, rec)
         return row | {key: v if math.isfinite(v) else None for key, v in figures.items()}
 
 
@@ -109,12 +109,12 @@ def of(file: CampaignFile, path: Path) -> Plan:
     }
     rates, motions, laws, numbers = (file.over.get(key, known[key]) for key in BENCHMARK_KEYS)
     try:
-        planned = runs.planned(
+        planned = benchmark_runs.planned(
             [str(law) for law in laws],
             cast(Sequence[int], rates),
             cast(Sequence[int], numbers),
             [str(motion) for motion in motions],
-            runs.seeds_of(wanted.plants),
+            benchmark_runs.seeds_of(wanted.plants),
             width=wanted.width,
             yielding=wanted.yielding,
         )
@@ -130,7 +130,7 @@ def _placed(problem: Problem, path: Path) -> Problem:
     return Problem(f"{path}: over.{key}", problem.message)
 
 
-def _case(number: int, run: Run) -> BenchmarkCase:
+def _case(number: int, run: BenchmarkRun) -> BenchmarkCase:
     chosen: dict[str, Scalar] = {
         "rate_hz": run.rate_hz,
         "motion": run.motion,

@@ -26,14 +26,19 @@ STIFFNESS_N_PER_M: Final = (
 
 
 @dataclass(frozen=True)
-class Case:
+class ReferenceStructure:
     """A reference structure: mass of each storey, damping ratio of each mode (Table 1)."""
 
     mass_kg: float
     damping_ratio: float
 
 
-CASES: Final = {1: Case(1000, 0.05), 2: Case(1100, 0.04), 3: Case(1300, 0.03), 4: Case(1000, 0.03)}
+CASES: Final = {
+    1: ReferenceStructure(1000, 0.05),
+    2: ReferenceStructure(1100, 0.04),
+    3: ReferenceStructure(1300, 0.03),
+    4: ReferenceStructure(1000, 0.03),
+}
 
 MOTIONS: Final = {
     "elcentro": "rths-elcentro",

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.benchmark import cases, marths_laws, runs
+from rthyb_rt.benchmark import benchmark_runs, cases, marths_laws
 from rthyb_rt.benchmark import marths_frame as frame
 from rthyb_rt.core.coupled_plant import CoupledPlant
 from rthyb_rt.core.library import STATUS
@@ -23,7 +23,7 @@ from rthyb_rt.errors import InputError
 
 Floats = NDArray[np.float64]
 
-NOMINAL: Final = runs.NOMINAL
+NOMINAL: Final = benchmark_runs.NOMINAL
 RUNAWAY: Final = 1.0
 """Displacement of the interface, m, and rotation, rad, at which a run is considered unstable."""
 LOST: Final = STATUS["out_of_range"]
@@ -31,7 +31,7 @@ LOST: Final = STATUS["out_of_range"]
 
 
 @dataclass(frozen=True)
-class Run:
+class MarthsRun:
     """One run.
 
     Attributes:
@@ -52,10 +52,10 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class MarthsOutcome:
     """Result of a run: its figures by name, none if it became unstable."""
 
-    run: Run
+    run: MarthsRun
     figures: dict[str, float]
 
     @property
@@ -65,7 +65,7 @@ class Outcome:
 
 
 @dataclass(frozen=True, eq=False)
-class Signals:
+class MarthsSignals:
     """Signals of a run; n samples, axes 1 and 2.
 
     Attributes:
@@ -84,7 +84,7 @@ class Signals:
     force: Floats
 
     @classmethod
-    def of(cls, samples: int) -> Signals:
+    def of(cls, samples: int) -> MarthsSignals:
         """Return empty arrays for this number of samples."""
         freedoms = len(frame.numerical().influence)
         return cls(*(np.zeros((samples, width)) for width in (2, 2, 2, 2, 2, freedoms, 3)))
@@ -128,7 +128,7 @@ PARTS: Final[dict[str, type[frame.Newmark | frame.KrAlpha]]] = {
 """Integrators of the numerical part: the benchmark's, and this program's own."""
 
 
-def simulate(run: Run) -> Signals | None:
+def simulate(run: MarthsRun) -> MarthsSignals | None:
     """Carry out one run; None if it became unstable.
 
     Targets, commands and readings of a row belong to the same instant t_n, from which on the
@@ -141,7 +141,7 @@ def simulate(run: Run) -> Signals | None:
     rig = CoupledPlant(frame.plant(seed, run.plant + 1, noise_m, run.width))
     law, tie = marths_laws.compensation(run.law), frame.kinematics()
     part = PARTS[run.integrator](frame.numerical())
-    found = Signals.of(ag.size)
+    found = MarthsSignals.of(ag.size)
     x = np.zeros(found.displacement.shape[1])
     target, command = np.zeros(2), np.zeros(2)
     for n, ground in enumerate(ag.tolist()):
@@ -185,7 +185,7 @@ MEANINGS: Final = {
 COUNTS: Final = {name: 4 if name in ("J8", "J10", "joined-upper") else 2 for name in MEANINGS}
 
 
-def figures(run: Run, signals: Signals) -> dict[str, float]:
+def figures(run: MarthsRun, signals: MarthsSignals) -> dict[str, float]:
     """Return the figures of a completed run, over the whole record, by name and number."""
     target, reading = signals.target_m, signals.reading_m
     upper = list(frame.UPPER.values())
@@ -215,7 +215,7 @@ def figures(run: Run, signals: Signals) -> dict[str, float]:
     }
 
 
-def actuator_forces(signals: Signals) -> Floats:
+def actuator_forces(signals: MarthsSignals) -> Floats:
     """Return the forces of the actuators that balance those of the specimen, N, (n, 2)."""
     tie = frame.kinematics()
     found = np.empty_like(signals.reading_m)
@@ -254,10 +254,10 @@ def _peak(error: Floats, of: Floats) -> Floats:
 # ---- many runs ----------------------------------------------------------------------------------
 
 
-def measure(run: Run) -> Outcome:
+def measure(run: MarthsRun) -> MarthsOutcome:
     """Carry out one run, and evaluate it."""
     signals = simulate(run)
-    return Outcome(run, {} if signals is None else figures(run, signals))
+    return MarthsOutcome(run, {} if signals is None else figures(run, signals))
 
 
 def planned(
@@ -266,7 +266,7 @@ def planned(
     plants: int,
     integrator: str = "newmark",
     width: float = 1.0,
-) -> list[Run]:
+) -> list[MarthsRun]:
     """Return all combinations as runs, on the nominal plant and on ``plants`` perturbed ones.
 
     ``width``: size of the perturbation, in the benchmark's standard deviations.
@@ -288,7 +288,7 @@ def planned(
         )
     seeds = (NOMINAL, *frame.SEEDS[:plants])
     return [
-        Run(law, motion, seed, integrator, width)
+        MarthsRun(law, motion, seed, integrator, width)
         for motion in motions
         for law in laws
         for seed in seeds
@@ -296,8 +296,8 @@ def planned(
 
 
 def measured(
-    wanted: Sequence[Run], jobs: int = 1, tell: Callable[[int, int, str], None] | None = None
-) -> list[Outcome]:
+    wanted: Sequence[MarthsRun], jobs: int = 1, tell: Callable[[int, int, str], None] | None = None
+) -> list[MarthsOutcome]:
     """Carry out runs, in their order, with the given number of processes.
 
     Args:
@@ -309,7 +309,7 @@ def measured(
         InputError: the number of processes is below one.
     """
     found = []
-    for outcome in runs.each(measure, wanted, jobs):
+    for outcome in benchmark_runs.each(measure, wanted, jobs):
         found.append(outcome)
         if tell is not None:
             tell(len(found), len(wanted), outcome.run.law)

@@ -46,7 +46,7 @@ _BEAM_M: Final = 0.762
 
 
 @dataclass(frozen=True, eq=False)
-class Structure:
+class FrameStructure:
     """M x'' + C x' + K x = -M l ag, with n degrees of freedom, some of them without mass.
 
     Attributes:
@@ -86,13 +86,13 @@ def _modes(mass: Floats, stiffness: Floats) -> tuple[Floats, Floats]:
 
 
 @functools.cache
-def reference() -> Structure:
+def reference() -> FrameStructure:
     """Return the whole frame: 29 degrees of freedom, 14 without mass; 5 % at 2.15 and 26.3 Hz."""
     mass, stiffness = _read("marths_reference_mass.csv"), _read("marths_reference_stiffness.csv")
     influence = np.zeros(len(mass))
     influence[list(SHAKEN)] = 1.0
     damping = _rayleigh(mass, stiffness, 0.05, 13.493, 165.125)
-    return Structure(mass, damping, stiffness, influence)
+    return FrameStructure(mass, damping, stiffness, influence)
 
 
 @functools.cache
@@ -120,7 +120,7 @@ def bay() -> tuple[Floats, Floats, Floats]:
 
 
 @functools.cache
-def numerical() -> Structure:
+def numerical() -> FrameStructure:
     """Return the reference less the bay, of whose mass only the part for x is subtracted."""
     whole, (mass, damping, stiffness) = reference(), bay()
     where = np.ix_(INTERFACE, INTERFACE)
@@ -128,7 +128,7 @@ def numerical() -> Structure:
     m[X, X] -= mass[0, 0]
     c[where] -= damping
     k[where] -= stiffness
-    return Structure(m, c, k, whole.influence)
+    return FrameStructure(m, c, k, whole.influence)
 
 
 @functools.cache
@@ -169,7 +169,7 @@ TO_INTERFACE: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0
 
 
 @functools.cache
-def joined() -> Structure:
+def joined() -> FrameStructure:
     """Return the numerical part and the frame model, solved as one."""
     part = numerical()
     m, c, k = part.mass.copy(), part.damping.copy(), part.stiffness.copy()
@@ -180,7 +180,7 @@ def joined() -> Structure:
     return _Joined(m, c, k, part.influence)
 
 
-class _Joined(Structure):
+class _Joined(FrameStructure):
     """The frame in the laboratory is not on moving ground: its mass causes no load."""
 
     @property
@@ -333,7 +333,7 @@ class Newmark:
 
     ahead = 0
 
-    def __init__(self, structure: Structure, period_s: float = PERIOD_S) -> None:
+    def __init__(self, structure: FrameStructure, period_s: float = PERIOD_S) -> None:
         h, n = period_s, len(structure.influence)
         whole = structure.stiffness + 4.0 / h**2 * structure.mass + 2.0 / h * structure.damping
         inverse = np.linalg.inv(whole)
@@ -381,7 +381,7 @@ class KrAlpha:
 
     ahead = 1
 
-    def __init__(self, structure: Structure, rho_inf: float = 0.5) -> None:
+    def __init__(self, structure: FrameStructure, rho_inf: float = 0.5) -> None:
         stiffness, self._directions = np.linalg.eigh(bay()[2])
         rows = tuple(
             tuple((at, float(weight)) for at, weight in zip(INTERFACE, direction, strict=True))

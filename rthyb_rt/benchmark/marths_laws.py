@@ -122,7 +122,7 @@ def _butterworth4(cutoff_hz: float, period_s: float) -> list[tuple[Floats, Float
 # ---- this program's own -------------------------------------------------------------------------
 
 
-class Lead:
+class MatrixLeadLaw:
     """This program's lead for several axes, in C."""
 
     def __init__(self, config: MatrixLeadConfig) -> None:
@@ -201,7 +201,7 @@ def compensation(name: str) -> Compensation:
         return Rodeac()
     if name not in NAMES:
         raise InputError(f"found {name!r}; must be one of {', '.join(NAMES)}", "--law")
-    return Lead(
+    return MatrixLeadLaw(
         {
             "lead": lambda: _config(False, None, begins=True),
             "lead-decoupled": lambda: _config(False, _at_rest(), begins=True),

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from rthyb_rt.benchmark import cases, marths, marths_laws
-from rthyb_rt.benchmark.marths import Outcome
-from rthyb_rt.benchmark.table import facts, short
+from rthyb_rt.benchmark.benchmark_table import facts, short
+from rthyb_rt.benchmark.marths import MarthsOutcome
 
 WITH_WORST: Final = ("J2", "joined-upper", "command")
 """Figures for which a table shows the worst plant after the mean."""
@@ -28,7 +28,7 @@ BESIDE: Final = ("J2", "true", "joined", "joined-upper", "command", "force")
 
 
 @dataclass(frozen=True)
-class Line:
+class MarthsLine:
     """All plants of one law with one motion.
 
     Attributes:
@@ -47,20 +47,20 @@ class Line:
     worst: Mapping[str, float]
 
 
-def lines(outcomes: Iterable[Outcome]) -> list[Line]:
+def lines(outcomes: Iterable[MarthsOutcome]) -> list[MarthsLine]:
     """Return a row for each kind of run, in the order in which they occur."""
-    kinds: dict[tuple[str, str, str], list[Outcome]] = {}
+    kinds: dict[tuple[str, str, str], list[MarthsOutcome]] = {}
     for one in outcomes:
         run = one.run
         kinds.setdefault((run.law, run.motion, run.integrator), []).append(one)
     return [_line(kind, found) for kind, found in kinds.items()]
 
 
-def _line(kind: tuple[str, str, str], found: Sequence[Outcome]) -> Line:
+def _line(kind: tuple[str, str, str], found: Sequence[MarthsOutcome]) -> MarthsLine:
     done = [one.figures for one in found if one.completed]
     keys = list(done[0]) if done else []
     columns = {key: np.array([one[key] for one in done]) for key in keys}
-    return Line(
+    return MarthsLine(
         *kind,
         len(found),
         len(found) - len(done),
@@ -74,7 +74,7 @@ def heads(names: Sequence[str]) -> list[str]:
     return [HEADS.get(name, f"{name} %") for name in names] + ["unstable"]
 
 
-def cells(line: Line, names: Sequence[str]) -> list[str]:
+def cells(line: MarthsLine, names: Sequence[str]) -> list[str]:
     """Return the cells below `heads`: a number per axis or coordinate, the worst in brackets."""
     found = []
     for name in names:
@@ -93,7 +93,7 @@ def _several(figures: Mapping[str, float], name: str) -> str:
     return "/".join(short(value) for value in values)
 
 
-def document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def document(outcomes: Sequence[MarthsOutcome]) -> dict[str, Any]:
     """Return everything in machine-readable form: facts, meanings, rows, and all runs."""
     return {
         "benchmark": "marths",

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import Final, Self
 
-from rthyb_rt.campaign.plan import Case, Plan, Row
+from rthyb_rt.campaign.plan import Plan, PlannedRun, Row
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.record.recording import replacing
 
@@ -110,7 +110,7 @@ class Book:
         return rows
 
     @property
-    def left(self) -> list[Case]:
+    def left(self) -> list[PlannedRun]:
         """The runs without a row."""
         return [case for case in self.plan.cases if case.number not in self.rows]
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from rthyb_rt import config
-from rthyb_rt.campaign.plan import COMPLETED, FAILED, Case, Row
-from rthyb_rt.campaign.running import carry_out
+from rthyb_rt.campaign.one_run import carry_out
+from rthyb_rt.campaign.plan import COMPLETED, FAILED, PlannedRun, Row
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
@@ -57,7 +57,7 @@ def compare(
         if tell is not None:
             tell(number, len(wanted), name)
         own = (*settings, f"{TYPE}={name}")
-        case = Case(number, {LAW: name}, -1, 0, str(test or ""), rig or "", own)
+        case = PlannedRun(number, {LAW: name}, -1, 0, str(test or ""), rig or "", own)
         rows.append(carry_out(case))
     return sorted(rows, key=_rank)
 

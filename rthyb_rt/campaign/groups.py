@@ -13,7 +13,7 @@ from rthyb_rt.numbers import number
 
 
 @dataclass(frozen=True)
-class Spread:
+class Magnitudes:
     """The magnitudes of a measure over the completed runs of a group.
 
     Attributes:
@@ -30,7 +30,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Group:
+class RunGroup:
     """Runs that differ only in their plant and noise.
 
     Attributes:
@@ -44,12 +44,12 @@ class Group:
     completed: int
     stopped: int
     failed: int
-    spreads: dict[str, Spread]
+    spreads: dict[str, Magnitudes]
 
 
 def group(
     rows: Sequence[Row], keys: Sequence[str], measures: Sequence[Measure] = MEASURES
-) -> list[Group]:
+) -> list[RunGroup]:
     """Return the groups in the order of their first runs.
 
     Args:
@@ -61,7 +61,7 @@ def group(
     for row in rows:
         found.setdefault(tuple(row.get(key) for key in keys), []).append(row)
     return [
-        Group(
+        RunGroup(
             chosen=dict(zip(keys, chosen, strict=True)),
             runs=len(members),
             completed=_count(members, COMPLETED),
@@ -77,7 +77,7 @@ def _count(rows: Sequence[Row], ending: str) -> int:
     return sum(row["ending"] == ending for row in rows)
 
 
-def _spreads(rows: Sequence[Row], measures: Sequence[Measure]) -> dict[str, Spread]:
+def _spreads(rows: Sequence[Row], measures: Sequence[Measure]) -> dict[str, Magnitudes]:
     spreads = {}
     for measure in measures:
         known = [
@@ -88,14 +88,14 @@ def _spreads(rows: Sequence[Row], measures: Sequence[Measure]) -> dict[str, Spre
         if known:
             worst, case = max(known)
             values = [value for value, _ in known]
-            spreads[measure.name] = Spread(
+            spreads[measure.name] = Magnitudes(
                 statistics.median(values), worst, case, statistics.fmean(values),
                 statistics.stdev(values) if len(values) > 1 else None,
             )  # fmt: skip
     return spreads
 
 
-def figure(spread: Spread | None, measure: Measure) -> str:
+def figure(spread: Magnitudes | None, measure: Measure) -> str:
     """Return median and worst case as text, ``1.2 (3.4)``."""
     if spread is None:
         return "–"

@@ -19,8 +19,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from rthyb_rt import __version__, config, core
-from rthyb_rt.analysis import several, summary
-from rthyb_rt.analysis.several import AxesSummary
+from rthyb_rt.analysis import several_axes, summary
+from rthyb_rt.analysis.several_axes import AxesSummary
 from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.campaignfile import MOST_RUNS, CampaignFile, Draws, Scalar, Spread, beside
 from rthyb_rt.config.lines import KeyLines
@@ -83,7 +83,7 @@ def measures_of(rig: RigFile | AxesRig) -> tuple[Measure, ...]:
 
 
 @dataclass(frozen=True)
-class Case:
+class PlannedRun:
     """One run: how it is prepared, recorded and evaluated, in any process.
 
     Attributes:
@@ -143,7 +143,7 @@ class Case:
         Those of an axis or a direction begin with its name, ``axes.upper.tracking_nrmse``. A
         value that is not a number is None.
         """
-        found = several.summarize_any(rec)
+        found = several_axes.summarize_any(rec)
         measures = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in flat(found.as_json())
@@ -181,7 +181,7 @@ class Plan:
 
     name: str
     keep: str
-    cases: tuple[Case, ...]
+    cases: tuple[PlannedRun, ...]
     fingerprint: str
     measures: tuple[Measure, ...] = MEASURES
 
@@ -233,7 +233,7 @@ def _choices(file: CampaignFile) -> Iterator[dict[str, Scalar]]:
         yield {key: value for part in parts for key, value in part.items()}
 
 
-def _cases(file: CampaignFile, path: Path) -> Iterator[Case]:
+def _cases(file: CampaignFile, path: Path) -> Iterator[PlannedRun]:
     number = 0
     for chosen in _choices(file):
         test, rig = (str(chosen.get(which, getattr(file.campaign, which) or "")) for which in FILES)
@@ -245,7 +245,7 @@ def _cases(file: CampaignFile, path: Path) -> Iterator[Case]:
         plants = _plants(file.draws, base, path) if file.draws is not None else [(-1, ())]
         for (drawn, factors), repeat in itertools.product(plants, range(file.noise_seeds)):
             noise = (f"{NOISE_SEED}={repeat + 1}",) if file.noise_seeds > 1 else ()
-            yield Case(number, chosen, drawn, repeat, test, rig, (*given, *factors, *noise))
+            yield PlannedRun(number, chosen, drawn, repeat, test, rig, (*given, *factors, *noise))
             number += 1
 
 
@@ -326,7 +326,7 @@ def program() -> str:
     return f"{__version__} {core.build_facts()['core_sources']}"
 
 
-def fingerprint(cases: Sequence[Case]) -> str:
+def fingerprint(cases: Sequence[PlannedRun]) -> str:
     """Return the fingerprint of a campaign, including its files and the program."""
     digest = hashlib.sha256(json.dumps([asdict(case) for case in cases]).encode())
     digest.update(program().encode())

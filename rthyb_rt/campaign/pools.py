@@ -15,8 +15,8 @@ from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any, Final
 
-from rthyb_rt.campaign.plan import FAILED, Case, Row, program
-from rthyb_rt.campaign.running import OtherProgramError, carry_out
+from rthyb_rt.campaign.one_run import OtherProgramError, carry_out
+from rthyb_rt.campaign.plan import FAILED, PlannedRun, Row, program
 from rthyb_rt.errors import InputError
 
 ONE_THREAD: Final = (
@@ -98,7 +98,7 @@ def workers(jobs: int) -> Iterator[ProcessPoolExecutor]:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-def locally(cases: Sequence[Case], jobs: int, keep: str, folder: str, done: Done) -> None:
+def locally(cases: Sequence[PlannedRun], jobs: int, keep: str, folder: str, done: Done) -> None:
     """Carry out runs in processes of this machine.
 
     If a process dies, the runs that it may have had are repeated one at a time; a run whose process
@@ -119,15 +119,17 @@ def locally(cases: Sequence[Case], jobs: int, keep: str, folder: str, done: Done
             done(case.identity() | {"ending": FAILED, "cause": "its process was terminated twice"})
 
 
-def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) -> list[Case]:
+def _spread(
+    cases: list[PlannedRun], jobs: int, keep: str, folder: str, done: Done
+) -> list[PlannedRun]:
     """Carry out runs; return those that were under way when a process died, and all later ones.
 
     After such a death, the rest continues in new processes.
     """
-    suspects: list[Case] = []
+    suspects: list[PlannedRun] = []
     waiting = cases[::-1]
     while waiting:
-        under_way: dict[Future[Row], Case] = {}
+        under_way: dict[Future[Row], PlannedRun] = {}
         with workers(min(jobs, len(waiting))) as pool:
             try:
                 while waiting or under_way:
@@ -144,7 +146,7 @@ def _spread(cases: list[Case], jobs: int, keep: str, folder: str, done: Done) ->
     return suspects
 
 
-def _undone(under_way: dict[Future[Row], Case], done: Done) -> list[Case]:
+def _undone(under_way: dict[Future[Row], PlannedRun], done: Done) -> list[PlannedRun]:
     """Store the runs that were completed when a process died; return the others."""
     left = []
     for future, case in under_way.items():
@@ -155,7 +157,9 @@ def _undone(under_way: dict[Future[Row], Case], done: Done) -> list[Case]:
     return left
 
 
-def on_cluster(cases: Sequence[Case], cluster: Any, keep: str, folder: str, done: Done) -> None:
+def on_cluster(
+    cases: Sequence[PlannedRun], cluster: Any, keep: str, folder: str, done: Done
+) -> None:
     """Carry out runs on a Dask cluster; arguments as for `locally`.
 
     If a worker dies, the scheduler gives its runs to others. Kept recordings go to the campaign's
@@ -185,7 +189,7 @@ def on_cluster(cases: Sequence[Case], cluster: Any, keep: str, folder: str, done
         ours = program()
         _require_same_program(client, ours, address)
         waiting = list(cases)[::-1]
-        of: dict[str, Case] = {}
+        of: dict[str, PlannedRun] = {}
 
         def next_one() -> Any:
             case = waiting.pop()

@@ -127,7 +127,7 @@ def tracking(setup: Setup) -> ByFrequency | None:
 
 def _known(
     setup: Setup,
-) -> tuple[response.Plant | None, dict[str, loop_roots.Block], str | None]:
+) -> tuple[response.IdentifiedPlant | None, dict[str, loop_roots.Block], str | None]:
     model, hold = response.plant(setup.rig), response.hold_of(setup.rig)
     if model is None:
         return None, {}, hold

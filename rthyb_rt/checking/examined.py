@@ -6,10 +6,10 @@ from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from rthyb_rt.analysis import loop_roots
-from rthyb_rt.analysis.loop_roots import Verdict
-from rthyb_rt.checking import facts, remarks, tables
-from rthyb_rt.checking.figures import Figures, figures_of
-from rthyb_rt.checking.history import HistoryFigures, figures_of_history, rows_of_history
+from rthyb_rt.analysis.loop_roots import LoopVerdict
+from rthyb_rt.checking import check_tables, facts, remarks
+from rthyb_rt.checking.check_figures import Figures, figures_of
+from rthyb_rt.checking.checked_history import HistoryFigures, figures_of_history, rows_of_history
 from rthyb_rt.config import RigFile, TestFile
 from rthyb_rt.lab import braking, experiment
 from rthyb_rt.lab.braking import RunOn
@@ -35,7 +35,7 @@ class Examined:
 
     setup: Setup
     figures: Figures | HistoryFigures
-    loop: Verdict | None
+    loop: LoopVerdict | None
     runs_on: RunOn
     limits: list[dict[str, Any]]
     link: dict[str, Any] | None
@@ -67,19 +67,19 @@ class Examined:
         setup = self.setup
         all_tables = (
             self._first_rows(),
-            tables.link_rows(self.link),
-            tables.commissioning_rows(self.commissioning),
-            tables.calibration_rows(self.factors),
-            tables.limit_rows(setup, self.limits),
-            tables.run_on_rows(self.runs_on),
+            check_tables.link_rows(self.link),
+            check_tables.commissioning_rows(self.commissioning),
+            check_tables.calibration_rows(self.factors),
+            check_tables.limit_rows(setup, self.limits),
+            check_tables.run_on_rows(self.runs_on),
         )
         return [list(rows) for rows in all_tables if rows]
 
     def _first_rows(self) -> list[tuple[str, str, str]]:
         if isinstance(self.figures, HistoryFigures):
             return rows_of_history(self.setup, self.figures)
-        rows = tables.rows_of_test(self.setup, self.figures)
-        return [*rows, *tables.loop_rows(self.loop)]
+        rows = check_tables.rows_of_test(self.setup, self.figures)
+        return [*rows, *check_tables.loop_rows(self.loop)]
 
 
 def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> Examined:

@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from typing import Final
 
 from rthyb_rt.analysis.margins import LITTLE_MARGIN, OSCILLATES
+from rthyb_rt.checking.check_figures import GAIN, Figures
+from rthyb_rt.checking.checked_history import HistoryFigures
 from rthyb_rt.checking.facts import dbc_is_read
-from rthyb_rt.checking.figures import GAIN, Figures
-from rthyb_rt.checking.history import HistoryFigures
 from rthyb_rt.config import STANDARD_HZ, Limit
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup

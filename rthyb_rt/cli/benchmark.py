@@ -12,8 +12,8 @@ from rthyb_rt.cli.inputs import JsonOption
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rthyb_rt.benchmark.marths_table import Line as MarthsLine
-    from rthyb_rt.benchmark.table import Line
+    from rthyb_rt.benchmark.benchmark_table import EntrantLine
+    from rthyb_rt.benchmark.marths_table import MarthsLine
 
 benchmark = typer.Typer(
     name="benchmark",
@@ -106,24 +106,26 @@ def rths(
       rthyb benchmark rths --law ats --law alpha-beta --jobs 2
       rthyb benchmark rths --yielding --motion kobe --json > kobe.json
     """
-    from rthyb_rt.benchmark import cases, runs, table
+    from rthyb_rt.benchmark import benchmark_runs, benchmark_table, cases
     from rthyb_rt.campaign import pools
 
     _check_width(width, 10.0)
-    wanted = runs.planned(
+    wanted = benchmark_runs.planned(
         law or [one.name for one in cases.entrants()],
         rate or list(cases.RATES),
         case or list(cases.CASES),
         motion or ["elcentro"],
-        plant or runs.seeds_of(plants),
+        plant or benchmark_runs.seeds_of(plants),
         width=width,
         yielding=yielding,
     )
     with terminal.sections("Benchmark") as progress:
-        found = runs.measured(wanted, pools.processors() if jobs is None else jobs, progress)
-    print_lines(table.lines(found), terminal.people(as_json))
+        found = benchmark_runs.measured(
+            wanted, pools.processors() if jobs is None else jobs, progress
+        )
+    print_lines(benchmark_table.lines(found), terminal.people(as_json))
     if as_json:
-        terminal.print_json(table.document(found))
+        terminal.print_json(benchmark_table.document(found))
 
 
 @benchmark.command()
@@ -196,7 +198,7 @@ def print_marths(lines: Sequence[MarthsLine], file: IO[str]) -> None:
             terminal.show(grid, file)
 
 
-def print_lines(lines: Sequence[Line], file: IO[str]) -> None:
+def print_lines(lines: Sequence[EntrantLine], file: IO[str]) -> None:
     """Print results, a table for each rate and motion."""
     from rich.text import Text
 
@@ -207,15 +209,15 @@ def print_lines(lines: Sequence[Line], file: IO[str]) -> None:
         _print_kind([one for one in lines if (one.rate_hz, one.motion) == kinds[number]], file)
 
 
-def _print_kind(lines: Sequence[Line], file: IO[str]) -> None:
+def _print_kind(lines: Sequence[EntrantLine], file: IO[str]) -> None:
 
-    from rthyb_rt.benchmark import table
+    from rthyb_rt.benchmark import benchmark_table
 
     grid = terminal.ruled_table()
     grid.add_column("law", no_wrap=True)
     grid.add_column("case", justify="right", no_wrap=True)
-    for head in table.heads():
+    for head in benchmark_table.heads():
         grid.add_column(head, justify="right", no_wrap=True)
     for line in lines:
-        grid.add_row(line.entrant, str(line.case), *table.cells(line))
+        grid.add_row(line.entrant, str(line.case), *benchmark_table.cells(line))
     terminal.show(grid, file)

@@ -13,9 +13,9 @@ from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.inputs import JsonOption
 
 if TYPE_CHECKING:
-    from rthyb_rt.campaign.conducting import Campaign, Progress
-    from rthyb_rt.campaign.groups import Group
+    from rthyb_rt.campaign.groups import RunGroup
     from rthyb_rt.campaign.plan import Measure, Plan
+    from rthyb_rt.campaign.whole_campaign import Campaign, Progress
 
 SCHEMA = "rthyb-campaign-result/1"
 ENDED_EARLY = 6
@@ -103,11 +103,11 @@ def carry_out(
     plan: Plan, folder: Path, jobs: int | None, cluster: str | None, as_json: bool
 ) -> None:
     """Carry out the runs and print the results; arguments as on the command line."""
-    from rthyb_rt.campaign import conducting, pools
+    from rthyb_rt.campaign import pools, whole_campaign
 
     interrupts.wrote(folder)
     with _progress(plan) as progress:
-        found = conducting.conduct(
+        found = whole_campaign.conduct(
             plan, folder, jobs=jobs or pools.processors(), cluster=cluster, progress=progress
         )
     _print_result(found, terminal.people(as_json))
@@ -152,11 +152,11 @@ def _print_result(found: Campaign, file: IO[str]) -> None:
         terminal.tell(f"note: {note}")
 
 
-def _grid(groups: list[Group], measures: Sequence[Measure]) -> Any:
+def _grid(groups: list[RunGroup], measures: Sequence[Measure]) -> Any:
     from rich.table import Table
 
+    from rthyb_rt.campaign.campaign_page import value
     from rthyb_rt.campaign.groups import figure
-    from rthyb_rt.campaign.page import value
 
     grid = Table(box=None, pad_edge=False, header_style="bold")
     for key in groups[0].chosen:

@@ -12,7 +12,7 @@ from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.checking.axes import ExaminedAxes
+    from rthyb_rt.checking.checked_axes import ExaminedAxes
     from rthyb_rt.checking.examined import Examined
 
 
@@ -49,7 +49,7 @@ def check(
       rthyb check my-test.toml --rig my-rig.toml --set numerical.period_s=0.8
       rthyb check my-test.toml --plot check.html
     """
-    from rthyb_rt.checking.axes import examine_axes
+    from rthyb_rt.checking.checked_axes import examine_axes
     from rthyb_rt.checking.examined import examine
     from rthyb_rt.config import AxesRig
 
@@ -69,9 +69,9 @@ def check(
     found = examine(test_file, rig_file, rig or test_file.rig)
     _print(found, terminal.people(as_json))
     if plot is not None:
-        from rthyb_rt.checking import page
+        from rthyb_rt.checking import check_page
 
-        page.write(found, plot)
+        check_page.write(found, plot)
         interrupts.wrote(plot)
         print(f"\nPage      {plot}", file=terminal.people(as_json))
     if as_json:

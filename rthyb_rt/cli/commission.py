@@ -16,7 +16,7 @@ from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.rig.commissioning.certificate import Certificate
-    from rthyb_rt.rig.commissioning.guide import Plan
+    from rthyb_rt.rig.commissioning.guide import CommissioningSettings
 
 DIFFERENCE = 8
 
@@ -86,7 +86,9 @@ def commission(
         print(text, file=people, flush=True)
 
     ask = _asker(yes, tell)
-    plan = guide.Plan(wanted, distance_m, ask, tell, lambda text: None if yes else ask(text))
+    plan = guide.CommissioningSettings(
+        wanted, distance_m, ask, tell, lambda text: None if yes else ask(text)
+    )
     made, documents = [], []
     for k, within in enumerate(load_within(rig, settings, axis)):
         if k:
@@ -103,7 +105,7 @@ def commission(
         raise typer.Exit(DIFFERENCE)
 
 
-def _commission(within: Within, plan: Plan) -> tuple[Certificate, Path]:
+def _commission(within: Within, plan: CommissioningSettings) -> tuple[Certificate, Path]:
     from rthyb_rt.rig.commissioning import certificate, guide
 
     known, _ = certificate.find(within.rig, within.path, within.axis)

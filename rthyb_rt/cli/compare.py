@@ -103,29 +103,29 @@ def compare(
 
 
 def _names() -> dict[str, str]:
-    from rthyb_rt.comparing import page
+    from rthyb_rt.comparing import comparison_page
 
-    return {"page": page.PAGE, "table": page.TABLE}
+    return {"page": comparison_page.PAGE, "table": comparison_page.TABLE}
 
 
 def _write(found: Overlay, folder: Path) -> str:
     """Write page and table; return which package is missing and how to install it."""
-    from rthyb_rt.comparing import page
+    from rthyb_rt.comparing import comparison_page
     from rthyb_rt.errors import InputError
 
-    page.write_csv(found, folder / page.TABLE)
+    comparison_page.write_csv(found, folder / comparison_page.TABLE)
     try:
-        page.write(found, folder / page.PAGE)
+        comparison_page.write(found, folder / comparison_page.PAGE)
     except InputError as error:
         return f"no page was written: {error}"
     return ""
 
 
 def _print(found: Overlay, file: IO[str]) -> None:
-    from rthyb_rt.comparing import page
+    from rthyb_rt.comparing import comparison_page
 
-    print(page.sentence(found), "", sep="\n", file=file)
-    heads, rows = page.table(found)
+    print(comparison_page.sentence(found), "", sep="\n", file=file)
+    heads, rows = comparison_page.table(found)
     grid = terminal.ruled_table()
     for place, head in enumerate(heads):
         grid.add_column(head, justify="right" if place else "left", overflow="fold")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig, Rate, RigFile
     from rthyb_rt.config.rigfile import Link
     from rthyb_rt.core.loop import Clock
-    from rthyb_rt.rig.commissioning.moving import AnyRig, AxesConnection, Connection, Reach
+    from rthyb_rt.rig.commissioning.guided_motion import AnyRig, AxesConnection, Connection, Reach
     from rthyb_rt.rig.links.opened import Opened
 
 K_E = "elastic_stiffness_n_per_m"
@@ -58,7 +58,7 @@ def opened_link(
             terminal.tell(
                 "no [link] in the rig file: running on a virtual rig in step with it, tick by tick"
             )
-            with virtual_rig.in_step(rig, theirs, virtual_rig.Plan(rate=rate)) as drive:
+            with virtual_rig.in_step(rig, theirs, virtual_rig.RigPlan(rate=rate)) as drive:
                 yield ours, drive.tick
             return
         companion = virtual_rig.Companion(rig, *(one.fd for one in theirs.all), rate=rate)
@@ -201,7 +201,7 @@ def connected_axes(rig: AxesRig) -> Iterator[AxesConnection]:
 def _reach(
     rig: AnyRig, opened: Opened, clock: Clock, before_tick: Callable[[], None] | None
 ) -> Reach[AnyRig]:
-    from rthyb_rt.rig.commissioning.moving import Reach
+    from rthyb_rt.rig.commissioning.guided_motion import Reach
 
     return Reach(
         rig,

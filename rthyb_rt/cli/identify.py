@@ -17,7 +17,7 @@ from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig, Rate, RigFile
-    from rthyb_rt.rig.identify import Result, Sweep
+    from rthyb_rt.rig.identify import IdentificationResult, SweepPlan
     from rthyb_rt.rig.identify_axes import AxesResult
 
 SCHEMA = "rthyb-identify/1"
@@ -85,10 +85,10 @@ def identify(
       rthyb identify my-rig.toml --realtime --amplitude "0.5 mm" --out my-rig-identified.toml
     """
     from rthyb_rt.config import STANDARD
-    from rthyb_rt.rig.identify import Sweep, identified_rig, identify_live
+    from rthyb_rt.rig.identify import SweepPlan, identified_rig, identify_live
     from rthyb_rt.rig.identify import identify as sweep_rig
 
-    sweep = Sweep.up_to(
+    sweep = SweepPlan.up_to(
         quantities.read(max_frequency, "--max-frequency", FREQUENCY),
         quantities.read(amplitude, "--amplitude", AMPLITUDE),
     )
@@ -133,7 +133,7 @@ def identify(
 
 
 def _kept(
-    filled: RigFile, result: Result, started: datetime.datetime, out: Path | None
+    filled: RigFile, result: IdentificationResult, started: datetime.datetime, out: Path | None
 ) -> tuple[Path, dict[str, Path]]:
     """Write the rig file, the recording of the sweep and its Bode plot; return the paths.
 
@@ -153,7 +153,9 @@ def _kept(
     return folder / "rig.toml", {name: folder / path.name for name, path in paths.items()}
 
 
-def _sweep_kept(filled: RigFile, result: Result, folder: Path, before: str) -> dict[str, Path]:
+def _sweep_kept(
+    filled: RigFile, result: IdentificationResult, folder: Path, before: str
+) -> dict[str, Path]:
     from rthyb_rt.record import recording
 
     assert result.recording is not None
@@ -187,7 +189,13 @@ def _written(text: str, name: str, started: datetime.datetime, out: Path | None)
 
 
 def _identify_axes(
-    rig: AxesRig, rig_path: Path, sweep: Sweep, out: Path | None, *, realtime: bool, as_json: bool
+    rig: AxesRig,
+    rig_path: Path,
+    sweep: SweepPlan,
+    out: Path | None,
+    *,
+    realtime: bool,
+    as_json: bool,
 ) -> None:
     from rthyb_rt import config
     from rthyb_rt.config import STANDARD
@@ -276,7 +284,7 @@ def _note_rate(rate: Rate, file: IO[str]) -> None:
         )
 
 
-def _link_rows(result: Result) -> list[tuple[str, str, str]]:
+def _link_rows(result: IdentificationResult) -> list[tuple[str, str, str]]:
     if result.link_delay_samples is None:
         return []
     share = f"{result.link_delay_samples:.2f} samples"
@@ -286,7 +294,7 @@ def _link_rows(result: Result) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _print_result(rig: RigFile, result: Result, file: IO[str]) -> None:
+def _print_result(rig: RigFile, result: IdentificationResult, file: IO[str]) -> None:
 
     from rthyb_rt.core import FS_HZ
     from rthyb_rt.numbers import number, quantity

@@ -17,7 +17,7 @@ from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import Rate
-    from rthyb_rt.lab.jitter import Result, Verdict
+    from rthyb_rt.lab.jitter import JitterResult, PunctualityVerdict
 
 UNFIT = 7
 PAGE, RESULTS = "jitter.html", "jitter.json"
@@ -96,11 +96,11 @@ def jitter(
         raise typer.Exit(UNFIT)
 
 
-def _measure_all(seconds: float, rate: Rate, cpu: int) -> list[Result]:
+def _measure_all(seconds: float, rate: Rate, cpu: int) -> list[JitterResult]:
     from rthyb_rt.lab import jitter as timing
 
     load, ticks = timing.Load.built_in(rate), round(seconds * rate.hz)
-    results: list[Result] = []
+    results: list[JitterResult] = []
     total = ticks * len(timing.CASES)
     with terminal.progress("Timing", total, rate.hz) as progress:
         for case in timing.CASES:
@@ -115,9 +115,9 @@ def _measure_all(seconds: float, rate: Rate, cpu: int) -> list[Result]:
 def _write(
     folder: Path,
     document: dict[str, Any],
-    results: Sequence[Result],
+    results: Sequence[JitterResult],
     facts: dict[str, Any],
-    verdict: Verdict,
+    verdict: PunctualityVerdict,
 ) -> bool:
     """Write the results, then the page; False if the packages that it needs are missing."""
     from rthyb_rt.report.jitter import write_page
@@ -136,7 +136,10 @@ def _write(
 
 
 def _print_result(
-    results: Sequence[Result], facts: dict[str, Any], verdict: Verdict, file: IO[str]
+    results: Sequence[JitterResult],
+    facts: dict[str, Any],
+    verdict: PunctualityVerdict,
+    file: IO[str],
 ) -> None:
 
     from rthyb_rt.lab.jitter import criterion

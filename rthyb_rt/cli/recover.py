@@ -14,7 +14,7 @@ from rthyb_rt.cli.inputs import JsonOption
 from rthyb_rt.errors import RthybError
 
 if TYPE_CHECKING:
-    from rthyb_rt.record.ring import Recovered, Sight
+    from rthyb_rt.record.ring import RecoveredRecording, Sight
 
 SCHEMA = "rthyb-recover/1"
 LIST_SCHEMA = "rthyb-rings/1"
@@ -138,12 +138,12 @@ def _age(age_s: float | None) -> str:
     return f"{max(age_s, 0.0):.0f} s"
 
 
-def _name(found: Recovered) -> str:
+def _name(found: RecoveredRecording) -> str:
     now = datetime.datetime.now(datetime.UTC)
     return f"{found.recording.meta.get('test_name', 'test')}-{now:%Y%m%dT%H%M%SZ}-recovered"
 
 
-def _table(found: Recovered) -> list[tuple[str, str, str]]:
+def _table(found: RecoveredRecording) -> list[tuple[str, str, str]]:
     samples = found.recording.samples
     first, last = int(samples["tick"][0]), int(samples["tick"][-1])
     seconds = len(samples) / found.recording.fs_hz
@@ -159,7 +159,7 @@ def _ranges(ranges: list[list[int]]) -> str:
     return ", ".join(f"{first} to {last}" for first, last in ranges) or "none"
 
 
-def _document(found: Recovered, folder: Path) -> dict[str, Any]:
+def _document(found: RecoveredRecording, folder: Path) -> dict[str, Any]:
     meta = found.recording.meta
     return {
         "schema": SCHEMA,

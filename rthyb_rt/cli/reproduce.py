@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from rich.table import Table as Grid
     from rich.text import Text
 
-    from rthyb_rt.studies.results import Line, Row, Study, Table
+    from rthyb_rt.studies.results import Line, Study, StudyRow, StudyTable
 
 BAND_MISSED = 8
 ROOM_FOR_PAPER = 116
@@ -73,7 +73,7 @@ def reproduce(
     The exit code is 8 if a result lies outside its band.
     """
     from rthyb_rt import studies
-    from rthyb_rt.studies import page
+    from rthyb_rt.studies import studies_page
 
     if record is not None and section not in (Section.INELASTIC, Section.ALL):
         raise typer.BadParameter("applies only to Section 4.2", param_hint="--record")
@@ -88,19 +88,19 @@ def reproduce(
     target = out or Path("runs") / f"reproduce-{started:%Y%m%dT%H%M%SZ}"
     with staged(target) as stage:
         try:
-            page.write_page(found, stage)
+            studies_page.write_page(found, stage)
         except InputError as error:
             terminal.tell(f"no page was written: {error}")
-        has_page = (stage / page.PAGE).exists()
+        has_page = (stage / studies_page.PAGE).exists()
         folder = publish(stage, target, numbered=out is None)
-    paths = {"results": str(folder / page.RESULTS)}
+    paths = {"results": str(folder / studies_page.RESULTS)}
     if has_page:
-        paths["page"] = str(folder / page.PAGE)
+        paths["page"] = str(folder / studies_page.PAGE)
     print(
         "", *(f"{name.capitalize():9}{path}" for name, path in paths.items()), sep="\n", file=file
     )
     if as_json:
-        terminal.print_json({**page.document(found), "paths": paths})
+        terminal.print_json({**studies_page.document(found), "paths": paths})
     if missed:
         raise typer.Exit(BAND_MISSED)
 
@@ -121,7 +121,7 @@ def _print_study(study: Study, file: IO[str]) -> None:
     print("", file=file)
 
 
-def _grid(table: Table, width: int) -> Grid:
+def _grid(table: StudyTable, width: int) -> Grid:
     grid = terminal.ruled_table()
     grid.add_column("", overflow="fold")
     if table.has_units:
@@ -138,7 +138,7 @@ def _grid(table: Table, width: int) -> Grid:
     return grid
 
 
-def _cells(table: Table, line: Line, with_paper: bool) -> list[Text]:
+def _cells(table: StudyTable, line: Line, with_paper: bool) -> list[Text]:
     from rich.text import Text
 
     from rthyb_rt.studies.results import value_text
@@ -161,7 +161,7 @@ def _cells(table: Table, line: Line, with_paper: bool) -> list[Text]:
     return cells
 
 
-def _band(row: Row) -> Text:
+def _band(row: StudyRow) -> Text:
     """Return the mark and the accepted band; nothing for a row without one."""
     from rich.text import Text
 

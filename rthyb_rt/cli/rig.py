@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from rthyb_rt.config import AxesRig, Rate, RigFile
     from rthyb_rt.config.rigfile import Link
-    from rthyb_rt.rig.virtual_rig import Line, Plan, Result
+    from rthyb_rt.rig.virtual_rig import RigPlan, RigResult, WireEnd
 
 SCHEMA = "rthyb-rig-run/1"
 
@@ -139,7 +139,7 @@ def rig(
     if log is not None:
         _check_log(log)
     people = terminal.people(as_json)
-    stop = virtual_rig.Stop()
+    stop = virtual_rig.StopRequest()
     with _lines(rig_file, can, serial, socket, pty) as lines, interrupts.on_interrupt(stop.set):
         at = ", ".join(line.name for line in lines)
 
@@ -163,7 +163,7 @@ def _plan(
     log: Path | None,
     axes: Sequence[str],
     rate: Rate,
-) -> Plan:
+) -> RigPlan:
     from rthyb_rt.rig import virtual_rig
 
     if not abs(drift_ppm) <= virtual_rig.DRIFT_MAX_PPM:
@@ -184,7 +184,7 @@ def _plan(
     except InputError as error:
         raise typer.BadParameter(str(error), param_hint="--fault") from error
     room_s = min(seconds or virtual_rig.LOG_SECONDS, virtual_rig.LOG_SECONDS)
-    return virtual_rig.Plan(
+    return virtual_rig.RigPlan(
         seed=seed,
         drift_ppm=drift_ppm,
         faults=faults,
@@ -212,7 +212,7 @@ def _lines(
     serial: str | None,
     socket: str | None,
     pty: bool,
-) -> Iterator[list[Line]]:
+) -> Iterator[list[WireEnd]]:
     """Open the requested link, or that of each of several axes."""
     from rthyb_rt.config import AxesRig
     from rthyb_rt.rig import virtual_rig
@@ -295,7 +295,7 @@ def _link(own: Link | None, can: str | None, serial: str | None, socket: str | N
     return own
 
 
-def _rows(result: Result, log: Path | None) -> list[tuple[str, str, str]]:
+def _rows(result: RigResult, log: Path | None) -> list[tuple[str, str, str]]:
     stops = f"{result.watchdog_stops} by the watchdog, {result.told_stops} commanded"
     rows = [
         ("Ticks", str(result.ticks), f"{result.skipped} more missed"),

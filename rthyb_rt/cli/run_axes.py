@@ -13,7 +13,7 @@ from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.folders import publish, refuse_taken, report_beside, staged
 
 if TYPE_CHECKING:
-    from rthyb_rt.analysis.several import AxesSummary
+    from rthyb_rt.analysis.several_axes import AxesSummary
     from rthyb_rt.lab.experiment import Progress, Setup
     from rthyb_rt.record.recording import Recording
 
@@ -84,7 +84,7 @@ def _status(rec: Recording) -> int:
 def _print_outcome(
     setup: Setup, rec: Recording, folder: Path, *, report: bool, as_json: bool
 ) -> None:
-    from rthyb_rt.analysis import several as measured
+    from rthyb_rt.analysis import several_axes as measured
 
     file = terminal.people(as_json)
     motion = f"{setup.motion.name}, PGA {setup.motion.pga_g:.3g} g"
@@ -107,7 +107,7 @@ def _print_outcome(
 def _document(
     rec: Recording, result: AxesSummary | None, folder: Path, report: Path | None
 ) -> dict[str, Any]:
-    from rthyb_rt.analysis import several as measured
+    from rthyb_rt.analysis import several_axes as measured
 
     notices = [] if result is None else measured.notices(result)
     return {

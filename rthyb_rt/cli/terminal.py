@@ -193,7 +193,7 @@ def progress(description: str, ticks: int, fs_hz: float) -> Iterator[OnProgress]
     from rich.table import Column
     from rich.text import Text
 
-    class Rate(ProgressColumn):
+    class CasesPerSecond(ProgressColumn):
         """Seconds of the test per second."""
 
         def render(self, task: Task) -> Text:
@@ -210,7 +210,7 @@ def progress(description: str, ticks: int, fs_hz: float) -> Iterator[OnProgress]
     ]
     if console.width >= _BAR_ROOM:
         columns.insert(1, BarColumn(min(40, console.width - _BAR_ROOM + 10)))
-        columns.insert(3, Rate(table_column=whole))
+        columns.insert(3, CasesPerSecond(table_column=whole))
     with Progress(
         *columns,
         console=console,

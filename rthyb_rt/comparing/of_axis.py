@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from rthyb_rt.analysis import measures, several
+from rthyb_rt.analysis import measures, several_axes
 from rthyb_rt.comparing.courses import MEASURES, Course, reference_course
 from rthyb_rt.config.fields import nearest
 from rthyb_rt.errors import InputError
@@ -44,7 +44,7 @@ def recorded(rec: Recording, label: str | None, axis: str | None) -> Course:
         InputError: no axis is named, or none has that name.
     """
     k = number_of(rec.axis_names, axis, label or "compare")
-    found = several.summarize(rec)
+    found = several_axes.summarize(rec)
     own, signals = found.axes[k], found.signals
     measured = signals.measured_m[:, k]
     known: dict[str, float | None] = {
@@ -70,7 +70,7 @@ def recorded(rec: Recording, label: str | None, axis: str | None) -> Course:
 
 def simulated(rec: Recording, label: str, axis: str) -> Course:
     """Return the reference simulation of an axis of a recording; ``label``: with the axis."""
-    found, k = several.summarize(rec), rec.axis_names.index(axis)
+    found, k = several_axes.summarize(rec), rec.axis_names.index(axis)
     reference = found.signals.reference
     called = f"{label}, reference simulation"
     x_m, f_n = reference.axis_m[:, k], reference.axis_n[:, k]

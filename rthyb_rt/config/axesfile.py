@@ -16,8 +16,8 @@ from pydantic_core import CoreSchema, ErrorDetails
 from rthyb_rt.config.fields import (
     SLUG,
     SOME_TEXT,
-    Check,
-    Choice,
+    Alternatives,
+    Condition,
     Count,
     OneOf,
     Range,
@@ -231,9 +231,9 @@ class Axis(Table):
     Without ``actuator`` the file must have a ``[plant]``.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("limits", ("limits",), _only_its_own),
-        Check(
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("limits", ("limits",), _only_its_own),
+        Condition(
             "sensors",
             ("sensors",),
             lambda sensors: (
@@ -450,8 +450,8 @@ class Along(Table):
     along: Annotated[str, DIRECTION]
     law: Annotated[SpecimenElement, Field(discriminator="element")]
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check(
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition(
             "law",
             ("law",),
             lambda law: (
@@ -471,12 +471,12 @@ class JointSpecimen(Table):
     tangent stiffness.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("stiffness", ("stiffness",), _holds),
-        Check("damping", ("stiffness", "damping"), _same_size),
-        Check("damping", ("damping",), _not_negative("damping")),
-        Check("mass", ("stiffness", "mass"), _same_size),
-        Check("mass", ("mass",), _not_negative("a mass")),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("stiffness", ("stiffness",), _holds),
+        Condition("damping", ("stiffness", "damping"), _same_size),
+        Condition("damping", ("damping",), _not_negative("damping")),
+        Condition("mass", ("stiffness", "mass"), _same_size),
+        Condition("mass", ("mass",), _not_negative("a mass")),
     )
 
     stiffness: Annotated[Rows, MatrixOf("the stiffness", symmetric=True)]
@@ -492,9 +492,9 @@ class Plant(Table):
     (.npz or .mat with a, b, c) can be given instead of the three; its content is then written out.
     """
 
-    choices: ClassVar[tuple[Choice, ...]] = (Choice(("file", "a"), required=True),)
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check(
+    choices: ClassVar[tuple[Alternatives, ...]] = (Alternatives(("file", "a"), required=True),)
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition(
             "a",
             ("file", "a", "b", "c"),
             lambda file, a, b, c: (
@@ -534,8 +534,8 @@ class JointIdentified(Table):
     was moved.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("frequency_hz", ("frequency_hz", "real", "imaginary"), _responses_fit),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("frequency_hz", ("frequency_hz", "real", "imaginary"), _responses_fit),
     )
 
     frequency_hz: list[Annotated[float, Range("Hz", 1e-3, 512, "a frequency")]] = Field(
@@ -675,15 +675,15 @@ def _identified_fits(axes: list[Axis], identified: JointIdentified | None) -> st
 class AxesRig(WholeFile):
     """A rig with several axes: virtual, or the model of a real one."""
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("axis", ("axis",), _names_differ),
-        Check("axis", ("axis", "plant"), _driven),
-        Check("axis", ("axis",), _one_clock),
-        Check("kinematics", ("axis", "kinematics"), _kinematics_fault),
-        Check("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
-        Check("rig", ("rig", "specimen"), _elastic_fits),
-        Check("plant", ("axis", "plant"), _plant_fits),
-        Check("identified", ("axis", "identified"), _identified_fits),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("axis", ("axis",), _names_differ),
+        Condition("axis", ("axis", "plant"), _driven),
+        Condition("axis", ("axis",), _one_clock),
+        Condition("kinematics", ("axis", "kinematics"), _kinematics_fault),
+        Condition("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
+        Condition("rig", ("rig", "specimen"), _elastic_fits),
+        Condition("plant", ("axis", "plant"), _plant_fits),
+        Condition("identified", ("axis", "identified"), _identified_fits),
     )
 
     schema_: Literal["rthyb-rig/1"] = Field(alias="schema")

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, StrictBool
 
-from rthyb_rt.config.fields import Check, Range, Table, Text
+from rthyb_rt.config.fields import Condition, Range, Table, Text
 
 BASELINE_SCHEMA = "rthyb-baseline/1"
 
@@ -76,7 +76,9 @@ def _plc_stable(w1: float | None, w2: float | None) -> str | None:
 class Controller(Table):
     """The compensation in a closed loop."""
 
-    checks: ClassVar[tuple[Check, ...]] = (Check("plc_w1", ("plc_w1", "plc_w2"), _plc_stable),)
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("plc_w1", ("plc_w1", "plc_w2"), _plc_stable),
+    )
 
     plc_w1: Annotated[float, Range("", -1e6, 1e6, "the weighting W1")] | None = None
     plc_w2: Annotated[float, Range("", -1e6, 1e6, "the weighting W2")] | None = None

@@ -11,8 +11,8 @@ from pydantic import Field, PlainValidator
 from rthyb_rt.config.fields import (
     SLUG,
     SOME_TEXT,
-    Check,
-    Choice,
+    Alternatives,
+    Condition,
     Count,
     Range,
     Table,
@@ -61,9 +61,12 @@ class Spread(Table):
     low: Annotated[float, Range("", 0.0, 1e3, "the smallest factor", open_low=True)] | None = None
     high: Annotated[float, Range("", 0.0, 1e3, "the largest factor", open_low=True)] | None = None
 
-    choices = (Choice(("std", "low"), required=True), Choice(("std", "high"), required=True))
+    choices = (
+        Alternatives(("std", "low"), required=True),
+        Alternatives(("std", "high"), required=True),
+    )
     checks = (
-        Check(
+        Condition(
             "high",
             ("low", "high"),
             lambda low, high: (

@@ -37,7 +37,7 @@ from pydantic_core import (
 
 from rthyb_rt import units
 from rthyb_rt.config.lines import Path as KeyPath
-from rthyb_rt.config.placing import NOWHERE, Source
+from rthyb_rt.config.placing import NOWHERE, SourceText
 
 _EXPLAINED = "explained"
 
@@ -320,7 +320,7 @@ class Names(Reader):
 
 
 @dataclass(frozen=True)
-class Choice:
+class Alternatives:
     """Alternative keys of a table, of which only one may be given.
 
     Attributes:
@@ -333,7 +333,7 @@ class Choice:
 
 
 @dataclass(frozen=True)
-class Check:
+class Condition:
     """A condition on several keys of a table, checked if all of them are valid.
 
     Attributes:
@@ -352,8 +352,8 @@ class Table(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
-    choices: ClassVar[tuple[Choice, ...]] = ()
-    checks: ClassVar[tuple[Check, ...]] = ()
+    choices: ClassVar[tuple[Alternatives, ...]] = ()
+    checks: ClassVar[tuple[Condition, ...]] = ()
 
     @classmethod
     def expand(cls, data: Any) -> Any:
@@ -453,7 +453,7 @@ class Table(BaseModel):
     @classmethod
     def _check_faults(
         cls, table: Self | None, keys: dict[str, Any], failed: set[str]
-    ) -> Iterator[tuple[Check, str]]:
+    ) -> Iterator[tuple[Condition, str]]:
         for check in cls.checks:
             missing = {
                 k for k in check.needs if k not in keys and cls.model_fields[k].is_required()
@@ -472,14 +472,14 @@ class Table(BaseModel):
 class WholeFile(Table):
     """A configuration file, which remembers the text from which it was read."""
 
-    _source: Source = PrivateAttr(default=NOWHERE)
+    _source: SourceText = PrivateAttr(default=NOWHERE)
 
     @property
-    def source(self) -> Source:
+    def source(self) -> SourceText:
         """The text from which the values come."""
         return self._source
 
-    def read_from(self, source: Source) -> Self:
+    def read_from(self, source: SourceText) -> Self:
         """Return the same file with this text as its origin."""
         file = self.model_copy()
         file._source = source

@@ -17,8 +17,8 @@ from pydantic_core import CoreSchema, PydanticCustomError
 from rthyb_rt import units
 from rthyb_rt.config.fields import (
     SOME_TEXT,
-    Check,
-    Choice,
+    Alternatives,
+    Condition,
     Count,
     Range,
     Reader,
@@ -149,7 +149,9 @@ def _within(duration_s: float, taper_s: float) -> str | None:
 class SweepHistory(Table):
     """A sine sweep between two frequencies; its velocity may be limited."""
 
-    checks: ClassVar[tuple[Check, ...]] = (Check("taper_s", ("duration_s", "taper_s"), _within),)
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("taper_s", ("duration_s", "taper_s"), _within),
+    )
 
     kind: Literal["sweep"]
     amplitude_m: _Amplitude
@@ -177,10 +179,12 @@ def _rising(from_hz: float, to_hz: float) -> str | None:
 class RandomHistory(Table):
     """Noise with a flat spectrum between two frequencies, reproducible by its seed."""
 
-    choices: ClassVar[tuple[Choice, ...]] = (Choice(("peak_m", "rms_m"), required=True),)
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("taper_s", ("duration_s", "taper_s"), _within),
-        Check("to_hz", ("from_hz", "to_hz"), _rising),
+    choices: ClassVar[tuple[Alternatives, ...]] = (
+        Alternatives(("peak_m", "rms_m"), required=True),
+    )
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("taper_s", ("duration_s", "taper_s"), _within),
+        Condition("to_hz", ("from_hz", "to_hz"), _rising),
     )
 
     kind: Literal["random"]
@@ -206,8 +210,8 @@ class CyclicHistory(Table):
     slow paths in the limits of test and rig is used.
     """
 
-    choices: ClassVar[tuple[Choice, ...]] = (
-        Choice(("frequency_hz", "velocity_m_per_s"), required=True),
+    choices: ClassVar[tuple[Alternatives, ...]] = (
+        Alternatives(("frequency_hz", "velocity_m_per_s"), required=True),
     )
 
     kind: str
@@ -246,11 +250,13 @@ def _as_many(amplitudes: list[float] | None, cycles: int | list[int]) -> str | N
 class CyclesHistory(CyclicHistory):
     """User-defined amplitudes and cycles, from the test file or a CSV file."""
 
-    choices: ClassVar[tuple[Choice, ...]] = (
+    choices: ClassVar[tuple[Alternatives, ...]] = (
         *CyclicHistory.choices,
-        Choice(("amplitudes_m", "file"), required=True),
+        Alternatives(("amplitudes_m", "file"), required=True),
     )
-    checks: ClassVar[tuple[Check, ...]] = (Check("cycles", ("amplitudes_m", "cycles"), _as_many),)
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("cycles", ("amplitudes_m", "cycles"), _as_many),
+    )
 
     kind: Literal["cycles"]
     amplitudes_m: Annotated[list[float], Amplitudes()] | None = None

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from rthyb_rt.config.fields import Range, Table
 from rthyb_rt.config.own import PYTHON
 from rthyb_rt.config.rate import STANDARD
-from rthyb_rt.core.laws import LAWS, Law, Parameter, parameters
+from rthyb_rt.core.laws import LAWS, LawDescription, Parameter, parameters
 
 _T = TypeVar("_T", bound=Table)
 
@@ -124,7 +124,7 @@ def faults(
     yield tuple(key.split(".")), text, tuple(beside)
 
 
-def _values(law: Law, keys: Mapping[str, Any]) -> list[float] | None:
+def _values(law: LawDescription, keys: Mapping[str, Any]) -> list[float] | None:
     """Return all settings, NaN for those that only the rig knows; None if one is not valid."""
     values = []
     for p in law.parameters:

@@ -18,12 +18,12 @@ from rthyb_rt.config.axesfile import AxesRig, Plant
 from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
 from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
 from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
-from rthyb_rt.config.fields import Choice, Table, WholeFile, nearest, written
+from rthyb_rt.config.fields import Alternatives, Table, WholeFile, nearest, written
 from rthyb_rt.config.history import CyclesHistory, History, RandomHistory, with_file
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
-from rthyb_rt.config.placing import Source
+from rthyb_rt.config.placing import SourceText
 from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, Link, RigFile, kinds
 from rthyb_rt.config.structures import FROM_FILE, WRITTEN_OUT, MatrixFile
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
@@ -43,7 +43,7 @@ _SYNTAX_LINE = re.compile(r" \(at (?:line (\d+), column \d+|end of document)\)$"
 _TWICE = re.compile(r"Cannot (overwrite a value|declare .* twice)$")
 
 # Tables in which an override of one key replaces the alternatives to it.
-_EXCLUSIVE: dict[KeyPath, tuple[Choice, ...]] = {
+_EXCLUSIVE: dict[KeyPath, tuple[Alternatives, ...]] = {
     ("numerical",): Numerical.choices,
     ("ground_motion",): GroundMotion.choices,
     ("controller", "rfc"): Rfc.choices,
@@ -817,7 +817,7 @@ def _parse(
     if problems:
         raise InputError(problems)
     if isinstance(result, WholeFile):
-        return result.read_from(Source(source, text, given, wording))
+        return result.read_from(SourceText(source, text, given, wording))
     return result
 
 

@@ -10,7 +10,16 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError
 
-from rthyb_rt.config.fields import Check, Choice, Count, Range, Reader, Table, explained, written
+from rthyb_rt.config.fields import (
+    Alternatives,
+    Condition,
+    Count,
+    Range,
+    Reader,
+    Table,
+    explained,
+    written,
+)
 from rthyb_rt.core.sizes import DENSE_MAX
 
 MOST_DEGREES: Final = DENSE_MAX
@@ -286,17 +295,17 @@ class Matrices(Table):
     the whole structure with an elastic specimen.
     """
 
-    choices: ClassVar[tuple[Choice, ...]] = (
-        Choice(("c_n_s_per_m", "damping_ratios"), required=True),
+    choices: ClassVar[tuple[Alternatives, ...]] = (
+        Alternatives(("c_n_s_per_m", "damping_ratios"), required=True),
     )
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("k_n_per_m", ("m_kg", "k_n_per_m"), _same_size("rows")),
-        Check("c_n_s_per_m", ("m_kg", "c_n_s_per_m"), _same_size("rows")),
-        Check("influence", ("m_kg", "influence"), _same_size("numbers")),
-        Check("labels", ("m_kg", "labels"), _same_size("labels")),
-        Check("damping_ratios", ("m_kg", "damping_ratios"), _ratios_fit),
-        Check("interface", ("m_kg", "labels", "interface"), _is_there),
-        Check("specimen", ("m_kg", "labels", "interface", "specimen"), _keeps_mass),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("k_n_per_m", ("m_kg", "k_n_per_m"), _same_size("rows")),
+        Condition("c_n_s_per_m", ("m_kg", "c_n_s_per_m"), _same_size("rows")),
+        Condition("influence", ("m_kg", "influence"), _same_size("numbers")),
+        Condition("labels", ("m_kg", "labels"), _same_size("labels")),
+        Condition("damping_ratios", ("m_kg", "damping_ratios"), _ratios_fit),
+        Condition("interface", ("m_kg", "labels", "interface"), _is_there),
+        Condition("specimen", ("m_kg", "labels", "interface", "specimen"), _keeps_mass),
     )
 
     m_kg: Annotated[

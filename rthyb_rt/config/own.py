@@ -27,7 +27,7 @@ _CLASS: Final = Text(
 
 
 @dataclass(frozen=True)
-class Parameters(Reader):
+class NamedParameters(Reader):
     """Numbers by name for a library or an FMU, in the order of the file."""
 
     what: str = "the parameters"
@@ -106,7 +106,7 @@ class LibraryFile(Table):
     """
 
     file: Annotated[str, SOME_TEXT]
-    parameters: Annotated[dict[str, float], Parameters()] = Field(default_factory=dict)
+    parameters: Annotated[dict[str, float], NamedParameters()] = Field(default_factory=dict)
 
 
 class FmuFile(Table):
@@ -120,7 +120,7 @@ class FmuFile(Table):
     force: Annotated[str, SOME_TEXT]
     displacement: Annotated[str, SOME_TEXT]
     ground_acceleration: Annotated[str, SOME_TEXT] | None = None
-    parameters: Annotated[dict[str, float], Parameters()] = Field(default_factory=dict)
+    parameters: Annotated[dict[str, float], NamedParameters()] = Field(default_factory=dict)
     record: Annotated[list[str], Names("the quantities to record", 20)] = Field(
         default_factory=list
     )

@@ -26,7 +26,7 @@ _R = TypeVar("_R")
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceText:
     """The text from which the values of a file were read; ignored when files are compared.
 
     Attributes:
@@ -61,7 +61,7 @@ def _lines(text: str) -> KeyLines:
     return KeyLines(text)
 
 
-NOWHERE: Final = Source()
+NOWHERE: Final = SourceText()
 """The source of values that come from no file."""
 
 

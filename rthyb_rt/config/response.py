@@ -304,7 +304,7 @@ def _zeros(per_delta: Floats) -> Complexes:
 
 
 @dataclass(frozen=True)
-class Plant:
+class IdentifiedPlant:
     """An identified rig: ``x_m = exp(-s delay) / P(s)`` times the command as the drive holds it.
 
     Attributes:
@@ -343,7 +343,7 @@ _WORTH: Final = 2.0
 """A higher order must halve the error of a lower order that is not good enough itself."""
 
 
-def plant(rig: RigFile) -> Plant | None:
+def plant(rig: RigFile) -> IdentifiedPlant | None:
     """Return a model that explains a rig's identified response; None if there is none.
 
     1/G, less the effect of the drive's hold, is fitted by a polynomial in s and a delay: of the
@@ -366,7 +366,7 @@ def plant(rig: RigFile) -> Plant | None:
     if error > MOST_ERROR:
         return None
     k, c, m = _impedance(found, rig.rig.elastic_stiffness_n_per_m)
-    return Plant(p, delay_s, k, c, m, float(f.max()), error)
+    return IdentifiedPlant(p, delay_s, k, c, m, float(f.max()), error)
 
 
 def _polynomial(f: Floats, g: Complexes, order: int) -> tuple[float, Floats, float] | None:

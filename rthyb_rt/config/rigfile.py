@@ -13,7 +13,7 @@ from rthyb_rt.config import busload
 from rthyb_rt.config.fields import (
     SLUG,
     SOME_TEXT,
-    Check,
+    Condition,
     Count,
     OneOf,
     Range,
@@ -134,8 +134,8 @@ def _oil_column_resolved(oil: float, mass: float, substeps: int) -> str | None:
 class ServoHydraulic(Table):
     """PI-controlled servo valve, square-root load flow, oil column and table."""
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check(
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition(
             "oil_stiffness_n_per_m",
             ("oil_stiffness_n_per_m", "moving_mass_kg", "substeps"),
             _oil_column_resolved,
@@ -229,13 +229,13 @@ def _static_above_sliding(fc_n: float, fs_n: float) -> str | None:
     return f"found {fs_n:g}; static friction must not be below sliding friction fc_n = {fc_n:g} N"
 
 
-_FRICTION_CHECKS = (Check("fs_n", ("fc_n", "fs_n"), _static_above_sliding),)
+_FRICTION_CHECKS = (Condition("fs_n", ("fc_n", "fs_n"), _static_above_sliding),)
 
 
 class StribeckElement(Table):
     """Friction that decreases from fs to fc around the velocity vs."""
 
-    checks: ClassVar[tuple[Check, ...]] = _FRICTION_CHECKS
+    checks: ClassVar[tuple[Condition, ...]] = _FRICTION_CHECKS
 
     element: Literal["stribeck"]
     fc_n: FrictionForce
@@ -247,7 +247,7 @@ class StribeckElement(Table):
 class LugreElement(Table):
     """LuGre bristle friction."""
 
-    checks: ClassVar[tuple[Check, ...]] = _FRICTION_CHECKS
+    checks: ClassVar[tuple[Condition, ...]] = _FRICTION_CHECKS
 
     element: Literal["lugre"]
     fc_n: Annotated[float, Range("N", 1e-3, 1e8, "the sliding friction")]
@@ -323,8 +323,8 @@ class BoucWen(Table):
     A loop given by its yield displacement is stored with a = 1, b = c = 0.5 / xy_m^eta.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("b", ("xy_m", "a", "b", "c", "eta"), _loop_closed),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("b", ("xy_m", "a", "b", "c", "eta"), _loop_closed),
     )
 
     element: str
@@ -518,8 +518,8 @@ Lost = Annotated[float, Range("", 0, 0.99, "the share lost")]
 class RcColumnElement(Table):
     """A reinforced concrete column: pinching and degradation with amplitude and energy."""
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("ultimate_m", ("xy_m", "ultimate_m"), _beyond_yield),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("ultimate_m", ("xy_m", "ultimate_m"), _beyond_yield),
     )
 
     element: Literal["rc_column"]
@@ -639,7 +639,7 @@ def _different_names(extra: list[ExtraSensor]) -> str | None:
 class Sensors(Table):
     """The sensors that the controller reads."""
 
-    checks: ClassVar[tuple[Check, ...]] = (Check("extra", ("extra",), _different_names),)
+    checks: ClassVar[tuple[Condition, ...]] = (Condition("extra", ("extra",), _different_names),)
 
     displacement: DisplacementSensor = Field(default_factory=DisplacementSensor)
     force: ForceSensor = Field(default_factory=ForceSensor)
@@ -677,13 +677,13 @@ class Identified(Table):
     then roll off their lead below it.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check(
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition(
             "frequency_hz",
             ("frequency_hz", "amplitude", "delay_at_frequency_s"),
             _one_row_a_frequency,
         ),
-        Check(
+        Condition(
             "force_in_phase_n_per_m",
             ("frequency_hz", "force_in_phase_n_per_m", "force_in_quadrature_n_per_m"),
             _one_force_a_frequency,
@@ -852,19 +852,21 @@ class Link(Table):
     the drive takes commands and sends readings, and so the rate of a test in real time.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("lead_us", ("clock", "lead_us", "sample_rate_hz"), _lead_fits),
-        Check("channel", ("kind", "channel"), _channel_fits),
-        Check("interface", ("kind", "interface"), _interface_fits),
-        Check(
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("lead_us", ("clock", "lead_us", "sample_rate_hz"), _lead_fits),
+        Condition("channel", ("kind", "channel"), _channel_fits),
+        Condition("interface", ("kind", "interface"), _interface_fits),
+        Condition(
             "bitrate",
             ("kind", "bitrate", "fd", "data_bitrate", "dbc", "sample_rate_hz"),
             _bitrate_enough,
         ),
-        Check("fd", ("kind", "fd"), lambda kind, fd: _only_for(fd, kind, BUSES)),
-        Check("data_bitrate", ("kind", "fd", "bitrate", "data_bitrate"), _data_phase_fits),
-        Check("dbc", ("kind", "dbc"), lambda kind, dbc: _only_for(dbc is not None, kind, BUSES)),
-        Check(
+        Condition("fd", ("kind", "fd"), lambda kind, fd: _only_for(fd, kind, BUSES)),
+        Condition("data_bitrate", ("kind", "fd", "bitrate", "data_bitrate"), _data_phase_fits),
+        Condition(
+            "dbc", ("kind", "dbc"), lambda kind, dbc: _only_for(dbc is not None, kind, BUSES)
+        ),
+        Condition(
             "names",
             ("dbc", "names"),
             lambda dbc, names: (
@@ -873,7 +875,7 @@ class Link(Table):
                 else None
             ),
         ),
-        Check(
+        Condition(
             "reset_state",
             ("dbc", "reset_state"),
             lambda dbc, reset_state: (
@@ -941,8 +943,8 @@ def _offset_on_wire(scale: float, offset_m: float) -> str | None:
 class DisplacementChannel(Table):
     """x = polarity scale wire + offset, in m of the specimen."""
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("offset_m", ("scale", "offset_m"), _offset_on_wire),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("offset_m", ("scale", "offset_m"), _offset_on_wire),
     )
 
     scale: Annotated[float, Range("", 1e-4, 1e4, "the scale")] = 1.0
@@ -1014,9 +1016,9 @@ def _extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
 class RigFile(WholeFile):
     """A rig: virtual, or the model of a real one."""
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("specimen", ("actuator", "specimen"), _valve_moves_a_mass),
-        Check("sensors", ("sensors", "link"), _extras_arrive),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("specimen", ("actuator", "specimen"), _valve_moves_a_mass),
+        Condition("sensors", ("sensors", "link"), _extras_arrive),
     )
 
     schema_: Literal["rthyb-rig/1"] = Field(alias="schema")

@@ -15,8 +15,8 @@ from pydantic_core import CoreSchema, PydanticCustomError
 from rthyb_rt.config.fields import (
     SLUG,
     SOME_TEXT,
-    Check,
-    Choice,
+    Alternatives,
+    Condition,
     Count,
     Range,
     Reader,
@@ -194,12 +194,12 @@ class Storeys(Table):
     storey over its height is a negative stiffness.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("mass_kg", ("count", "mass_kg"), _one_each("mass")),
-        Check("stiffness_n_per_m", ("count", "stiffness_n_per_m"), _one_each("stiffness")),
-        Check("height_m", ("count", "height_m"), _one_each("height")),
-        Check("specimen", ("count", "specimen"), _storeys_there),
-        Check("p_delta", ("p_delta", "height_m"), _weighs_on_height),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("mass_kg", ("count", "mass_kg"), _one_each("mass")),
+        Condition("stiffness_n_per_m", ("count", "stiffness_n_per_m"), _one_each("stiffness")),
+        Condition("height_m", ("count", "height_m"), _one_each("height")),
+        Condition("specimen", ("count", "specimen"), _storeys_there),
+        Condition("p_delta", ("p_delta", "height_m"), _weighs_on_height),
     )
 
     count: Annotated[int, Count(1, MOST_STOREYS, "the number of storeys")]
@@ -239,7 +239,7 @@ class MatrixFile(Table):
     vectors. With ``specimen`` the matrices are those of the whole structure.
     """
 
-    choices: ClassVar[tuple[Choice, ...]] = (Choice(("file", "files"), required=True),)
+    choices: ClassVar[tuple[Alternatives, ...]] = (Alternatives(("file", "files"), required=True),)
 
     file: Annotated[str, SOME_TEXT] | None = None
     files: MatrixFiles | None = None
@@ -270,8 +270,8 @@ class Damping(Table):
     beyond; modal damping has them in the given modes, and none in the others.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("modes", ("form", "modes", "ratio"), _few_for_rayleigh),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("modes", ("form", "modes", "ratio"), _few_for_rayleigh),
     )
 
     ratio: Annotated[float | list[float], Each(Range("", 0, 1, "the damping ratio"))]
@@ -302,8 +302,10 @@ class Nonlinear(Table):
     minus first.
     """
 
-    choices: ClassVar[tuple[Choice, ...]] = (Choice(("storeys", "dof", "between"), required=True),)
-    checks: ClassVar[tuple[Check, ...]] = (Check("law", ("law",), _no_mass),)
+    choices: ClassVar[tuple[Alternatives, ...]] = (
+        Alternatives(("storeys", "dof", "between"), required=True),
+    )
+    checks: ClassVar[tuple[Condition, ...]] = (Condition("law", ("law",), _no_mass),)
 
     storeys: (
         Annotated[list[int], Counts(Count(1, MOST_STOREYS, "the storey"), MOST_STOREYS)] | None
@@ -359,7 +361,7 @@ class Interface(Table):
     One for each direction named in the rig's kinematics, with its name; with one axis, any name.
     """
 
-    choices: ClassVar[tuple[Choice, ...]] = (Choice(("storey", "dof"), required=True),)
+    choices: ClassVar[tuple[Alternatives, ...]] = (Alternatives(("storey", "dof"), required=True),)
 
     name: Annotated[str, SLUG] = "x"
     storey: Annotated[int, Count(1, MOST_STOREYS, "the storey")] | None = None

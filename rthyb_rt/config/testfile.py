@@ -19,8 +19,8 @@ from rthyb_rt.config import lawtables
 from rthyb_rt.config.fields import (
     SLUG,
     SOME_TEXT,
-    Check,
-    Choice,
+    Alternatives,
+    Condition,
     Count,
     Names,
     Range,
@@ -45,7 +45,7 @@ from rthyb_rt.config.structures import (
     Nonlinear,
     Storeys,
 )
-from rthyb_rt.core.laws import LAWS, Law
+from rthyb_rt.core.laws import LAWS, LawDescription
 from rthyb_rt.core.sizes import COUPLED_MAX
 
 MATRIX: Final = "matrix"
@@ -94,7 +94,9 @@ class TestInfo(Table):
 class GroundMotion(Table):
     """The record and how it is modified; at most one of ``pga_g`` and ``factor``."""
 
-    choices: ClassVar[tuple[Choice, ...]] = (Choice(("pga_g", "factor"), required=False),)
+    choices: ClassVar[tuple[Alternatives, ...]] = (
+        Alternatives(("pga_g", "factor"), required=False),
+    )
 
     record: Annotated[str, SOME_TEXT] = "elcentro-1940-ns"
     format: Literal[
@@ -198,19 +200,19 @@ class Numerical(Table):
     damping describe the complete structure including the specimen, for windows and margins.
     """
 
-    choices: ClassVar[tuple[Choice, ...]] = (
-        Choice(("library", "fmu", "python", "matrices", "storeys"), required=False),
-        Choice(("mass_kg", "period_s", "matrices", "storeys"), required=True),
-        Choice(("damping_n_s_per_m", "damping_ratio", "matrices", "storeys"), required=True),
+    choices: ClassVar[tuple[Alternatives, ...]] = (
+        Alternatives(("library", "fmu", "python", "matrices", "storeys"), required=False),
+        Alternatives(("mass_kg", "period_s", "matrices", "storeys"), required=True),
+        Alternatives(("damping_n_s_per_m", "damping_ratio", "matrices", "storeys"), required=True),
     )
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("integrator", ("matrices", "storeys", "integrator"), _only_in_matrices),
-        Check("stiffness_n_per_m", ("matrices", "storeys", "stiffness_n_per_m"), _in_matrices),
-        Check("damping", ("storeys", "damping"), _storeys_damped),
-        Check("damping", ("matrices", "storeys", "damping"), _for_structures("damping")),
-        Check("nonlinear", ("matrices", "storeys", "nonlinear"), _for_structures("an element")),
-        Check("record", ("matrices", "storeys", "record"), _for_structures("what is recorded")),
-        Check("integrator", ("library", "fmu", "python", "integrator"), _has_its_own),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("integrator", ("matrices", "storeys", "integrator"), _only_in_matrices),
+        Condition("stiffness_n_per_m", ("matrices", "storeys", "stiffness_n_per_m"), _in_matrices),
+        Condition("damping", ("storeys", "damping"), _storeys_damped),
+        Condition("damping", ("matrices", "storeys", "damping"), _for_structures("damping")),
+        Condition("nonlinear", ("matrices", "storeys", "nonlinear"), _for_structures("an element")),
+        Condition("record", ("matrices", "storeys", "record"), _for_structures("what is recorded")),
+        Condition("integrator", ("library", "fmu", "python", "integrator"), _has_its_own),
     )
 
     mass_kg: Annotated[float, Range("kg", 1e-3, 1e9, "the mass")] | None = None
@@ -284,8 +286,8 @@ class Rfc(Table):
     stiffness times this delay is added to the force.
     """
 
-    choices: ClassVar[tuple[Choice, ...]] = (
-        Choice(("window_periods", "window_s", "window_samples"), required=False),
+    choices: ClassVar[tuple[Alternatives, ...]] = (
+        Alternatives(("window_periods", "window_s", "window_samples"), required=False),
     )
 
     enabled: StrictBool = True
@@ -310,7 +312,7 @@ class _Law(Table):
     delay_estimator: _DelayEstimator = Field(default_factory=_DelayEstimator)
 
     @property
-    def law(self) -> Law:
+    def law(self) -> LawDescription:
         """The control law; for compensation by matrices, which has none, the law ``none``."""
         return LAWS[self.type] if self.type in LAWS else LAWS["none"]
 
@@ -392,10 +394,10 @@ class _Controller(_Law):
     ``python`` is the class for a law of type "python".
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("matrix", ("type", "matrix"), _of_matrix),
-        Check("axis", ("type", "axis"), _of_axes),
-        Check("python", ("type", "python"), _by_its_class),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("matrix", ("type", "matrix"), _of_matrix),
+        Condition("axis", ("type", "axis"), _of_axes),
+        Condition("python", ("type", "python"), _by_its_class),
     )
 
     type: LawNameOrMatrix = lawtables.DEFAULT_LAW
@@ -405,7 +407,7 @@ class _Controller(_Law):
     python: PythonClass | None = None
 
     @property
-    def law(self) -> Law:
+    def law(self) -> LawDescription:
         """The control law; for compensation by matrices, which has none, the law ``none``.
 
         Raises:
@@ -483,9 +485,9 @@ class TestFile(WholeFile):
     no structure and no ground motion, and by default no control law.
     """
 
-    checks: ClassVar[tuple[Check, ...]] = (
-        Check("interface", ("numerical", "interface"), _something_to_move),
-        Check("interface", ("interface",), _interfaces_differ),
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("interface", ("numerical", "interface"), _something_to_move),
+        Condition("interface", ("interface",), _interfaces_differ),
     )
 
     __test__: ClassVar[bool] = False

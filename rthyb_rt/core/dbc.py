@@ -36,7 +36,7 @@ EXACT_BITS: Final = 53
 
 
 @dataclass(frozen=True)
-class Role:
+class SignalRole:
     """The controller's use of a signal.
 
     Attributes:
@@ -52,18 +52,18 @@ class Role:
     meaning: str
 
 
-ROLES: Final[dict[str, Role]] = {
-    "x_cmd": Role(lib.RTHYB_FIELD_X, "m", 1, "the commanded displacement"),
-    "x_meas": Role(lib.RTHYB_FIELD_X, "m", 1, "the measured displacement"),
-    "f_meas": Role(lib.RTHYB_FIELD_F, "N", 1, "the measured force"),
-    "seq": Role(lib.RTHYB_FIELD_SEQ, None, 4, "the command's sequence number"),
-    "state": Role(lib.RTHYB_FIELD_STATE, None, 0, "the controller's state"),
-    "echo": Role(lib.RTHYB_FIELD_ECHO, None, 0, "the sequence number that the drive applied"),
-    "count": Role(
+ROLES: Final[dict[str, SignalRole]] = {
+    "x_cmd": SignalRole(lib.RTHYB_FIELD_X, "m", 1, "the commanded displacement"),
+    "x_meas": SignalRole(lib.RTHYB_FIELD_X, "m", 1, "the measured displacement"),
+    "f_meas": SignalRole(lib.RTHYB_FIELD_F, "N", 1, "the measured force"),
+    "seq": SignalRole(lib.RTHYB_FIELD_SEQ, None, 4, "the command's sequence number"),
+    "state": SignalRole(lib.RTHYB_FIELD_STATE, None, 0, "the controller's state"),
+    "echo": SignalRole(lib.RTHYB_FIELD_ECHO, None, 0, "the sequence number that the drive applied"),
+    "count": SignalRole(
         lib.RTHYB_FIELD_COUNT, None, lib.RTHYB_COUNT_BITS_MIN, "the drive's count of samples"
     ),
-    "status": Role(lib.RTHYB_FIELD_STATUS, None, 0, "the device's status bits"),
-    "crc8": Role(-1, None, 0, "the checksum"),
+    "status": SignalRole(lib.RTHYB_FIELD_STATUS, None, 0, "the device's status bits"),
+    "crc8": SignalRole(-1, None, 0, "the checksum"),
 }
 _LEADS: Final = {
     "x_cmd": ("command", ("seq", "state", "crc8")),
@@ -295,7 +295,7 @@ class _Reader:
             )
         c.crc_at = top // 8
 
-    def fill_whole(self, c: Any, signal: Signal, role: Role, where: str) -> None:
+    def fill_whole(self, c: Any, signal: Signal, role: SignalRole, where: str) -> None:
         plain = not signal.is_signed and not signal.is_float
         if not plain or signal.scale != 1 or signal.offset != 0:
             self.fault(where, f"{role.meaning} must be unsigned with factor 1 and offset 0")
@@ -304,7 +304,7 @@ class _Reader:
             self.fault(where, f"found {signal.length} bits; {role.meaning} has {least} to 32")
         _fill_place(c, signal)
 
-    def fill_value(self, c: Any, signal: Signal, role: Role, where: str) -> None:
+    def fill_value(self, c: Any, signal: Signal, role: SignalRole, where: str) -> None:
         self.fill_number(c, signal, self.unit_factor(signal, role, where), where)
 
     def fill_number(self, c: Any, signal: Signal, factor: float, where: str) -> None:
@@ -326,7 +326,7 @@ class _Reader:
             if str(text) == NONE_NAME and not signal.is_float and least <= raw <= most:
                 c.has_none, c.none = 1, raw
 
-    def unit_factor(self, signal: Signal, role: Role, where: str) -> float:
+    def unit_factor(self, signal: Signal, role: SignalRole, where: str) -> float:
         """Return the factor from the signal's unit to SI."""
         assert role.unit is not None
         text = signal.unit or ""

@@ -55,7 +55,7 @@ class ActuatorModel:
 
 
 @dataclass(frozen=True)
-class Motion:
+class ComputedMotion:
     """Displacement, velocity, acceleration at the rows, each (n,); ``start`` rows are transient."""
 
     x: Floats
@@ -80,7 +80,7 @@ def actuator(
     x_cmd_m: Floats,
     fs_hz: float,
     before: tuple[float, ActuatorModel] | None = None,
-) -> Motion:
+) -> ComputedMotion:
     """Return an actuator's motion along commands of shape (n,), m, starting at rest at the first.
 
     Args:
@@ -106,7 +106,7 @@ def actuator(
     if model.jumps:
         v = np.diff(x, prepend=x[0]) * fs_hz
         a = np.diff(v, prepend=v[0]) * fs_hz
-    return Motion(x, v, a)
+    return ComputedMotion(x, v, a)
 
 
 def _compiled(model: ActuatorModel, fs_hz: float) -> Any:
@@ -136,7 +136,7 @@ def body(
     start: tuple[float, float] = (0.0, 0.0),
     hold: Hold = "foh",
     substeps: int = 8,
-) -> Motion:
+) -> ComputedMotion:
     """Return the motion of ``mass a + elements = force`` under a force of shape (n,), N.
 
     Raises:
@@ -166,7 +166,7 @@ def body(
         raise SimulationError(
             f"a body of {mass_kg:g} kg cannot be simulated (error {code} of the core)"
         )
-    return Motion(x, v, a)
+    return ComputedMotion(x, v, a)
 
 
 def play(half_m: float, x_m: Floats) -> Floats:

@@ -50,7 +50,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Law:
+class LawDescription:
     """A control law.
 
     Attributes:
@@ -152,10 +152,10 @@ def _parameter(p: Any) -> Parameter:
     )
 
 
-def _law(kind: int) -> Law:
+def _law(kind: int) -> LawDescription:
     found = lib.rthyb_law_describe(kind)
     values = [found.values[i] for i in range(found.value_count)]
-    return Law(
+    return LawDescription(
         name=_words(found.name),
         meaning=_words(found.meaning),
         calmer=_text(found.calmer),
@@ -168,7 +168,7 @@ def _law(kind: int) -> Law:
     )
 
 
-LAWS: Final[dict[str, Law]] = {
+LAWS: Final[dict[str, LawDescription]] = {
     law.name: law
     for law in sorted(map(_law, range(lib.rthyb_law_count())), key=lambda law: law.name)
 }
@@ -183,9 +183,9 @@ def law_value(law: str | None, name: str) -> Value | None:
     return next((v for other in LAWS.values() for v in other.values if v.name == name), None)
 
 
-def parameters() -> dict[str, list[tuple[Law, Parameter]]]:
+def parameters() -> dict[str, list[tuple[LawDescription, Parameter]]]:
     """Return every setting of all laws by key, with the laws that have it."""
-    found: dict[str, list[tuple[Law, Parameter]]] = {}
+    found: dict[str, list[tuple[LawDescription, Parameter]]] = {}
     for law in LAWS.values():
         for parameter in law.parameters:
             found.setdefault(parameter.key, []).append((law, parameter))

@@ -24,7 +24,7 @@ from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.core.group import plant_of
 from rthyb_rt.core.library import options, words
 from rthyb_rt.core.rows import RingMemory, copy_records
-from rthyb_rt.core.ticker import PRIORITY, RATES_HZ, Counts, Latency, Ticker, privilege_names
+from rthyb_rt.core.ticker import PRIORITY, RATES_HZ, Latency, TickCounts, Ticker, privilege_names
 from rthyb_rt.core.wire import NOTICES, Codec, Frame, Wire
 from rthyb_rt.errors import RthybError
 
@@ -535,11 +535,11 @@ class Loop:
         return np.array(list(delays[0 : lib.RTHYB_LINK_DELAYS]), dtype=np.int64)
 
     @property
-    def counts(self) -> Counts:
+    def counts(self) -> TickCounts:
         """Ticks so far; readable at any time."""
         out = ffi.new("rthyb_ticker_counts *")
         lib.rthyb_ticker_read(self._ticker, out)
-        return Counts(out.elapsed, out.executed, out.skipped, out.longest_skip)
+        return TickCounts(out.elapsed, out.executed, out.skipped, out.longest_skip)
 
     def counters(self) -> dict[str, int]:
         """Return every counter of ``rthyb_loop_counters`` by name; readable at any time."""

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Self, TypeVar
 
 from rthyb_rt._core import ffi, lib
-from rthyb_rt.core.laws import Law, Value
+from rthyb_rt.core.laws import LawDescription, Value
 from rthyb_rt.core.library import CoreError
 from rthyb_rt.core.own_library import RESPONSES_MAX, Recorded, fill_setup
 from rthyb_rt.core.pending import OwnCodeError, guarded
@@ -385,7 +385,7 @@ def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any
 # ---- a control law ------------------------------------------------------------------------------
 
 
-def law_of(own: OwnClass) -> Law:
+def law_of(own: OwnClass) -> LawDescription:
     """Return the description of a user-defined control law, like those of the core.
 
     Raises:
@@ -397,7 +397,7 @@ def law_of(own: OwnClass) -> Law:
             f"{own.name} reports {len(kind.values)} values; at most {LAW_VALUES_MAX} are allowed"
         )
     learns = kind.observe is not ControlLaw.observe
-    return Law(
+    return LawDescription(
         name="python",
         meaning=own.name,
         calmer=f"change the settings of {own.name}" if learns else None,

@@ -331,7 +331,7 @@ _STAGES: Final = {
 
 
 @dataclass(frozen=True)
-class Trial:
+class LibraryTrial:
     """Result of the trial of a part; times on this computer, s.
 
     Attributes:
@@ -358,7 +358,9 @@ class _RejectedError(CoreError):
     """The part does not accept its settings."""
 
 
-def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_STEPS) -> Trial:
+def _try_out(
+    part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_STEPS
+) -> LibraryTrial:
     """Run the trial of a ``rthyb_numerical``; arguments and errors as for `tried`."""
     found = ffi.new("rthyb_trial *")
     lib.rthyb_part_try(part, period_s, k_e_n_per_m, steps, TRIAL_S, found)
@@ -383,14 +385,14 @@ def _try_out(part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_
             "endless loop"
         )
     called = found.ended == lib.RTHYB_TRIAL_CALLED
-    return Trial(
+    return LibraryTrial(
         found.step_s, found.worst_s, found.answer_s, int(found.allocations),
         int(found.number) if called else None, bool(found.watched) or called, int(found.steps),
         bool(found.status),
     )  # fmt: skip
 
 
-def tried(part: Any, steps: int = TRIAL_STEPS) -> Trial:
+def tried(part: Any, steps: int = TRIAL_STEPS) -> LibraryTrial:
     """Run a part with an elastic specimen in a separate process, as a trial.
 
     Args:

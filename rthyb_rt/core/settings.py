@@ -17,7 +17,7 @@ from rthyb_rt.core.sizes import DENSE_MAX, ELEMENTS_MAX, PERIOD_S
 if TYPE_CHECKING:
     from rthyb_rt.core.group import AxisConfig, InterfaceConfig
     from rthyb_rt.core.kinematics import Kinematics
-    from rthyb_rt.core.laws import Law
+    from rthyb_rt.core.laws import LawDescription
     from rthyb_rt.core.matrix_lead import MatrixLeadConfig
     from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
     from rthyb_rt.core.own import OwnClass
@@ -88,7 +88,7 @@ class LawConfig:
     own: OwnClass | None = None
 
     @property
-    def law(self) -> Law:
+    def law(self) -> LawDescription:
         """Description of the law.
 
         Raises:

@@ -125,7 +125,7 @@ class Tick(NamedTuple):
     woken_ns: int
 
 
-class Counts(NamedTuple):
+class TickCounts(NamedTuple):
     """Numbers of ticks of a ticker: executed + skipped == elapsed."""
 
     elapsed: int
@@ -197,7 +197,7 @@ class Ticker:
         lib.rthyb_ticker_stop(self._c)
 
     @property
-    def counts(self) -> Counts:
+    def counts(self) -> TickCounts:
         """Ticks so far."""
         return _counts(self._c)
 
@@ -295,7 +295,7 @@ class Timing:
         preempted: involuntary context switches.
     """
 
-    counts: Counts
+    counts: TickCounts
     wake: Latency
     sent: Latency
     privileges: tuple[str, ...]
@@ -393,7 +393,7 @@ class JitterRun:
         )
 
 
-def _counts(ticker: Any) -> Counts:
+def _counts(ticker: Any) -> TickCounts:
     out = ffi.new("rthyb_ticker_counts *")
     lib.rthyb_ticker_read(ticker, out)
-    return Counts(out.elapsed, out.executed, out.skipped, out.longest_skip)
+    return TickCounts(out.elapsed, out.executed, out.skipped, out.longest_skip)

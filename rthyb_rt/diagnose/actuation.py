@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion, SimulationError, actuator
+from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, SimulationError, actuator
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Param
 from rthyb_rt.diagnose.estimate import (
@@ -172,7 +172,7 @@ class ActuatorFit:
     covariance: Floats
     scatter: Floats
     slopes: Floats
-    motion: Motion
+    motion: ComputedMotion
     zero_m: float = 0.0
     before: Before = None
     others: tuple[ActuatorFit, ...] = ()
@@ -241,11 +241,13 @@ class Actuation:
         self.v_max = float(np.max(np.abs(self.simulate(base).v))) or 1e-6
         self.ln_n = float(np.log(max(self.rows.size, 2)))
 
-    def simulate(self, model: ActuatorModel, before: Before = None) -> Motion:
+    def simulate(self, model: ActuatorModel, before: Before = None) -> ComputedMotion:
         """Return the motion of a model, with another model up to a row, along the command."""
         return actuator(model, self.u, self.case.fs_hz, before)
 
-    def residual(self, model: ActuatorModel, before: Before = None) -> tuple[Floats, Motion, float]:
+    def residual(
+        self, model: ActuatorModel, before: Before = None
+    ) -> tuple[Floats, ComputedMotion, float]:
         """Return the residual of a model less its mean: command and sensor have separate zeros.
 
         A lag, a gain or a velocity limit does not change the mean; the zero of the sensor or of a
@@ -349,7 +351,9 @@ class Actuation:
             inverse * units, scatter * units, slopes / chain, motion, zero, before,
         )  # fmt: skip
 
-    def around(self, fit: ActuatorFit, scale: float, motion: Motion) -> list[Motion]:
+    def around(
+        self, fit: ActuatorFit, scale: float, motion: ComputedMotion
+    ) -> list[ComputedMotion]:
         """Return motions for parameters one standard deviation away from a fit, each (n,).
 
         As many independent ones as there are parameters; none if the motion is not that of the fit,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion
+from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion
 from rthyb_rt.diagnose.actuation import CATALOGUE
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.modulation import Modulated
@@ -41,7 +41,7 @@ def specimen(model: Augmented) -> Specimen:
     base = model.model
     ctx = Context(
         model.base,
-        Motion(np.zeros(2), np.zeros(2), np.zeros(2)),
+        ComputedMotion(np.zeros(2), np.zeros(2), np.zeros(2)),
         np.arange(2.0) / base.fs_hz,
         np.zeros(2),
         {},

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import (
     actuation,
     decay,
@@ -156,7 +156,7 @@ class _Weighed:
     fits: list[ActuatorFit]
     scale: float
     size: float
-    plain: Motion
+    plain: ComputedMotion
 
     def gain(self, fit: ActuatorFit, less: ActuatorFit) -> float:
         """Return the reduction of chi-squared from one set to another."""
@@ -303,7 +303,7 @@ def _motion(case: Case, disp: Displacement | None) -> Estimate | None:
     return estimate.from_sensors(case)
 
 
-def simulated(case: Case) -> Motion:
+def simulated(case: Case) -> ComputedMotion:
     """Return the motion of the model's actuator along the command."""
     from rthyb_rt.core.diagnosis_models import actuator
 
@@ -709,7 +709,9 @@ def _errors(
     return out
 
 
-def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) -> list[Found]:
+def _force_found(
+    search: force.Search, ctx: Context, motions: Sequence[ComputedMotion]
+) -> list[Found]:
     """Return the effects of the best set, then rivals, with intervals and evidence.
 
     Args:
@@ -753,7 +755,7 @@ def _force_found(search: force.Search, ctx: Context, motions: Sequence[Motion]) 
     return out
 
 
-def _around(disp: Displacement | None, found: Estimate | None) -> list[Motion]:
+def _around(disp: Displacement | None, found: Estimate | None) -> list[ComputedMotion]:
     """Return motions one standard deviation away from that of a fitted actuator."""
     if disp is None or found is None or not found.exact:
         return []

@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.policy import POLICY
@@ -176,7 +176,7 @@ class Estimate:
         blur: contribution of the estimated motion; None if unknown, or the motion is exact.
     """
 
-    motion: Motion
+    motion: ComputedMotion
     force: Floats
     rows: NDArray[np.bool_]
     whiten: Callable[[Floats], Floats]
@@ -291,7 +291,7 @@ class Sensor:
 
 def smoothed(
     case: Case, accelerations: list[Sensor], colour: noise.Colour | None = None
-) -> tuple[Motion, _Knowledge, _Spectral]:
+) -> tuple[ComputedMotion, _Knowledge, _Spectral]:
     """Combine displacement and accelerations, each with its noise, into one motion.
 
     Args:
@@ -328,7 +328,7 @@ def smoothed(
     x_hat = s.back(best)
     v_hat = s.back(1j * s.omega * best)
     a_hat = s.back(-w2 * best)
-    return Motion(x_hat, v_hat, a_hat), _Knowledge(variance, 1.0 / information, seen), s
+    return ComputedMotion(x_hat, v_hat, a_hat), _Knowledge(variance, 1.0 / information, seen), s
 
 
 def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
@@ -605,7 +605,7 @@ def at_its_time(force: Floats, sigma: float, fs_hz: float) -> Mask:
     return np.asarray(bent < POLICY.abrupt_model * sigma)
 
 
-def along(case: Case, motion: Motion, exact_from: int) -> Estimate | None:
+def along(case: Case, motion: ComputedMotion, exact_from: int) -> Estimate | None:
     """Return the estimate for a simulated motion, evaluated from row ``exact_from`` on."""
     f_meas = case.get("f_meas")
     if f_meas is None:
@@ -786,5 +786,10 @@ def _static(case: Case) -> Estimate | None:
     if (rows & sure).sum() > POLICY.static_rows * rows.sum():
         rows = rows & sure
     return Estimate(
-        Motion(x, v, np.zeros_like(x)), filled(f_meas), rows, lambda y: y / sigma, sigma, False
+        ComputedMotion(x, v, np.zeros_like(x)),
+        filled(f_meas),
+        rows,
+        lambda y: y / sigma,
+        sigma,
+        False,
     )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rthyb_rt.core.diagnosis_models import Motion, actuator
+from rthyb_rt.core.diagnosis_models import ComputedMotion, actuator
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.actuation import CATALOGUE, MASK_S
 from rthyb_rt.diagnose.case import Case, Floats
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 KINDS = ("sweep", "random", "multi_frequency", "multi_amplitude")
 
 
-def excitations(case: Case, amplitude: float, f0_hz: float) -> dict[str, Motion]:
+def excitations(case: Case, amplitude: float, f0_hz: float) -> dict[str, ComputedMotion]:
     """Return displacement histories of one minute for each kind of experiment."""
     fs = case.fs_hz
     t = np.arange(int(min(16.0, 16384 / fs) * fs)) / fs
@@ -52,7 +52,7 @@ def excitations(case: Case, amplitude: float, f0_hz: float) -> dict[str, Motion]
     for kind, shape in shapes.items():
         x = amplitude * shape
         v = np.gradient(x) * fs
-        out[kind] = Motion(x, v, np.gradient(v) * fs)
+        out[kind] = ComputedMotion(x, v, np.gradient(v) * fs)
     return out
 
 
@@ -127,7 +127,7 @@ def _best(separation: dict[str, float], sets: list[list[str]]) -> dict[str, str]
     }
 
 
-def _separation(case: Case, ctx: Context, search: force.Search, motion: Motion) -> float:
+def _separation(case: Case, ctx: Context, search: force.Search, motion: ComputedMotion) -> float:
     """Return the least misfit of one set to the force of another, in units of the noise.
 
     The coefficients of the set, stiffness and damping are fitted, as in a new diagnosis.

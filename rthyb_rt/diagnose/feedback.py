@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.estimate import low_passed
@@ -44,7 +44,7 @@ class Driven:
         ctx, fs_hz = problem.ctx, problem.case.fs_hz
         x, v, a = (low_passed(signal, fs_hz, cut_hz) for signal in (ctx.x, ctx.v, ctx.a))
         self.problem, self.below = problem, problem.below(cut_hz)
-        self.slow = replace(ctx, motion=Motion(x, v, a), ranges=ctx.all_ranges)
+        self.slow = replace(ctx, motion=ComputedMotion(x, v, a), ranges=ctx.all_ranges)
 
     @classmethod
     def of(cls, problem: Problem) -> Driven | None:

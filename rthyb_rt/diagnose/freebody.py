@@ -16,7 +16,7 @@ from threading import Lock
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.core.diagnosis_models import Motion, SimulationError
+from rthyb_rt.core.diagnosis_models import ComputedMotion, SimulationError
 from rthyb_rt.diagnose import estimate, noise
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects import having, of_number
@@ -89,7 +89,7 @@ class Body:
     def __init__(self, case: Case, ctx: Context) -> None:
         self.case, self.ctx, self.runs = case, ctx, RUNS
         self.lock = Lock()
-        self._moved: deque[tuple[Augmented, tuple[float, ...], Motion]] = deque(maxlen=KEPT)
+        self._moved: deque[tuple[Augmented, tuple[float, ...], ComputedMotion]] = deque(maxlen=KEPT)
         self.met, self.rough = POLICY.motion_met_alone, POLICY.motion_rough
         self.loose = self._loose()
         self.held = "f_meas" in case.channels and case.model.family == "ground"
@@ -173,7 +173,7 @@ class Body:
         at = abs(member.trial.theta[j])
         return (min(float(np.log(low / at)), 0.0), max(float(np.log(high / at)), 0.0))
 
-    def motion(self, problem: Problem, fit: Fit) -> Motion | None:
+    def motion(self, problem: Problem, fit: Fit) -> ComputedMotion | None:
         """Return the motion that a set simulates; None unless it equals the measured displacement.
 
         To within noise, or within the accuracy of friction laws: an estimate is less accurate. The

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.policy import POLICY
 
@@ -26,11 +26,11 @@ FARTHEST = 33
 CLOSER = 2
 """Number of refinements between the neighbours of the best one."""
 
-Force = Callable[[Motion, Floats, dict[str, Floats]], Floats]
+Force = Callable[[ComputedMotion, Floats, dict[str, Floats]], Floats]
 
 
 def force_after(
-    force: Force, case: Case, motion: Motion, other: dict[str, Floats], reach_m: float
+    force: Force, case: Case, motion: ComputedMotion, other: dict[str, Floats], reach_m: float
 ) -> Floats:
     """Return the force along a motion, given the first recorded rows of force, (n,), N.
 
@@ -58,7 +58,7 @@ def force_after(
         a = np.concatenate((np.zeros(n), motion.a[:rows]))
         t = np.concatenate((case.t[0] - np.arange(n, 0, -1) * case.dt, case.t[:rows]))
         more = {k: np.concatenate((np.full(n, u[0]), u[:rows])) for k, u in other.items()}
-        return force(Motion(x, v, a), t, more)[n:]
+        return force(ComputedMotion(x, v, a), t, more)[n:]
 
     def off(made: Floats) -> float:
         return float(np.sqrt(np.mean((made[:end] - f_meas[:end]) ** 2)))

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, evidence, force
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Context, Trial
@@ -36,7 +36,9 @@ Intervals = dict[str, list[float]]
 class Sure:
     """The parameters of a search's best set with their intervals."""
 
-    def __init__(self, search: force.Search, ctx: Context, motions: Sequence[Motion] = ()) -> None:
+    def __init__(
+        self, search: force.Search, ctx: Context, motions: Sequence[ComputedMotion] = ()
+    ) -> None:
         """Compute the covariances.
 
         Args:
@@ -71,7 +73,9 @@ class Sure:
             out += of_form(slopes, best.residual, inverse, near)
         return out
 
-    def _of_motion(self, slopes: Floats, inverse: Floats, motions: Sequence[Motion]) -> Floats:
+    def _of_motion(
+        self, slopes: Floats, inverse: Floats, motions: Sequence[ComputedMotion]
+    ) -> Floats:
         """Return the covariance due to the motion's uncertainty, (p, p).
 
         The entire force follows the motion: the part that resembles the laws changes their

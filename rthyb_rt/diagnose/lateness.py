@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, evidence, force
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
 from rthyb_rt.diagnose.effects.base import Context
@@ -34,7 +34,7 @@ def settled(
         found, ctx, search: the result so far.
     """
 
-    def late_by(seconds: float) -> Motion:
+    def late_by(seconds: float) -> ComputedMotion:
         model = replace(fit.model, shift_s=fit.model.shift_s + seconds)
         return task.residual(model, fit.before)[1]
 

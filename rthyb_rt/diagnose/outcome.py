@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import closed, engine
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Case
@@ -144,7 +144,7 @@ def _law_beside(model: Augmented, lost: list[str]) -> tuple[closed.Law | None, s
     t = np.zeros(1)
 
     def law(x_m: float, v_m_per_s: float) -> float:
-        motion = Motion(np.array([x_m]), np.array([v_m_per_s]), t)
+        motion = ComputedMotion(np.array([x_m]), np.array([v_m_per_s]), t)
         return float(own.effect_force(motion, t, {})[0])
 
     return law, {m.name for m, _ in found}

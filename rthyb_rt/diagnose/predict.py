@@ -12,7 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.core.diagnosis_models import ActuatorModel, Motion, SimulationError, actuator, body
+from rthyb_rt.core.diagnosis_models import (
+    ActuatorModel,
+    ComputedMotion,
+    SimulationError,
+    actuator,
+    body,
+)
 from rthyb_rt.diagnose import estimate, history
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
@@ -52,12 +58,12 @@ class Augmented:
         """Return the model as at the end of the recording, including effects with an onset."""
         return replace(self, members=tuple(lasting(m) for m in self.members))
 
-    def context(self, motion: Motion, t: Floats, other: dict[str, Floats]) -> Context:
+    def context(self, motion: ComputedMotion, t: Floats, other: dict[str, Floats]) -> Context:
         """Return the quantities on which laws depend along a motion."""
         return Context(self.base, motion, t, np.zeros(t.size), other, self.ranges)
 
     def effect_force(
-        self, motion: Motion, t: Floats, other: dict[str, Floats], sensor: bool = True
+        self, motion: ComputedMotion, t: Floats, other: dict[str, Floats], sensor: bool = True
     ) -> Floats:
         """Return the force of the effects along a motion, (n,), N."""
         ctx = self.context(motion, t, other)
@@ -75,7 +81,7 @@ class Augmented:
                 total += b * c
         return total
 
-    def force(self, motion: Motion, t: Floats, other: dict[str, Floats]) -> Floats:
+    def force(self, motion: ComputedMotion, t: Floats, other: dict[str, Floats]) -> Floats:
         """Return the force that the load cell shows along a motion, (n,), N."""
         return self.model.force(motion.x, motion.v, motion.a) + self.effect_force(motion, t, other)
 
@@ -88,7 +94,9 @@ class Augmented:
         kg).
         """
         ctx = self.context(
-            Motion(np.zeros(2), np.zeros(2), np.zeros(2)), np.arange(2.0) / self.model.fs_hz, {}
+            ComputedMotion(np.zeros(2), np.zeros(2), np.zeros(2)),
+            np.arange(2.0) / self.model.fs_hz,
+            {},
         )
         pairs = list(zip(self.members, self.betas, strict=True))
         loop = self.base.k * sum(m.effect.of_loop(ctx, m.trial, b) for m, b in pairs)
@@ -120,7 +128,7 @@ class Augmented:
     def moved_by(
         self, push: Floats, mass: float, t: Floats, other: dict[str, Floats],
         start: tuple[float, float] = (0.0, 0.0),
-    ) -> Motion:  # fmt: skip
+    ) -> ComputedMotion:  # fmt: skip
         """Return the motion of mass and specimen under a force of shape (n,), N."""
         elements, own_mass, rest = self.elements(mass)
         whole = mass + own_mass
@@ -128,7 +136,7 @@ class Augmented:
         if len(elements) > core.ELEMENTS_MAX:
             elements, rest = self.model.elements(), list(zip(self.members, self.betas, strict=True))
 
-        def run(force: Floats) -> Motion:
+        def run(force: Floats) -> ComputedMotion:
             return body(whole, elements, force, self.model.fs_hz, start, self.model.hold, substeps)
 
         motion = run(push)
@@ -190,7 +198,7 @@ def predict(
     x_meas = case.channels.get("x_meas")
     measured = _measured(case)
     x_only = np.full(case.t.size, np.nan)
-    motion: Motion | None = None
+    motion: ComputedMotion | None = None
     if model.family in ("drive", "loop"):
         from rthyb_rt.diagnose import rigged
 
@@ -229,14 +237,14 @@ def _measured(case: Case) -> bool:
     return bool(min(good.mean(), end.mean()) >= POLICY.numbers_least)
 
 
-def _commanded(augmented: Augmented, case: Case) -> Motion:
+def _commanded(augmented: Augmented, case: Case) -> ComputedMotion:
     """Return the motion of the actuator along the command, relative to the sensor's zero."""
     assert augmented.actuator is not None
     motion = actuator(augmented.actuator, estimate.filled(case.channels["x_cmd"]), case.fs_hz)
     return replace(motion, x=motion.x + augmented.zeros_m[0])
 
 
-def followed(augmented: Augmented, case: Case, wanted: Case) -> Motion | None:
+def followed(augmented: Augmented, case: Case, wanted: Case) -> ComputedMotion | None:
     """Return the simulated motion of a recording, if the prediction of another uses one.
 
     A law fitted along a measured motion compensates for its noise, and is wrong by as much along a
@@ -258,17 +266,17 @@ def _follows(x: Floats, x_meas: Floats, model: Model) -> bool:
     return float(np.std(x - x_meas)) < POLICY.prediction_follows * sigma
 
 
-def _measured_motion(case: Case) -> Motion:
+def _measured_motion(case: Case) -> ComputedMotion:
     if estimate.quasi_static(case):
         x = estimate.filled(case.channels["x_meas"])
-        return Motion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
+        return ComputedMotion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
     motion, _, _ = estimate.smoothed(case, [])
     return motion
 
 
 def _driven(
     augmented: Augmented, case: Case, other: dict[str, Floats], x_meas: Floats | None
-) -> Motion | None:
+) -> ComputedMotion | None:
     model = augmented.model
     if model.family == "ground" and "ag" in other:
         push, mass = -model.mass * other["ag"], model.mass
@@ -381,7 +389,9 @@ def parameters(augmented: Augmented) -> list[tuple[str, int, int]]:
         out.append(("m", 0, 0))
     for i, (member, beta) in enumerate(zip(augmented.members, augmented.betas, strict=True)):
         _, pinned = member.effect.settings(
-            augmented.context(Motion(np.zeros(2), np.zeros(2), np.zeros(2)), np.arange(2.0), {}),
+            augmented.context(
+                ComputedMotion(np.zeros(2), np.zeros(2), np.zeros(2)), np.arange(2.0), {}
+            ),
             member.trial,
         )[0]
         out += [("beta", i, j) for j in range(len(beta)) if pinned[j] is None and beta[j] != 0.0]

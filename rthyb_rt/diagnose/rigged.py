@@ -15,7 +15,7 @@ from math import ceil
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.core.diagnosis_models import Motion, SimulationError
+from rthyb_rt.core.diagnosis_models import ComputedMotion, SimulationError
 from rthyb_rt.diagnose import augment, estimate
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
@@ -51,7 +51,7 @@ def given(case: Case) -> bool:
     return all(case.get(name) is not None for name in ("x_cmd", "x_meas", "f_meas"))
 
 
-def as_given(case: Case) -> Motion | None:
+def as_given(case: Case) -> ComputedMotion | None:
     """Return the motion of the model's own rig along the recorded command, without noise.
 
     None if the measured motion differs.
@@ -60,7 +60,7 @@ def as_given(case: Case) -> Motion | None:
         return None
     rig = case.model.rig
     assert rig is not None
-    made = Motion(
+    made = ComputedMotion(
         *core.Rig(experiment.rig_config(rig, case.fs_hz)).motion(
             estimate.filled(case.channels["x_cmd"])
         )
@@ -146,7 +146,7 @@ def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Float
         sigma = estimate.noise_of(x_meas, model.base.x_std)
         if not float(np.nanmean((x_meas - x) ** 2)) < POLICY.rig_follows * sigma**2:
             return None
-    still = Motion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
+    still = ComputedMotion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
     return x, read(model, f, model.context(still, case.t, other))
 
 
@@ -255,12 +255,12 @@ class RigBody(Body):
                     self._made.popitem(last=False)
         return made
 
-    def motion(self, problem: Problem, fit: Fit) -> Motion | None:
+    def motion(self, problem: Problem, fit: Fit) -> ComputedMotion | None:
         """Return the motion of the rig with a fitted set."""
         base = self.case.model
         plain = _with_nuisance(base, problem, fit)
         own = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)
         try:
-            return Motion(*core.Rig(config_of(own)).motion(self.command))
+            return ComputedMotion(*core.Rig(config_of(own)).motion(self.command))
         except core.CoreError:
             return None

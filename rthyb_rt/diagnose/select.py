@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import modulation
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects import having, of_number
@@ -338,7 +338,10 @@ class Problem:
         if not ctx.k_free or not any(m.effect.yields for m in fit.members):
             return False
         x = np.linspace(-ctx.x_range, ctx.x_range, SLOPES)
-        still, t = Motion(x, np.zeros(SLOPES), np.zeros(SLOPES)), np.linspace(0.0, 1.0, SLOPES)
+        still, t = (
+            ComputedMotion(x, np.zeros(SLOPES), np.zeros(SLOPES)),
+            np.linspace(0.0, 1.0, SLOPES),
+        )
         along = Context(ctx.model, still, t, still.v, {}, ctx.all_ranges)
         force = along.spring.copy()
         for b, nuisance in zip(fit.nuisance, self.nuisances, strict=True):

@@ -7,11 +7,11 @@ accelerations at the controller's rate.
 
 from __future__ import annotations
 
+from rthyb_rt.ground_motion.acceleration_units import STANDARD_GRAVITY_MPS2
 from rthyb_rt.ground_motion.baseline import BaselineCheck, baseline_check
-from rthyb_rt.ground_motion.reading import BUILTIN, FORMATS, builtin, load, read
+from rthyb_rt.ground_motion.motion_files import BUILTIN, FORMATS, builtin, load, read
 from rthyb_rt.ground_motion.record import GroundMotion
 from rthyb_rt.ground_motion.resampling import resample
-from rthyb_rt.ground_motion.units import STANDARD_GRAVITY_MPS2
 
 __all__ = [
     "BUILTIN",

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import re
 
+from rthyb_rt.ground_motion.acceleration_units import canonical_unit, find_unit
 from rthyb_rt.ground_motion.channels import Samples
-from rthyb_rt.ground_motion.text import Text, clean, header_text, parse_float, read_block
-from rthyb_rt.ground_motion.units import canonical_unit, find_unit
+from rthyb_rt.ground_motion.text import TextLines, clean, header_text, parse_float, read_block
 
 _HEADER_LINES = 20
 _FLOAT = r"((?:\d{1,9}\.?\d{0,12}|\.\d{1,12})(?:[eEdD][+-]?\d{1,3})?)"
@@ -20,19 +20,19 @@ _NAMED_STEP = re.compile(rf"\bDT *[=:]? *{_FLOAT}", re.IGNORECASE | re.ASCII)
 _VALUES_FIRST = re.compile(rf"^ *(\d{{1,9}}) *,? +{_FLOAT} *,? *NPTS", re.IGNORECASE | re.ASCII)
 
 
-def is_at2(text: Text) -> bool:
+def is_at2(text: TextLines) -> bool:
     """Return whether the text has the NPTS line of a PEER file."""
     return _points_line(text) is not None
 
 
-def resembles_at2(text: Text) -> bool:
+def resembles_at2(text: TextLines) -> bool:
     """Return whether the text is a PEER file that lacks only its NPTS line."""
     head = " ".join(text.header(i) for i in range(min(_HEADER_LINES, len(text.lines)))).upper()
     named = text.path.upper().endswith(".AT2")
     return not is_at2(text) and (named or "PEER" in head or "IN UNITS OF" in head)
 
 
-def read_at2(text: Text, units: str | None) -> Samples:
+def read_at2(text: TextLines, units: str | None) -> Samples:
     """Read a PEER AT2 file; ``units`` applies if the header names none; the default is g.
 
     Raises:
@@ -69,7 +69,7 @@ def read_at2(text: Text, units: str | None) -> Samples:
     )
 
 
-def _points_line(text: Text) -> int | None:
+def _points_line(text: TextLines) -> int | None:
     """Return the index of the line with NPTS and DT."""
     for index in range(min(_HEADER_LINES, len(text.lines))):
         line = text.header(index).upper()
@@ -78,7 +78,7 @@ def _points_line(text: Text) -> int | None:
     return None
 
 
-def _points_and_step(text: Text, index: int) -> tuple[int, float]:
+def _points_and_step(text: TextLines, index: int) -> tuple[int, float]:
     """Return NPTS and DT, s, from their line in either order of name and value."""
     line = text.header(index)
     points = _NAMED_POINTS.search(line)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rthyb_rt.ground_motion.record import FloatArray
-from rthyb_rt.ground_motion.text import Text, clean
+from rthyb_rt.ground_motion.text import TextLines, clean
 
 
 @dataclass(frozen=True)
-class Channel:
+class FileChannel:
     """Location of one channel of acceleration in its file.
 
     Attributes:
@@ -47,7 +47,9 @@ class Samples:
     details: dict[str, str]
 
 
-def choose_channel(text: Text, channels: Sequence[Channel], wanted: int | str | None) -> Channel:
+def choose_channel(
+    text: TextLines, channels: Sequence[FileChannel], wanted: int | str | None
+) -> FileChannel:
     """Return the channel requested by number or by part of its label.
 
     Raises:

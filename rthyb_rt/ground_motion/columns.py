@@ -14,11 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rthyb_rt.errors import Problem
+from rthyb_rt.ground_motion.acceleration_units import canonical_unit, find_unit
 from rthyb_rt.ground_motion.channels import Samples
 from rthyb_rt.ground_motion.record import FloatArray
 from rthyb_rt.ground_motion.text import (
     MAX_POINTS,
-    Text,
+    TextLines,
     clean,
     header_text,
     limited,
@@ -26,7 +27,6 @@ from rthyb_rt.ground_motion.text import (
     parse_float,
     time_step,
 )
-from rthyb_rt.ground_motion.units import canonical_unit, find_unit
 
 _COMMENT = ("#", "%", "!", "//", "*", '"', "'")
 _DECIMAL_COMMA = re.compile(r"(?<![\d.,])[+-]?\d+,\d+(?:[eE][+-]?\d+)?(?![\d.,])", re.ASCII)
@@ -44,7 +44,7 @@ class _Table:
     values: FloatArray
 
 
-def read_columns(text: Text, units: str | None, channel: int | str | None) -> Samples:
+def read_columns(text: TextLines, units: str | None, channel: int | str | None) -> Samples:
     """Read time and acceleration from columns.
 
     Args:
@@ -90,7 +90,7 @@ def read_columns(text: Text, units: str | None, channel: int | str | None) -> Sa
     )
 
 
-def _read_table(text: Text) -> _Table:
+def _read_table(text: TextLines) -> _Table:
     """Find headers, separator and rows, and read the rows."""
     headers: list[str] = []
     rows: list[int] = []
@@ -128,7 +128,7 @@ def _is_row(line: str) -> bool:
     )
 
 
-def _separator(text: Text, rows: list[int]) -> str | None:
+def _separator(text: TextLines, rows: list[int]) -> str | None:
     """Return the separator of the first rows (None: blanks); reject a decimal comma."""
     sample = [text.lines[i][:1000] for i in rows[:50]]
     for index, line in zip(rows, sample, strict=False):
@@ -145,7 +145,7 @@ def _separator(text: Text, rows: list[int]) -> str | None:
     return None
 
 
-def _read_rows(text: Text, rows: list[int], separator: str | None) -> FloatArray:
+def _read_rows(text: TextLines, rows: list[int], separator: str | None) -> FloatArray:
     """Read the rows as an array of shape (rows, columns)."""
     lines = [text.lines[i] for i in rows]
     if all(map(str.isascii, lines)) and max(map(len, lines)) < 10_000:
@@ -158,7 +158,7 @@ def _read_rows(text: Text, rows: list[int], separator: str | None) -> FloatArray
     return _read_rows_one_by_one(text, rows, separator)
 
 
-def _read_rows_one_by_one(text: Text, rows: list[int], separator: str | None) -> FloatArray:
+def _read_rows_one_by_one(text: TextLines, rows: list[int], separator: str | None) -> FloatArray:
     """Read rows with the place of every error."""
     problems: list[Problem] = []
     table: list[list[float]] = []
@@ -213,7 +213,7 @@ def _unit_of_name(name: str) -> str | None:
 
 
 def _choose_columns(
-    text: Text, table: _Table, names: list[str], channel: int | str | None
+    text: TextLines, table: _Table, names: list[str], channel: int | str | None
 ) -> tuple[int, int]:
     """Return the columns of time and acceleration, from 0."""
     width = table.values.shape[1]

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 import re
 
-from rthyb_rt.ground_motion.channels import Channel, Samples, choose_channel
-from rthyb_rt.ground_motion.text import Text, clean, read_block
-from rthyb_rt.ground_motion.units import canonical_unit
+from rthyb_rt.ground_motion.acceleration_units import canonical_unit
+from rthyb_rt.ground_motion.channels import FileChannel, Samples, choose_channel
+from rthyb_rt.ground_motion.text import TextLines, clean, read_block
 
 _FORMAT = r"\( ?(\d{0,3}) ?[A-Za-z]{1,2}(\d{1,3})"
 _FIRST = re.compile(
@@ -36,7 +36,7 @@ _CHANNEL = re.compile(r"^ *Sta +Cha[n:]? *:? *(\d{0,4}|\?) *: *(.{0,30}?) *(?:\(
 _UNIT_CODES = {2: "g", 4: "cm/s2", 7: "in/s2", 10: "cm/s2", 11: "mg"}
 
 
-def cosmos_volume(text: Text) -> str | None:
+def cosmos_volume(text: TextLines) -> str | None:
     """Return the format's name if the first line is that of a COSMOS file."""
     match = _FIRST.match(text.header(0))
     if not match:
@@ -44,7 +44,7 @@ def cosmos_volume(text: Text) -> str | None:
     return "cosmos-v2" if match.group(1).lower() == "corrected" else "cosmos-v1"
 
 
-def read_cosmos(text: Text, channel: int | str | None) -> Samples:
+def read_cosmos(text: TextLines, channel: int | str | None) -> Samples:
     """Read one channel of acceleration of a COSMOS V1 or V2 file.
 
     Raises:
@@ -79,9 +79,9 @@ def read_cosmos(text: Text, channel: int | str | None) -> Samples:
     return Samples(dt_s, values, unit, "header", details)
 
 
-def _acceleration_channels(text: Text) -> list[Channel]:
+def _acceleration_channels(text: TextLines) -> list[FileChannel]:
     """Return the channels of acceleration, without velocity and displacement series."""
-    channels: list[Channel] = []
+    channels: list[FileChannel] = []
     number, label = "", ""
     for index, line in enumerate(text.lines):
         start = line[:12].lower()
@@ -93,11 +93,13 @@ def _acceleration_channels(text: Text) -> list[Channel]:
             data = _DATA.match(text.header(index))
             if data and data.group(2).lower().startswith("acc"):
                 place = len(channels) + 1
-                channels.append(Channel(int(number) if number.isdecimal() else place, label, index))
+                channels.append(
+                    FileChannel(int(number) if number.isdecimal() else place, label, index)
+                )
     return channels
 
 
-def _unit(text: Text, index: int, said: str) -> str:
+def _unit(text: TextLines, index: int, said: str) -> str:
     """Return the unit of the data line, ``cm/sec2(04)``; name and code must agree."""
     match = re.match(r"([^(]*?) *(?:\( *(\d{1,4}) *\))? *$", said.strip(), re.ASCII)
     assert match is not None
@@ -112,7 +114,7 @@ def _unit(text: Text, index: int, said: str) -> str:
     return by_name
 
 
-def _interval(text: Text, data_index: int) -> float:
+def _interval(text: TextLines, data_index: int) -> float:
     """Return the interval of the series, s, from the real header before the data line."""
     for index in range(data_index - 1, max(-1, data_index - 4000), -1):
         if "eal" not in text.lines[index][:40] and "EAL" not in text.lines[index][:40]:
@@ -140,7 +142,7 @@ def _interval(text: Text, data_index: int) -> float:
     )
 
 
-def _check_length(text: Text, index: int, length_s: float, said: str) -> None:
+def _check_length(text: TextLines, index: int, length_s: float, said: str) -> None:
     """Compare points times interval with the duration that the data line states."""
     match = re.search(r"approx *\.? *(\d{1,7}\.?\d{0,6}) *sec", said, re.IGNORECASE | re.ASCII)
     if match:

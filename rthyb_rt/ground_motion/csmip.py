@@ -13,10 +13,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from rthyb_rt.ground_motion.channels import Channel, Samples, choose_channel
+from rthyb_rt.ground_motion.acceleration_units import canonical_unit, find_unit
+from rthyb_rt.ground_motion.channels import FileChannel, Samples, choose_channel
 from rthyb_rt.ground_motion.record import FloatArray
-from rthyb_rt.ground_motion.text import MAX_POINTS, Text, clean, read_block, time_step
-from rthyb_rt.ground_motion.units import canonical_unit, find_unit
+from rthyb_rt.ground_motion.text import MAX_POINTS, TextLines, clean, read_block, time_step
 
 _FORMAT = r"\( ?(\d{1,3}) ?[fFeEgG] ?(\d{1,3})"
 _FLOAT = r"(\d{0,6}\.?\d{1,9})"
@@ -44,7 +44,7 @@ _FILM_FORMAT = (10, 7)
 class _Block:
     """One block of acceleration: its channel and how to read it."""
 
-    channel: Channel
+    channel: FileChannel
     points: int
     dt_s: float | None  # None: the block contains its own times
     unit: str | None
@@ -52,7 +52,7 @@ class _Block:
     width: int
 
 
-def csmip_volume(text: Text) -> str | None:
+def csmip_volume(text: TextLines) -> str | None:
     """Return the format's name if the text is a CSMIP file."""
     first = text.header(0).lower()
     if "corrected accelerogram" in first:
@@ -64,7 +64,7 @@ def csmip_volume(text: Text) -> str | None:
     return None
 
 
-def read_csmip(text: Text, channel: int | str | None) -> Samples:
+def read_csmip(text: TextLines, channel: int | str | None) -> Samples:
     """Read one channel of acceleration of a CSMIP Volume 1 or 2 file.
 
     Raises:
@@ -101,7 +101,7 @@ def _is_announcement(line: str) -> bool:
     return " points " in line[:60] or " POINTS " in line[:60]
 
 
-def _announced_blocks(text: Text) -> list[_Block]:
+def _announced_blocks(text: TextLines) -> list[_Block]:
     """Return the announced blocks of acceleration, with the channel named before each."""
     blocks: list[_Block] = []
     number, label = 0, ""
@@ -120,7 +120,7 @@ def _announced_blocks(text: Text) -> list[_Block]:
         dt_s = rate if spaced else 1.0 / rate if rate > 0.0 else 0.0
         blocks.append(
             _Block(
-                Channel(number or len(blocks) + 1, label, index),
+                FileChannel(number or len(blocks) + 1, label, index),
                 int(match.group(1)),
                 dt_s,
                 canonical_unit(match.group(3)) if match.group(3) else None,
@@ -132,7 +132,7 @@ def _announced_blocks(text: Text) -> list[_Block]:
     return blocks
 
 
-def _film_blocks(text: Text) -> list[_Block]:
+def _film_blocks(text: TextLines) -> list[_Block]:
     """Return the channels of a Volume 1 of pairs, each 27 header lines and its data."""
     blocks: list[_Block] = []
     start = 0
@@ -146,7 +146,7 @@ def _film_blocks(text: Text) -> list[_Block]:
         columns, width = _FILM_FORMAT
         blocks.append(
             _Block(
-                Channel(
+                FileChannel(
                     int(named.group(1)) if named else len(blocks) + 1,
                     clean(named.group(2), 24) if named else "",
                     index,
@@ -165,7 +165,7 @@ def _film_blocks(text: Text) -> list[_Block]:
     return blocks
 
 
-def _read_film(text: Text, block: _Block) -> tuple[float, FloatArray]:
+def _read_film(text: TextLines, block: _Block) -> tuple[float, FloatArray]:
     """Return interval and accelerations of a block of (time, acceleration) pairs."""
     first = block.channel.index + 1
     pairs = read_block(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 
 from rthyb_rt.ground_motion.channels import Samples
-from rthyb_rt.ground_motion.text import MAX_POINTS, Text, clean, parse_float, read_block
+from rthyb_rt.ground_motion.text import MAX_POINTS, TextLines, clean, parse_float, read_block
 
 _HEADER_LINES = 40
 _SCALE = re.compile(r"([\d.]{1,20}) *\( *gal *\) */ *([\d.]{1,20})", re.IGNORECASE | re.ASCII)
@@ -25,13 +25,13 @@ _NAMES = {
 }
 
 
-def is_knet(text: Text) -> bool:
+def is_knet(text: TextLines) -> bool:
     """Return whether the text begins like a K-NET file."""
     first = next(line for line in text.lines if line.strip())
     return first.lstrip().startswith("Origin Time")
 
 
-def read_knet(text: Text) -> Samples:
+def read_knet(text: TextLines) -> Samples:
     """Read a K-NET or KiK-net file and remove the mean, which is the sensor's offset.
 
     Raises:

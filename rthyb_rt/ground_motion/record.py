@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rthyb_rt.errors import InputError
-from rthyb_rt.ground_motion.units import STANDARD_GRAVITY_MPS2
+from rthyb_rt.ground_motion.acceleration_units import STANDARD_GRAVITY_MPS2
 
 FloatArray = NDArray[np.float64]
 

@@ -35,7 +35,7 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0e-\x19\x1b-\x1f\x7f]")
 
 
 @dataclass(frozen=True)
-class Text:
+class TextLines:
     """The lines of a text file.
 
     Attributes:
@@ -63,7 +63,7 @@ class Text:
         return InputError(message, self.path if index is None else self.at(index))
 
 
-def load_text(path: str | PathLike[str]) -> Text:
+def load_text(path: str | PathLike[str]) -> TextLines:
     """Read a text file of at most 64 MiB, whatever its encoding and line ends.
 
     Raises:
@@ -90,7 +90,7 @@ def load_text(path: str | PathLike[str]) -> Text:
     text, encoding = _decode(data, name)
     if not text.strip():
         raise InputError("is empty; a record of time and acceleration is needed", name)
-    return Text(name, _LINE_END.split(text), encoding, hashlib.sha256(data).hexdigest())
+    return TextLines(name, _LINE_END.split(text), encoding, hashlib.sha256(data).hexdigest())
 
 
 def _decode(data: bytes, name: str) -> tuple[str, str]:
@@ -177,7 +177,7 @@ def not_a_number(token: str) -> str:
 
 
 def read_block(
-    text: Text,
+    text: TextLines,
     first: int,
     count: int,
     *,
@@ -223,7 +223,7 @@ def _is_words(line: str) -> bool:
 
 
 def _read_fields(
-    text: Text,
+    text: TextLines,
     first: int,
     last: int,
     count: int,
@@ -281,7 +281,7 @@ def _fields(line: str, columns: int | None, width: int | None, remaining: int) -
 
 
 def time_step(
-    times_s: FloatArray, text: Text, line_index: Iterable[int], remedy: str
+    times_s: FloatArray, text: TextLines, line_index: Iterable[int], remedy: str
 ) -> tuple[float, float]:
     """Return the interval and the first instant of a column of times.
 

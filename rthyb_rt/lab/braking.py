@@ -30,7 +30,7 @@ _APART = 16
 
 
 @dataclass(frozen=True)
-class Course:
+class BrakingCourse:
     """Displacement, velocity and acceleration of a command at every tick, (n,), m and s.
 
     Both derivatives are those that the station knows when it begins to brake.
@@ -41,7 +41,7 @@ class Course:
     a: Floats
 
     @classmethod
-    def of(cls, x_m: ArrayLike, rate: Rate = STANDARD) -> Course:
+    def of(cls, x_m: ArrayLike, rate: Rate = STANDARD) -> BrakingCourse:
         """Return the course of displacements at a rate; it begins at rest."""
         h = rate.period_s
         x = np.asarray(x_m, dtype=np.float64)
@@ -135,7 +135,7 @@ def run_on(setup: Setup) -> RunOn:
     limits = setup.derived.limits
     most = limits.brake_acceleration_m_per_s2 or limits.path_acceleration_m_per_s2
     rate = setup.rate
-    course = Course.of(setup.reference["x_ref_m"], rate)
+    course = BrakingCourse.of(setup.reference["x_ref_m"], rate)
     brakes = Brake.of(course.x, course.v, course.a, most, rate)
     shares = np.linspace(0, 1, _PIECES)
     reach = np.max([np.abs(brakes.at(u * brakes.lasts_s)[0]) for u in shares], axis=0)
@@ -164,7 +164,7 @@ def _worst(values: Floats) -> list[int]:
     return found
 
 
-def _force(setup: Setup, course: Course, n: int, most_m_per_s2: float) -> float:
+def _force(setup: Setup, course: BrakingCourse, n: int, most_m_per_s2: float) -> float:
     """Return the greatest force of the specimen while braking from tick n."""
     h = setup.rate.period_s
     brake = Brake.of(course.x[n], course.v[n], course.a[n], most_m_per_s2, setup.rate)

@@ -87,7 +87,7 @@ class Setup:
     notes: tuple[str, ...] = ()
     reference: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, REFERENCE_DTYPE))
     channels: tuple[core.Channel, ...] = ()
-    plan: histories.Plan | None = None
+    plan: histories.HistoryPlan | None = None
     group: Group | None = None
 
     @property
@@ -256,7 +256,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
     return _noted(setup, real_time)
 
 
-def _along(rig: RigFile, plan: histories.Plan) -> NDArray[np.void]:
+def _along(rig: RigFile, plan: histories.HistoryPlan) -> NDArray[np.void]:
     """Return the response of the rig file's specimen and table to a history, as a reference."""
     h, x = 1.0 / plan.rate_hz, plan.path_m
     v, a = np.gradient(x, h), np.zeros_like(x)

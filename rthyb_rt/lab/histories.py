@@ -49,7 +49,7 @@ class Cycle:
 
 
 @dataclass(frozen=True)
-class Plan:
+class HistoryPlan:
     """A history at every sample of its test.
 
     Attributes:
@@ -81,7 +81,7 @@ class Plan:
 
 def plan(
     given: History, rate_hz: float, acceleration_m_per_s2: float, time_scale: float = 1.0
-) -> Plan:
+) -> HistoryPlan:
     """Return the displacements of a history.
 
     Args:
@@ -114,7 +114,7 @@ def plan(
         path = _sweep(given, own_hz) if isinstance(given, SweepHistory) else _noise(given, own_hz)
         cycles = ()
     whole = np.concatenate([path, np.zeros(math.ceil(REST_S * rate_hz) + 1)])
-    return Plan(whole, cycles, rate_hz)
+    return HistoryPlan(whole, cycles, rate_hz)
 
 
 def _check_frequency(given: History, own_hz: float) -> None:

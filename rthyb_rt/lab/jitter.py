@@ -32,7 +32,7 @@ from rthyb_rt.core.ticker import (
     unlock_memory,
 )
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import Reader, Ring, claim, default_folder
+from rthyb_rt.record.ring import Ring, RingReader, claim, default_folder
 
 SCHEMA: Final = "rthyb-jitter/2"
 TELEMETRY_HZ: Final = 50.0
@@ -85,7 +85,7 @@ class Load:
 
 
 @dataclass(frozen=True)
-class Case:
+class KindOfRun:
     """One kind of run."""
 
     payload: Payload
@@ -106,16 +106,16 @@ class Case:
 
 
 CASES: Final = (
-    Case("sample", False),
-    Case("exchange", False),
-    Case("exchange", False, telemetry=True),
-    Case("sample", True),
-    Case("exchange", True),
+    KindOfRun("sample", False),
+    KindOfRun("exchange", False),
+    KindOfRun("exchange", False, telemetry=True),
+    KindOfRun("sample", True),
+    KindOfRun("exchange", True),
 )
 
 
 @dataclass(frozen=True)
-class Result:
+class JitterResult:
     """A finished run.
 
     Attributes:
@@ -124,7 +124,7 @@ class Result:
         rate: of both threads.
     """
 
-    case: Case
+    case: KindOfRun
     measured: Timing
     reference: Timing
     attempts: int
@@ -172,7 +172,7 @@ def telemetry_ring(rate: Rate = STANDARD) -> Iterator[Ring]:
     with tempfile.TemporaryDirectory(prefix="jitter-", dir=folder) as own, ExitStack() as owned:
         ring = Ring.create(Path(own), _bare_session(rate))
         owned.callback(ring.remove)
-        owned.enter_context(_read_steadily(owned.enter_context(Reader(ring.path))))
+        owned.enter_context(_read_steadily(owned.enter_context(RingReader(ring.path))))
         yield ring
 
 
@@ -183,7 +183,7 @@ def _bare_session(rate: Rate) -> Recording:
 
 
 @contextmanager
-def _read_steadily(reader: Reader) -> Iterator[None]:
+def _read_steadily(reader: RingReader) -> Iterator[None]:
     """Convert new rows of a ring to JSON every 20 ms, in a separate thread."""
 
     def follow(done: threading.Event) -> None:
@@ -211,8 +211,8 @@ def _beside(name: str, work: Callable[[threading.Event], None]) -> Iterator[None
 
 
 def measure(
-    case: Case, ticks: int, load: Load | None, cpu: int = -1, progress: Progress | None = None
-) -> Result:
+    case: KindOfRun, ticks: int, load: Load | None, cpu: int = -1, progress: Progress | None = None
+) -> JitterResult:
     """Time one kind of run; repeat it, up to three times in all, if the reference thread was late.
 
     Args:
@@ -230,13 +230,15 @@ def measure(
         reference = run.reference
         disturbed = reference.wake.max_ns > REPEAT_ABOVE_NS
         rate = load.rate if load else STANDARD
-        result = Result(case, run.measured, reference, attempt, disturbed, rate)
+        result = JitterResult(case, run.measured, reference, attempt, disturbed, rate)
         if not disturbed:
             break
     return result
 
 
-def _run_once(case: Case, ticks: int, load: Load | None, cpu: int, progress: Progress) -> JitterRun:
+def _run_once(
+    case: KindOfRun, ticks: int, load: Load | None, cpu: int, progress: Progress
+) -> JitterRun:
     rate = load.rate if load else STANDARD
     with ExitStack() as beside:
         awake = beside.enter_context(AwakeProcessors())
@@ -390,7 +392,7 @@ def _limit(which: int) -> int | None:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PunctualityVerdict:
     """Whether a PC is punctual enough.
 
     Attributes:
@@ -405,7 +407,7 @@ class Verdict:
     remedies: tuple[tuple[str, str], ...]
 
 
-def judge(results: Sequence[Result], facts: Mapping[str, Any]) -> Verdict:
+def judge(results: Sequence[JitterResult], facts: Mapping[str, Any]) -> PunctualityVerdict:
     """Compare the runs with the criterion."""
     faults = tuple(_faults(results))
     ticks = min(result.measured.counts.elapsed for result in results)
@@ -418,17 +420,17 @@ def judge(results: Sequence[Result], facts: Mapping[str, Any]) -> Verdict:
             f"show: no tick was skipped and {FIT_PERCENT} % of the commands were sent within "
             f"{worst.late_ns / 1e3:.0f} µs."
         )
-        return Verdict(True, sentence, (), ())
+        return PunctualityVerdict(True, sentence, (), ())
     remedies = tuple(_remedies(results, facts))
     change = ", ".join(keyword for keyword, _ in remedies) or "the other programs that run on it"
     sentence = (
         f"This PC is not fit for {rate.hz:g} Hz, because {', '.join(faults)}; to improve it, "
         f"change: {change}."
     )
-    return Verdict(False, sentence, faults, remedies)
+    return PunctualityVerdict(False, sentence, faults, remedies)
 
 
-def _faults(results: Sequence[Result]) -> Iterator[str]:
+def _faults(results: Sequence[JitterResult]) -> Iterator[str]:
     skipped = sum(result.measured.counts.skipped for result in results)
     elapsed = sum(result.measured.counts.elapsed for result in results)
     if skipped:
@@ -447,12 +449,14 @@ def _faults(results: Sequence[Result]) -> Iterator[str]:
         yield "memory could not be locked"
 
 
-def privileges_of_all(results: Sequence[Result]) -> set[str]:
+def privileges_of_all(results: Sequence[JitterResult]) -> set[str]:
     """Return the privileges that the measured thread had in every run, by name."""
     return set.intersection(*(set(result.measured.privileges) for result in results))
 
 
-def _remedies(results: Sequence[Result], facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _remedies(
+    results: Sequence[JitterResult], facts: Mapping[str, Any]
+) -> Iterator[tuple[str, str]]:
     had = privileges_of_all(results)
     if not {"fifo", "memory_locked"} <= had:
         yield (
@@ -515,7 +519,7 @@ def _core_of_its_own(facts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def document(
-    results: Sequence[Result], facts: Mapping[str, Any], verdict: Verdict
+    results: Sequence[JitterResult], facts: Mapping[str, Any], verdict: PunctualityVerdict
 ) -> dict[str, Any]:
     """Return all results as a document; times in ns, histograms as [begin, end, count]."""
     return {

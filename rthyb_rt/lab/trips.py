@@ -14,7 +14,7 @@ from rthyb_rt.numbers import delay, number
 from rthyb_rt.record.recording import Recording
 
 if TYPE_CHECKING:
-    from rthyb_rt.analysis.summary import Setup
+    from rthyb_rt.analysis.summary import SummarySettings
 
 
 class _Watched(NamedTuple):
@@ -123,7 +123,7 @@ def figures(cause: str, value: float, limit: float, *, turns: bool = False) -> s
     return f"{watched.name} {text} (limit {limit * watched.factor:g} {watched.unit})"
 
 
-def found(rec: Recording, given: Setup) -> Met | None:
+def found(rec: Recording, given: SummarySettings) -> Met | None:
     """Return what interrupted or ended a recorded test, None if nothing did.
 
     For older recordings without these figures, the value is taken from the rows and the limit from
@@ -178,7 +178,7 @@ def _of_rows(rows: NDArray[np.void], row: int, cause: str) -> float:
     return float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
 
 
-def sentence(met: Met, given: Setup) -> str:
+def sentence(met: Met, given: SummarySettings) -> str:
     """Return the end of a test with its figures and what `rthyb check` knows of it.
 
     Args:
@@ -199,7 +199,7 @@ def sentence(met: Met, given: Setup) -> str:
     return f"{text}; {known}" if known else text
 
 
-def _known(met: Met, given: Setup) -> str:
+def _known(met: Met, given: SummarySettings) -> str:
     """Return what was known before the test ran that explains the end."""
     peak = {"position": given.reference_peak_m, "force": given.reference_peak_n}.get(met.cause)
     if peak is not None and peak > met.limit:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.types import ASGIApp
 
-    from rthyb_rt.live.sources import Source
+    from rthyb_rt.live.sources import PageSource
 
 FRAMES_PER_S: Final = 30.0
 STATUS_S: Final = 0.25
@@ -83,7 +83,7 @@ class Feed:
         updates: number of updates of the status.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: PageSource) -> None:
         self.source = source
         self.pages = 0
         self.status = b""
@@ -298,7 +298,7 @@ class Page:
 
 
 def make_app(
-    source: Source,
+    source: PageSource,
     tokens: Tokens,
     ready: Callable[[], None] = lambda: None,
     failed: Callable[[BaseException], None] = lambda _: None,

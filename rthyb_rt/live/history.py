@@ -19,7 +19,7 @@ Positions = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Channel:
+class PlottedChannel:
     """A quantity that is plotted.
 
     Attributes:
@@ -35,15 +35,15 @@ class Channel:
     less: str | None = None
 
 
-CHANNELS: Final[tuple[Channel, ...]] = (
-    Channel("x_num_mm", "x_num_m", 1e3),
-    Channel("x_cmd_mm", "x_cmd_m", 1e3),
-    Channel("x_meas_mm", "x_meas_m", 1e3),
-    Channel("tracking_mm", "x_meas_m", 1e3, less="x_num_m"),
-    Channel("force_kn", "f_meas_n", 1e-3),
-    Channel("alpha", "alpha", 1.0),
-    Channel("k_t_kn_per_mm", "k_t_n_per_m", 1e-6),
-    Channel("energy_error_j", "energy_error_j", 1.0),
+CHANNELS: Final[tuple[PlottedChannel, ...]] = (
+    PlottedChannel("x_num_mm", "x_num_m", 1e3),
+    PlottedChannel("x_cmd_mm", "x_cmd_m", 1e3),
+    PlottedChannel("x_meas_mm", "x_meas_m", 1e3),
+    PlottedChannel("tracking_mm", "x_meas_m", 1e3, less="x_num_m"),
+    PlottedChannel("force_kn", "f_meas_n", 1e-3),
+    PlottedChannel("alpha", "alpha", 1.0),
+    PlottedChannel("k_t_kn_per_mm", "k_t_n_per_m", 1e-6),
+    PlottedChannel("energy_error_j", "energy_error_j", 1.0),
 )
 X_MEAS: Final = 2
 FORCE: Final = 4

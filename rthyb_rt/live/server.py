@@ -18,7 +18,7 @@ from rthyb_rt.live.app import MESSAGE_BYTES, make_app
 from rthyb_rt.live.guard import Tokens
 
 if TYPE_CHECKING:
-    from rthyb_rt.live.sources import Source
+    from rthyb_rt.live.sources import PageSource
 
 LOOPBACK: Final = "127.0.0.1"
 _CONNECTIONS: Final = 64
@@ -102,7 +102,7 @@ class LiveServer:
 
     def __init__(
         self,
-        source: Source,
+        source: PageSource,
         tokens: Tokens,
         port: int = 0,
         ready: Callable[[], None] = lambda: None,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core, numbers
-from rthyb_rt.analysis import several, summary
+from rthyb_rt.analysis import several_axes, summary
 from rthyb_rt.analysis.attention import WINDOW_S, AxesJudge, Judge
 from rthyb_rt.analysis.notices import attention_in_words, axis_attention_in_words
 from rthyb_rt.core import RUNNING, STATES, Channel
@@ -39,7 +39,7 @@ _STILL_S: Final = 1.0
 _ANSWER_S: Final = 2.0
 
 
-class Source(Protocol):
+class PageSource(Protocol):
     """A source for a page.
 
     Attributes:
@@ -74,7 +74,7 @@ class Source(Protocol):
         """Close files and sockets."""
 
 
-def open_source(where: Path | None, service: Path) -> Source:
+def open_source(where: Path | None, service: Path) -> PageSource:
     """Return the source that a user specified.
 
     Args:
@@ -93,12 +93,12 @@ def open_source(where: Path | None, service: Path) -> Source:
     if where.is_dir():
         return _of_folder(where)
     if where.name.startswith("ring.") and where.suffix != ".h5":
-        with ring.Reader(where):
+        with ring.RingReader(where):
             return LiveSource(where, None)
     return PastSource(open_run(where))
 
 
-def _of_user(service: Path) -> Source:
+def _of_user(service: Path) -> PageSource:
     if service.is_socket():
         return LiveSource(service.parent, service)
     folder = ring.trusted(ring.default_folder())
@@ -110,7 +110,7 @@ def _of_user(service: Path) -> Source:
     )
 
 
-def _of_folder(folder: Path) -> Source:
+def _of_folder(folder: Path) -> PageSource:
     """Return the service, the newest ring or the recording of a folder."""
     socket = folder / SOCKET.name
     if socket.is_socket():
@@ -147,7 +147,7 @@ class _Evaluator(Protocol):
 class _OfOne:
     """Evaluates a test with one axis."""
 
-    def __init__(self, given: summary.Setup, fs_hz: float) -> None:
+    def __init__(self, given: summary.SummarySettings, fs_hz: float) -> None:
         self._given, self._judge = given, Judge(summary.subject(given, fs_hz))
         self.add = self._judge.add
 
@@ -192,12 +192,12 @@ class _Session:
     def of(cls, rec: Recording, identity: _Identity) -> _Session:
         """Return the data from the session file beside the ring."""
         if rec.axis_names:
-            rig, test = several.files(rec)
-            reference = several.reference(rec, rig, test)
+            rig, test = several_axes.files(rec)
+            reference = several_axes.reference(rec, rig, test)
             return cls(
                 identity,
                 lambda: _OfSeveral(
-                    several.axes_judge(rig, reference, rec.fs_hz), test.controller.type
+                    several_axes.axes_judge(rig, reference, rec.fs_hz), test.controller.type
                 ),
                 reference.axis_m,
                 axes=rec.axis_names,
@@ -226,7 +226,7 @@ class LiveSource:
         self._tally = Tally()
         self._wanted: Path | None = None
         self._seen: _Identity | None = None
-        self._reader: ring.Reader | None = None
+        self._reader: ring.RingReader | None = None
         # While this file is mapped, no other file can have the same identity.
         self._held: _Identity | None = None
         self._at_rest = False
@@ -271,7 +271,7 @@ class LiveSource:
 
     def _turn_to(self, path: Path, seen: _Identity | None) -> None:
         try:
-            reader = ring.Reader(path)
+            reader = ring.RingReader(path)
         except (InputError, OSError) as error:
             # It may have disappeared again; the next look-up shows.
             self._shut = str(error)
@@ -501,7 +501,7 @@ def _newest(folder: Path, present: Path | None, held: _Identity | None) -> Path 
     if not rings or (rings[-1] == present and _identity(present) == held):
         return present
     for path in reversed(rings):
-        with ring.Reader(path) as reader:
+        with ring.RingReader(path) as reader:
             if reader.alive:
                 return path
     return present or rings[-1]
@@ -673,7 +673,7 @@ class PastSource:
         self.fs_hz = rec.fs_hz
         self.history = History(samples.size)
         at = _positions(samples["tick"])
-        tie = several.files(rec)[0].core_kinematics() if rec.axis_names else None
+        tie = several_axes.files(rec)[0].core_kinematics() if rec.axis_names else None
         self.history.append(at, channels(samples, tie), samples["state"].astype(np.uint8))
         self.zero = int(at[np.argmax(rec.running())])
         self._tally = Tally()
@@ -686,7 +686,7 @@ class PastSource:
         # For several axes the cause is part of the end reason.
         if rec.axis_names:
             if rec.running().any():
-                notices = several.notices(several.summarize(rec))
+                notices = several_axes.notices(several_axes.summarize(rec))
                 self._alarms = [n.text for n in notices if n.level == "alarm"]
         else:
             found = summary.summarize(rec)

@@ -382,7 +382,7 @@ class Rows:
     samples: RecordArray
 
 
-class Reader:
+class RingReader:
     """A reader of a ring, at its own pace; it starts with the oldest record.
 
     Attributes:
@@ -414,7 +414,7 @@ class Reader:
             self.about, self.dtype = _about(memory, self.path, refused)
             self._owned = owned.pop_all()
 
-    def __enter__(self) -> Reader:
+    def __enter__(self) -> RingReader:
         """Return the reader itself."""
         return self
 
@@ -576,7 +576,7 @@ class Sight:
 def look(path: Path) -> Sight:
     """Inspect a ring without disturbing its users; faults are returned, never raised."""
     try:
-        with Reader(path) as reader:
+        with RingReader(path) as reader:
             newest = reader.newest()
             started = str(reader.about.get("started_utc", ""))
             seen = Sight(
@@ -609,7 +609,7 @@ def _age_s(started_utc: str) -> float | None:
 
 
 @dataclass(frozen=True)
-class Recovered:
+class RecoveredRecording:
     """Recording that was recovered from a ring and its session.
 
     Attributes:
@@ -629,7 +629,7 @@ class Recovered:
     alive: bool
 
 
-def recover(path: str | Path) -> Recovered:
+def recover(path: str | Path) -> RecoveredRecording:
     """Make a recording from a ring and the session beside it, whether or not its process is alive.
 
     Nothing is changed or deleted, and a running test is not disturbed.
@@ -641,7 +641,7 @@ def recover(path: str | Path) -> Recovered:
         InputError: one of the two cannot be read, or the ring has no record.
     """
     path = Path(path)
-    with Reader(path) as reader:
+    with RingReader(path) as reader:
         alive = reader.alive
         parts = _read_all(reader)
         ended = _end_reason(reader, parts, alive)
@@ -650,7 +650,7 @@ def recover(path: str | Path) -> Recovered:
             "the ring has no record: its process ended before the first tick", str(path)
         )
     samples = joined([part.samples for part in parts])
-    found = Recovered(
+    found = RecoveredRecording(
         recording=_join(_session(path), samples, parts[0].first),
         rows=(parts[0].first, parts[-1].first + len(parts[-1].samples) - 1),
         missing_rows=_missing_rows(parts),
@@ -691,7 +691,7 @@ def _join(session: Recording, samples: RecordArray, first_row: int) -> Recording
     )
 
 
-def _read_all(reader: Reader) -> list[Rows]:
+def _read_all(reader: RingReader) -> list[Rows]:
     """Return all rows so far; a running test may continue meanwhile."""
     end = reader.pushed + 1  # a process may have died between a record and its count
     parts = []
@@ -703,7 +703,7 @@ def _read_all(reader: Reader) -> list[Rows]:
     return parts
 
 
-def _end_reason(reader: Reader, parts: list[Rows], alive: bool) -> str:
+def _end_reason(reader: RingReader, parts: list[Rows], alive: bool) -> str:
     if parts and parts[-1].samples["state"][-1] == STATES.index("TRIPPED"):
         return "tripped"
     if alive:

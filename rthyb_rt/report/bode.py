@@ -15,7 +15,7 @@ from rthyb_rt.numbers import quantity
 from rthyb_rt.report import drawing as draw
 
 
-class Tone(Protocol):
+class ToneLike(Protocol):
     """The result for one sine wave, like `rig.identify.Tone`."""
 
     @property
@@ -31,7 +31,7 @@ class Tone(Protocol):
         """Phase lag as time, s."""
 
 
-def bode(rig: RigFile, tones: Sequence[Tone], rate: Rate = STANDARD) -> draw.Plate:
+def bode(rig: RigFile, tones: Sequence[ToneLike], rate: Rate = STANDARD) -> draw.Plate:
     """Draw gain, phase and delay from command to measured displacement over frequency.
 
     Args:

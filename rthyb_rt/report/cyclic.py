@@ -8,7 +8,7 @@ from matplotlib.colors import to_hex
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from rthyb_rt.analysis.hysteresis import Amplitude, Loop
+from rthyb_rt.analysis.hysteresis import Amplitude, MeasuredCycle
 from rthyb_rt.core import RUNNING
 from rthyb_rt.numbers import count, percent, quantity
 from rthyb_rt.record.recording import Recording
@@ -95,7 +95,7 @@ def over_amplitude(amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
     (axes,) = paper.axes
     other = axes.twinx()
     x = np.array([one.amplitude_m * 1e3 for one in amplitudes])
-    last: list[Loop] = [one.last for one in amplitudes]
+    last: list[MeasuredCycle] = [one.last for one in amplitudes]
     k = np.array([one.secant_n_per_m * 1e-3 for one in last])
     damping = np.array([one.damping_ratio * 100.0 for one in last])
     axes.plot(x, k, color=draw.BLUE, linewidth=1.0, marker="o", markersize=2.5, label="stiffness")

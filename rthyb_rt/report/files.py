@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rthyb_rt.analysis import several
+from rthyb_rt.analysis import several_axes
 from rthyb_rt.analysis import summary as of
 from rthyb_rt.documents import flat
 from rthyb_rt.record.recording import Recording, replacing
@@ -49,11 +49,11 @@ def write_files(rec: Recording, folder: Path) -> list[Path]:
     with extra_needed("a figure"):
         from rthyb_rt.report import figures
         from rthyb_rt.report import several as of_several
-    paths, found = list[Path](), several.summarize_any(rec)
+    paths, found = list[Path](), several_axes.summarize_any(rec)
     if isinstance(found, of.Summary):
         plates, table = figures.draw_all(rec, found), of.table(found)
     else:
-        plates, table = of_several.draw_all(rec, found), several.table(found)
+        plates, table = of_several.draw_all(rec, found), several_axes.table(found)
     for plate in plates:
         for kind in KINDS if plate.figure is not None else ():
             paths.append(folder / f"{plate.key}.{kind}")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import __version__
 from rthyb_rt.core.ticker import PRIVILEGES, Latency
-from rthyb_rt.lab.jitter import Result, Verdict, criterion, privileges_of_all
+from rthyb_rt.lab.jitter import JitterResult, PunctualityVerdict, criterion, privileges_of_all
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
@@ -23,7 +23,10 @@ BAR = 4
 
 
 def write_page(
-    results: Sequence[Result], facts: Mapping[str, Any], verdict: Verdict, path: Path
+    results: Sequence[JitterResult],
+    facts: Mapping[str, Any],
+    verdict: PunctualityVerdict,
+    path: Path,
 ) -> None:
     """Write verdict, histograms and the properties of the machine as one HTML file.
 
@@ -48,7 +51,7 @@ def write_page(
         temporary.write_text(html, encoding="utf-8")
 
 
-def figure_row(result: Result) -> tuple[str, ...]:
+def figure_row(result: JitterResult) -> tuple[str, ...]:
     """Return title, wake-up p50, p99, longest, reference p99, ratio, sent p99 and skipped ticks.
 
     Times in µs.
@@ -71,7 +74,7 @@ def _us(ns: float) -> str:
     return f"{ns / 1e3:.0f}" if ns >= 1e5 else f"{ns / 1e3:.1f}"
 
 
-def obtained(results: Sequence[Result]) -> tuple[str, str]:
+def obtained(results: Sequence[JitterResult]) -> tuple[str, str]:
     """Return a row with the privileges of every run in words."""
     return "privileges obtained", _said(
         [name.replace("_", " ") for name in PRIVILEGES if name in privileges_of_all(results)]
@@ -94,7 +97,7 @@ def _said(value: Any) -> str:
 # ---- figures ------------------------------------------------------------------------------------
 
 
-def draw_all(results: Sequence[Result]) -> list[Plate]:
+def draw_all(results: Sequence[JitterResult]) -> list[Plate]:
     """Return one histogram for each run."""
     from matplotlib import rc_context
 
@@ -104,7 +107,7 @@ def draw_all(results: Sequence[Result]) -> list[Plate]:
         return [_histogram(result, f"run-{i}") for i, result in enumerate(results, start=1)]
 
 
-def _histogram(result: Result, key: str) -> Plate:
+def _histogram(result: JitterResult, key: str) -> Plate:
     from matplotlib.ticker import FuncFormatter, NullLocator
 
     from rthyb_rt.report import drawing as draw

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.analysis import several
-from rthyb_rt.analysis.several import NOT_COMPUTED, AxesSummary, OfDirection
+from rthyb_rt.analysis import several_axes
+from rthyb_rt.analysis.several_axes import NOT_COMPUTED, AxesSummary, OfDirection
 from rthyb_rt.numbers import percent
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report.html import environment, extra_needed, sheets
@@ -25,18 +25,18 @@ def render(rec: Recording) -> str:
     Raises:
         InputError: matplotlib or jinja2 is not installed, or the test never ran.
     """
-    summary = several.summarize(rec)
-    found = several.notices(summary)
+    summary = several_axes.summarize(rec)
+    found = several_axes.notices(summary)
     with extra_needed("a report"):
         plates = draw_all(rec, summary)
         engine = environment()
     return engine.get_template("several.html.j2").render(
         s=summary,
         title=summary.test_name or "Hybrid test",
-        verdict=several.verdict(summary),
+        verdict=several_axes.verdict(summary),
         alarms=[notice for notice in found if notice.level == "alarm"],
         notes=[notice for notice in found if notice.level == "note"],
-        rows=several.table(summary),
+        rows=several_axes.table(summary),
         not_computed=NOT_COMPUTED,
         figures_of=sheets(plates),
         settings=[("Test file", rec.test_toml), ("Rig file", rec.rig_toml)],
@@ -116,7 +116,7 @@ def _displacement(s: AxesSummary, j: int, one: OfDirection) -> Plate:
     return paper.plate(
         f"Direction {one.name}",
         "Measurement along the interface, and reference simulation; largest difference "
-        f"{several.size_of(one.response_peak, one.turns)}.",
+        f"{several_axes.size_of(one.response_peak, one.turns)}.",
     )
 
 

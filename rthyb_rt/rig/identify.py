@@ -28,8 +28,8 @@ from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.realtime import Operator
 from rthyb_rt.numbers import delay
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.rig.commissioning import moving, polarity
-from rthyb_rt.rig.commissioning.moving import Connection, Moved
+from rthyb_rt.rig.commissioning import guided_motion, polarity
+from rthyb_rt.rig.commissioning.guided_motion import Connection, MotionResult
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -71,7 +71,7 @@ REVERSED = -0.7
 
 
 @dataclass(frozen=True)
-class Sweep:
+class SweepPlan:
     """The excitation of an identification.
 
     Attributes:
@@ -85,7 +85,7 @@ class Sweep:
     velocity_m_per_s: float = 0.05
 
     @classmethod
-    def up_to(cls, highest_hz: float, amplitude_m: float = 2e-3) -> Sweep:
+    def up_to(cls, highest_hz: float, amplitude_m: float = 2e-3) -> SweepPlan:
         """Return the usual frequencies up to and including ``highest_hz``."""
         below = tuple(f for f in FREQUENCIES_HZ if f < highest_hz)
         return cls((*below, highest_hz), amplitude_m)
@@ -129,7 +129,7 @@ class Tone:
 
 
 @dataclass(frozen=True)
-class Result:
+class IdentificationResult:
     """Result of an identification; samples are of 1/1024 s at any rate.
 
     Attributes:
@@ -183,7 +183,7 @@ Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True)
-class Part:
+class SineRows:
     """Rows of one sine: all of it, and the settled whole cycles that are fitted."""
 
     frequency_hz: float
@@ -193,7 +193,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class _Signals:
+class _SweptSignals:
     """Signals of a sweep: each (n,); ``read`` marks the rows that contain a new reading."""
 
     command: Floats
@@ -208,10 +208,10 @@ class _Signals:
 
 def identify(
     rig: RigFile,
-    sweep: Sweep | None = None,
+    sweep: SweepPlan | None = None,
     progress: Progress | None = None,
     rate: Rate = STANDARD,
-) -> Result:
+) -> IdentificationResult:
     """Sweep the virtual rig of ``rig`` in virtual time and determine what a test needs.
 
     Args:
@@ -225,19 +225,19 @@ def identify(
         LimitError: a limit of the rig file ended the sweep.
         RthybError: the rig did not come to rest.
     """
-    sweep = sweep or Sweep()
+    sweep = sweep or SweepPlan()
     check(sweep)
     motion, parts = _motion(sweep, rate)
     setup = experiment.prescribed(rig, motion.name, motion.path_m, rate)
-    return _found(rig, Moved(virtual_time.run(setup, progress)), parts)
+    return _found(rig, MotionResult(virtual_time.run(setup, progress)), parts)
 
 
 def identify_live(
     connection: Connection,
-    sweep: Sweep | None = None,
+    sweep: SweepPlan | None = None,
     progress: Progress | None = None,
     operator: Operator | None = None,
-) -> Result:
+) -> IdentificationResult:
     """Sweep the rig at the other end of a link, in real time and within all limits of its file.
 
     Args:
@@ -248,42 +248,42 @@ def identify_live(
 
     Returns:
         The result; delays are those of link and actuator together, of which
-        `Result.link_delay_samples` is the link's share.
+        `IdentificationResult.link_delay_samples` is the link's share.
 
     Raises:
         InputError: invalid sweep, no feedback, or a rig that does not follow the sweep.
         LimitError: a limit or the drive ended the sweep; the message states the frequency.
         TimingError: this PC was late.
         StoppedError: the operator ended it.
-        RthybError: as in `rthyb_rt.rig.commissioning.moving.carry_out`.
+        RthybError: as in `rthyb_rt.rig.commissioning.guided_motion.carry_out`.
     """
-    sweep = sweep or Sweep()
+    sweep = sweep or SweepPlan()
     check(sweep)
-    moving.check_limits(connection.rig)
-    moving.check_distance(connection.rig, sweep.amplitude_m)
+    guided_motion.check_limits(connection.rig)
+    guided_motion.check_distance(connection.rig, sweep.amplitude_m)
     motion, parts = _motion(sweep, connection.rig.rate)
-    moved = moving.carry_out(connection, motion, operator=operator, progress=progress)
+    moved = guided_motion.carry_out(connection, motion, operator=operator, progress=progress)
     found = _found(connection.rig, moved, parts)
     link = _link_delay(moved)
     at = connection.rig.rate.pace
     return replace(found, link_delay_samples=None if link is None else link / at)
 
 
-def _motion(sweep: Sweep, rate: Rate) -> tuple[moving.Motion, list[Part]]:
+def _motion(sweep: SweepPlan, rate: Rate) -> tuple[guided_motion.GuidedMotion, list[SineRows]]:
     command, parts = command_of(sweep, rate)
     # The command of a row is the previous row of the path, so one more row sends the last.
-    return moving.Motion("identify", np.append(command, 0.0), stay=False), parts
+    return guided_motion.GuidedMotion("identify", np.append(command, 0.0), stay=False), parts
 
 
-def _found(rig: RigFile, moved: Moved, parts: list[Part]) -> Result:
+def _found(rig: RigFile, moved: MotionResult, parts: list[SineRows]) -> IdentificationResult:
     """Return the result of a sweep that was carried out."""
     _check_ranges(rig, moved.running)
     running = moved.running[1:]
     if moved.cause != "completed":
         raise _broken_off(moved, parts, running.size)
     check_not_limited(running, parts)
-    signals = _Signals(
-        running["x_cmd_m"], running["x_meas_m"], running["f_meas_n"], moving.fresh(running)
+    signals = _SweptSignals(
+        running["x_cmd_m"], running["x_meas_m"], running["f_meas_n"], guided_motion.fresh(running)
     )
     check_read(signals.read, parts)
     found = _result(rig, signals, parts, (moved.start_m, moved.start_n))
@@ -296,9 +296,9 @@ def result_of(
     command_m: Floats,
     x_m: Floats,
     f_n: Floats,
-    parts: list[Part],
+    parts: list[SineRows],
     read: Mask | None = None,
-) -> Result:
+) -> IdentificationResult:
     """Return the result of a sweep.
 
     Args:
@@ -312,12 +312,12 @@ def result_of(
         InputError: the rig did not follow.
     """
     read = np.ones(command_m.size, np.bool_) if read is None else read
-    return _result(rig, _Signals(command_m, x_m, f_n, read), parts, (0.0, 0.0))
+    return _result(rig, _SweptSignals(command_m, x_m, f_n, read), parts, (0.0, 0.0))
 
 
 def _result(
-    rig: RigFile, signals: _Signals, parts: list[Part], tare: tuple[float, float]
-) -> Result:
+    rig: RigFile, signals: _SweptSignals, parts: list[SineRows], tare: tuple[float, float]
+) -> IdentificationResult:
     rest = np.zeros(signals.read.size, np.bool_)
     rate = parts[0].rate
     rest[rest_rows(rate)] = True
@@ -344,7 +344,7 @@ def _result(
         *_inverse(signals, slice(begin, None), noise_m, rate, with_beta=True), rate
     )
     stiffness, mass = _stiffness_and_mass(tones)
-    return Result(
+    return IdentificationResult(
         tones=tuple(tones),
         alpha=alpha,
         alpha_with_beta=alpha_with_beta,
@@ -370,7 +370,7 @@ def _resonance(tones: list[Tone]) -> float | None:
     return response.resonance_hz(f, g, tones[0].delay_s)
 
 
-def identified_rig(rig: RigFile, result: Result) -> RigFile:
+def identified_rig(rig: RigFile, result: IdentificationResult) -> RigFile:
     """Return the rig file with k_e and the section ``identified`` filled in.
 
     Raises:
@@ -383,7 +383,7 @@ def identified_rig(rig: RigFile, result: Result) -> RigFile:
     return parse_rig(dump(filled), "identified rig")
 
 
-def section_of(result: Result, hold: str | None) -> Identified:
+def section_of(result: IdentificationResult, hold: str | None) -> Identified:
     """Return the section ``identified`` of a rig file; its values have not been validated.
 
     The frequency response is given for commands held for 1/1024 s; a sweep at another rate is
@@ -428,7 +428,7 @@ def rounded(value: float, digits: int = 4) -> float:
     return float(f"{value:.{digits}g}")
 
 
-def check(sweep: Sweep) -> None:
+def check(sweep: SweepPlan) -> None:
     """Raise ``InputError`` if a sweep is invalid."""
     bad = [f for f in sweep.frequencies_hz if not 0.05 <= f <= HIGHEST_HZ]
     if bad or not sweep.frequencies_hz:
@@ -464,7 +464,7 @@ def standard_lead(alpha: float, beta: float, rate: Rate) -> tuple[float, float]:
     return standard, (beta - 0.5 * alpha) / rate.pace**2 + 0.5 * standard
 
 
-def command_of(sweep: Sweep, rate: Rate = STANDARD) -> tuple[Floats, list[Part]]:
+def command_of(sweep: SweepPlan, rate: Rate = STANDARD) -> tuple[Floats, list[SineRows]]:
     """Return x_c: a rest, then one sine after another, each with a smooth start and end."""
     pieces = [np.zeros(round(REST_S * rate.hz))]
     parts = []
@@ -480,7 +480,7 @@ def command_of(sweep: Sweep, rate: Rate = STANDARD) -> tuple[Floats, list[Part]]
         pieces.append(sweep.amplitude_at(frequency) * smooth * np.sin(2 * np.pi * turns))
         first = at + round(ahead / frequency * rate.hz)
         last = first + round(fitted / frequency * rate.hz)
-        parts.append(Part(frequency, at, slice(first, last), rate))
+        parts.append(SineRows(frequency, at, slice(first, last), rate))
         at += n
         # A pause lets the slow part of a servo's integrator decay before the next sine.
         pause = np.zeros(round(0.5 * rate.hz))
@@ -489,7 +489,7 @@ def command_of(sweep: Sweep, rate: Rate = STANDARD) -> tuple[Floats, list[Part]]
     return np.concatenate(pieces), parts
 
 
-def phasor(part: Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
+def phasor(part: SineRows, signal: Floats, read: Mask) -> tuple[complex, Floats]:
     """Return the complex amplitude of the sine in a signal, and the residual of the fit."""
     w = 2 * np.pi * part.frequency_hz * part.rate.period_s
     angle = w * np.arange(part.fit.start, part.fit.stop)[read[part.fit]]
@@ -499,7 +499,7 @@ def phasor(part: Part, signal: Floats, read: Mask) -> tuple[complex, Floats]:
     return complex(fitted[0], -fitted[1]), values - basis @ fitted
 
 
-def _most_noise(noise_n: float, resting: int, part: Part) -> float:
+def _most_noise(noise_n: float, resting: int, part: SineRows) -> float:
     """Return the greatest power of a fit's residual force that noise alone explains, N^2.
 
     Args:
@@ -512,7 +512,7 @@ def _most_noise(noise_n: float, resting: int, part: Part) -> float:
     return noise_n**2 * (1.0 + NOISE_SCATTER * float(scatter))
 
 
-def _tone(part: Part, signals: _Signals, before_s: float | None, noise_n2: float) -> Tone:
+def _tone(part: SineRows, signals: _SweptSignals, before_s: float | None, noise_n2: float) -> Tone:
     """Fit one sine.
 
     Args:
@@ -547,7 +547,7 @@ def _tone(part: Part, signals: _Signals, before_s: float | None, noise_n2: float
 
 
 def _inverse(
-    signals: _Signals, part: slice, noise_m: float, rate: Rate, *, with_beta: bool
+    signals: _SweptSignals, part: slice, noise_m: float, rate: Rate, *, with_beta: bool
 ) -> tuple[float, float]:
     """Least squares of Eqn 2.6-2.8 over a part of the sweep, with the estimator of a test."""
     estimator = core.Estimator(
@@ -584,7 +584,7 @@ def _stiffness_and_mass(tones: list[Tone]) -> tuple[float, float | None]:
     return float(stiffness), float(mass) if resolved else None
 
 
-def _standard_error(part: Part, noise: float) -> float:
+def _standard_error(part: SineRows, noise: float) -> float:
     """Return the standard error of a fitted amplitude in white noise."""
     return noise * float(np.sqrt(2.0 / (part.fit.stop - part.fit.start)))
 
@@ -608,7 +608,7 @@ def _check_ranges(rig: RigFile, rows: NDArray[np.void]) -> None:
             )
 
 
-def _check_followed(part: Part, tone: Tone, noise_m: float) -> None:
+def _check_followed(part: SineRows, tone: Tone, noise_m: float) -> None:
     moved = tone.gain * tone.amplitude_m
     if moved <= max(CERTAIN * _standard_error(part, noise_m), 1e-3 * tone.amplitude_m, 1e-12):
         raise InputError(
@@ -638,7 +638,7 @@ def _check_direction(rig: RigFile, tones: list[Tone]) -> None:
         )
 
 
-def check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
+def check_not_limited(rows: NDArray[np.void], parts: list[SineRows]) -> None:
     """Raise ``InputError`` if a limit has altered the command of a sweep."""
     limited = np.flatnonzero(rows["flags"] & FLAGS["limited"])
     if limited.size:
@@ -660,7 +660,7 @@ def check_not_limited(rows: NDArray[np.void], parts: list[Part]) -> None:
         )
 
 
-def check_read(read: Mask, parts: list[Part]) -> None:
+def check_read(read: Mask, parts: list[SineRows]) -> None:
     """Raise ``InputError`` if too many readings of a sweep were lost."""
     for part in parts:
         share = float(read[part.fit].mean())
@@ -673,36 +673,36 @@ def check_read(read: Mask, parts: list[Part]) -> None:
             )
 
 
-def _frequency_at(parts: list[Part], row: int) -> float:
+def _frequency_at(parts: list[SineRows], row: int) -> float:
     begun = [part.frequency_hz for part in parts if part.start <= row]
     return begun[-1] if begun else parts[0].frequency_hz
 
 
-def _broken_off(moved: Moved, parts: list[Part], rows: int) -> Exception:
+def _broken_off(moved: MotionResult, parts: list[SineRows], rows: int) -> Exception:
     where = f"at {_frequency_at(parts, rows):g} Hz" if rows > parts[0].start else "before it moved"
     if moved.cause in ("operator", "signal", "none"):
-        return moving.StoppedError(f"the sweep was stopped {where}; there is no result")
+        return guided_motion.StoppedError(f"the sweep was stopped {where}; there is no result")
     remedy = "identify with a smaller amplitude (--amplitude), or up to a lower frequency"
-    if moved.cause in (*moving.SPOILT, "link_down", "not_finite"):
+    if moved.cause in (*guided_motion.SPOILT, "link_down", "not_finite"):
         remedy = "check the link, and this PC with `rthyb jitter`"
     elif moved.cause == "drive_stopped":
         remedy = "the drive's panel shows why it stopped"
-    return moving.ended(moved, f"the sweep ended {where}: {moved.end_reason}; {remedy}")
+    return guided_motion.ended(moved, f"the sweep ended {where}: {moved.end_reason}; {remedy}")
 
 
-def _link_delay(moved: Moved) -> float | None:
+def _link_delay(moved: MotionResult) -> float | None:
     """Return the mean of the link's delay over all sines, samples."""
     rows = moved.rows
     if not rows["echo"].any():
         return None
-    numbers = moving.command_numbers(rows, moved.facts["commands_before"])
+    numbers = guided_motion.command_numbers(rows, moved.facts["commands_before"])
     delay = (numbers - rows["echo"].astype(np.int64)) % 256
-    motion = delay[moving.fresh(rows) & (rows["state"] == RUNNING)]
+    motion = delay[guided_motion.fresh(rows) & (rows["state"] == RUNNING)]
     known = motion[motion < 128]
     return float(known.mean()) if known.size else None
 
 
-def _check_specimen(rig: RigFile, part: Part, slowest: Tone, noise_n: float) -> None:
+def _check_specimen(rig: RigFile, part: SineRows, slowest: Tone, noise_n: float) -> None:
     in_phase = slowest.force_in_phase_n_per_m
     moved = slowest.gain * slowest.amplitude_m
     if abs(in_phase) * moved <= max(CERTAIN * _standard_error(part, noise_n), 1e-9):

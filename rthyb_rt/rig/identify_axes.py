@@ -19,10 +19,10 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_rig
 from rthyb_rt.rig.identify import (
     LOW_FREQUENCY_HZ,
-    Part,
+    IdentificationResult,
     Progress,
-    Result,
-    Sweep,
+    SineRows,
+    SweepPlan,
     check,
     command_of,
     phasor,
@@ -41,9 +41,9 @@ FREQUENCIES_HZ: Final = (
 """Sweep for an inverse, which is used up to 10 Hz and must know the response beyond that."""
 
 
-def sweep_of(amplitude_m: float = 2e-3) -> Sweep:
+def sweep_of(amplitude_m: float = 2e-3) -> SweepPlan:
     """Return the sweep to which an inverse of several axes is fitted."""
-    return Sweep(FREQUENCIES_HZ, amplitude_m)
+    return SweepPlan(FREQUENCIES_HZ, amplitude_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,7 @@ class AxesResult:
     """
 
     response: MatrixResponse
-    axes: tuple[Result, ...]
+    axes: tuple[IdentificationResult, ...]
     stiffness: Floats
     asymmetry: float
 
@@ -79,7 +79,7 @@ class AxesResult:
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class SweepRun:
     """Signals of the sweep of one axis, while the others are commanded to hold still.
 
     Attributes:
@@ -98,7 +98,7 @@ SLOW_HZ: Final = LOW_FREQUENCY_HZ
 
 
 def identify_rig(
-    rig: AxesRig, sweep: Sweep | None = None, progress: Progress | None = None
+    rig: AxesRig, sweep: SweepPlan | None = None, progress: Progress | None = None
 ) -> AxesResult:
     """Sweep every axis of the virtual rig in turn while the others hold still.
 
@@ -115,19 +115,19 @@ def identify_rig(
     command, parts = command_of(sweep)
     n, names = len(rig.axis), rig.names
     virtual = axes_rig.virtual_rig(rig)
-    runs = list[Run]()
+    runs = list[SweepRun]()
     for column, name in enumerate(names):
         commands = np.zeros((command.size, n))
         commands[:, column] = command
         x, f = virtual.run(commands)
         _check_within(rig, name, commands, x, f)
-        runs.append(Run(commands, x, f, np.ones(command.size, np.bool_)))
+        runs.append(SweepRun(commands, x, f, np.ones(command.size, np.bool_)))
         if progress is not None:
             progress((column + 1) * command.size, n * command.size)
     return result_of_runs(rig, runs, parts)
 
 
-def result_of_runs(rig: AxesRig, runs: Sequence[Run], parts: list[Part]) -> AxesResult:
+def result_of_runs(rig: AxesRig, runs: Sequence[SweepRun], parts: list[SineRows]) -> AxesResult:
     """Return the result of the sweeps of all axes.
 
     Args:
@@ -159,7 +159,7 @@ def result_of_runs(rig: AxesRig, runs: Sequence[Run], parts: list[Part]) -> Axes
     return AxesResult(matrix, found, stiffness, asymmetry)
 
 
-def _phasors(part: Part, runs: Sequence[Run], name: str) -> NDArray[np.complex128]:
+def _phasors(part: SineRows, runs: Sequence[SweepRun], name: str) -> NDArray[np.complex128]:
     """Return the complex amplitudes of a signal: rows are axes, columns the runs."""
     axes = range(len(runs))
     return np.array(
@@ -200,7 +200,7 @@ def _check_within(rig: AxesRig, moving: str, u: Floats, x: Floats, f: Floats) ->
 
 
 def response_of(
-    command: Floats, parts: list[Part], moved: Sequence[Floats], rest: slice
+    command: Floats, parts: list[SineRows], moved: Sequence[Floats], rest: slice
 ) -> MatrixResponse:
     """Return the matrix of responses from sweeps of one axis after another.
 
@@ -222,7 +222,9 @@ def response_of(
     return MatrixResponse(np.array([p.frequency_hz for p in parts]), found, np.sqrt(noise))
 
 
-def _stiffness(rig: AxesRig, parts: list[Part], runs: Sequence[Run]) -> tuple[Floats, float]:
+def _stiffness(
+    rig: AxesRig, parts: list[SineRows], runs: Sequence[SweepRun]
+) -> tuple[Floats, float]:
     """Return the stiffness along the interface, from forces and displacements of the slow sines."""
     axes = len(runs)
     slow = [part for part in parts if part.frequency_hz <= SLOW_HZ] or parts[:1]
@@ -271,7 +273,7 @@ def identified_rig(rig: AxesRig, result: AxesResult) -> AxesRig:
 
 
 def identify_axes(
-    move: Callable[[Floats], Floats], axes: int, sweep: Sweep | None = None
+    move: Callable[[Floats], Floats], axes: int, sweep: SweepPlan | None = None
 ) -> MatrixResponse:
     """Sweep every axis in turn while the others hold still, and return the response matrix.
 

@@ -19,17 +19,17 @@ from rthyb_rt.core.sparse import SparseConfig, Symmetric
 from rthyb_rt.errors import InputError, Problem, RthybError
 from rthyb_rt.lab import realtime, several
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.rig.commissioning.moving import AxesConnection, LimitError, StoppedError
+from rthyb_rt.rig.commissioning.guided_motion import AxesConnection, LimitError, StoppedError
 from rthyb_rt.rig.identify import (
-    Part,
     Progress,
-    Sweep,
+    SineRows,
+    SweepPlan,
     check,
     check_not_limited,
     check_read,
     command_of,
 )
-from rthyb_rt.rig.identify_axes import AxesResult, Run, result_of_runs, sweep_of
+from rthyb_rt.rig.identify_axes import AxesResult, SweepRun, result_of_runs, sweep_of
 
 if TYPE_CHECKING:
     from rthyb_rt.record.recording import Recording
@@ -41,7 +41,7 @@ _HEAVY_KG: Final = 1e15
 
 
 def identify_axes_live(
-    connection: AxesConnection, sweep: Sweep | None = None, progress: Progress | None = None
+    connection: AxesConnection, sweep: SweepPlan | None = None, progress: Progress | None = None
 ) -> AxesResult:
     """Sweep every axis in turn and determine what a test needs; delays include those of the links.
 
@@ -61,7 +61,7 @@ def identify_axes_live(
     check(sweep)
     _check_limits(rig, sweep.amplitude_m)
     command, parts = command_of(sweep, rig.rate)
-    runs, total = list[Run](), len(rig.names) * command.size
+    runs, total = list[SweepRun](), len(rig.names) * command.size
     for k, name in enumerate(rig.names):
 
         def report(done: int, _: int, before: int = k * command.size) -> None:
@@ -186,7 +186,7 @@ def _broken_off(rec: Recording, name: str, cause: str) -> RthybError:
     )
 
 
-def _run_of(rec: Recording, rig: AxesRig, name: str, parts: list[Part]) -> Run:
+def _run_of(rec: Recording, rig: AxesRig, name: str, parts: list[SineRows]) -> SweepRun:
     """Return the signals of a sweep.
 
     Raises:
@@ -204,4 +204,4 @@ def _run_of(rec: Recording, rig: AxesRig, name: str, parts: list[Part]) -> Run:
         check_read(read, parts)
     except InputError as error:
         raise InputError(f"the sweep of axis {name}: {error}") from error
-    return Run(fields["x_cmd_m"], fields["x_meas_m"], fields["f_meas_n"], read)
+    return SweepRun(fields["x_cmd_m"], fields["x_meas_m"], fields["f_meas_n"], read)

@@ -96,7 +96,7 @@ class Method:
 
 
 @dataclass(frozen=True)
-class Limits:
+class ClientLimits:
     """Limits for clients.
 
     Attributes:
@@ -307,7 +307,7 @@ class _Credits:
         limits: limits for clients.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: ClientLimits) -> None:
         self._limits = limits
         # The user with the most recent request comes last.
         self._left: dict[int, tuple[float, float]] = {}
@@ -343,7 +343,9 @@ class ControlServer:
         refused_connections, requests: numbers so far.
     """
 
-    def __init__(self, path: Path, dispatcher: Dispatcher, limits: Limits = Limits()) -> None:
+    def __init__(
+        self, path: Path, dispatcher: Dispatcher, limits: ClientLimits = ClientLimits()
+    ) -> None:
         self.path, self._dispatcher, self._limits = path, dispatcher, limits
         self.refused_connections = self.requests = 0
         self._by_user: Counter[int] = Counter()

@@ -29,7 +29,7 @@ from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.core import STATES
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.ground_motion.reading import MAX_DURATION_S
+from rthyb_rt.ground_motion.motion_files import MAX_DURATION_S
 from rthyb_rt.ground_motion.text import MAX_POINTS
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import RefusedError
@@ -37,9 +37,9 @@ from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.service import axes_status, disk, metrics, recorder, reloading, systemd
 from rthyb_rt.service.control import (
+    ClientLimits,
     ControlServer,
     Dispatcher,
-    Limits,
     Method,
     ReplyError,
 )
@@ -116,7 +116,7 @@ class Options:
     require_realtime: bool
     metrics: Path | None = None
     rights: Rights | None = None
-    limits: Limits = field(default_factory=Limits)
+    limits: ClientLimits = field(default_factory=ClientLimits)
 
 
 class Daemon:
@@ -651,7 +651,7 @@ def _clear_rests(folder: Path) -> None:
     """Delete the rings of daemons that were killed while at rest, to free their memory."""
     for path in ring.find(folder):
         with contextlib.suppress(RthybError, OSError, KeyError, TypeError):
-            with ring.Reader(path) as reader:
+            with ring.RingReader(path) as reader:
                 alive = reader.alive
             if not alive and _is_of_no_use(ring.session_path(path)):
                 ring.delete(path)

@@ -209,7 +209,7 @@ class Tape:
 
     def __init__(self, path: Path, folder: Path, session: Recording) -> None:
         self.path, self.run_id = path, str(session.meta["service"]["run_id"])
-        self.reader = ring.Reader(path)
+        self.reader = ring.RingReader(path)
         try:
             self.file = GrowingFile(folder, session)
             self._pending: list[ring.Rows] = []

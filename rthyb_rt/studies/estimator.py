@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, grouped, rms
+from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Study, StudyRow, grouped, rms
 
 PLANT = core.ServoConfig("first-order", roll_off_hz=31.42 / (2 * math.pi))
 """The paper's 31.42/(s + 31.42) with a zero-order hold: 0.03022/(z - 0.96978)."""
@@ -95,16 +95,16 @@ def study() -> Study:
     settled = settling_s(_between(reference["alpha"], 0, 60), mean)
     paper = "34"
     rows = [
-        Row("Settles to 2 % at γ = 1", settled, "s", 11, 13, "within 20 s"),
-        Row("Settles to 2 % at γ = 0.3",
+        StudyRow("Settles to 2 % at γ = 1", settled, "s", 11, 13, "within 20 s"),
+        StudyRow("Settles to 2 % at γ = 0.3",
             settling_s(_between(by_gain[0.3]["alpha"], 0, 60), mean), "s", 17.9, 20, "within 20 s"),
-        Row("Mean α, 20 to 60 s", mean, "samples", 32.96, 33.16, paper),
-        Row("Mean α, 20 to 60 s, one more unit delay in the measured path", mean_delayed, "samples",
-            33.88, 34.08, paper),
-        Row("Largest α at γ = 30, second half of the sweep",
+        StudyRow("Mean α, 20 to 60 s", mean, "samples", 32.96, 33.16, paper),
+        StudyRow("Mean α, 20 to 60 s, one more unit delay in the measured path", mean_delayed,
+            "samples", 33.88, 34.08, paper),
+        StudyRow("Largest α at γ = 30, second half of the sweep",
             float(_between(by_gain[30.0]["alpha"], 60, 120).max()), "samples", 100, None,
             "“a proper adaptive gain is tuned”"),
-        Row("Settles to 2 % with a logarithmic sweep, γ = 1",
+        StudyRow("Settles to 2 % with a logarithmic sweep, γ = 1",
             settling_s(slow_start["alpha"], float(_between(slow_start["alpha"], 90, 115).mean())),
             "s", 20, None, "within 20 s"),
     ]  # fmt: skip
@@ -129,7 +129,7 @@ def study() -> Study:
     )
 
 
-def _single_sines() -> list[Row]:
+def _single_sines() -> list[StudyRow]:
     cases = (
         ("pure delay 10", core.ServoConfig("pure-delay", delay_samples=10), 1.0, 0.3, 9.991, 0.02),
         ("pure delay 17", core.ServoConfig("pure-delay", delay_samples=17), 2.0, 0.1, 16.870, 0.02),
@@ -141,23 +141,23 @@ def _single_sines() -> list[Row]:
         law = printed(gain)
         alpha = track(plant, sine(frequency), law)["alpha"]
         rows.append(
-            Row(f"{name[0].upper()}{name[1:]}, {frequency:g} Hz, γ = {gain:g}",
+            StudyRow(f"{name[0].upper()}{name[1:]}, {frequency:g} Hz, γ = {gain:g}",
                 float(_between(alpha, 50, 60).mean()), "samples", expected - band, expected + band)
         )  # fmt: skip
     return rows
 
 
-def _side_by_side(command: Floats) -> list[Row]:
+def _side_by_side(command: Floats) -> list[StudyRow]:
     rows = []
     for name, law in CONTROLLERS.items():
         records = track(PLANT, command, law, lead_enabled=name != "none")
         late = slice(round(20 * core.FS_HZ), None)
         error = records["x_meas_m"][late] - records["x_num_m"][late]
         nrmse = 100 * rms(error) / rms(records["x_num_m"][late])
-        rows.append(Row("Tracking NRMSE from 20 s on", nrmse, "%", case=name))
+        rows.append(StudyRow("Tracking NRMSE from 20 s on", nrmse, "%", case=name))
         if name != "none":
             mean = float(_between(records["alpha"], 20, 60).mean())
-            rows.append(Row("Mean α, 20 to 60 s", mean, "samples", paper="34", case=name))
+            rows.append(StudyRow("Mean α, 20 to 60 s", mean, "samples", paper="34", case=name))
     return rows
 
 

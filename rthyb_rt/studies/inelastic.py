@@ -11,7 +11,7 @@ import numpy as np
 
 from rthyb_rt import core, ground_motion
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.studies.results import Curve, Floats, Panel, Row, Study, grouped, rms
+from rthyb_rt.studies.results import Curve, Floats, Panel, Study, StudyRow, grouped, rms
 
 MASS_KG, DAMPING_N_S_PER_M, K_N_PER_M = 30000.0, 15080.0, 4737410.0
 PERIOD_S = 0.5
@@ -64,7 +64,7 @@ def motion_config(integrator: core.Integrator) -> core.MotionConfig:
 
 
 @dataclass(frozen=True)
-class Case:
+class InelasticCase:
     """A way of running the test; ``law`` None: the command is not compensated."""
 
     law: core.LawConfig | None
@@ -88,7 +88,7 @@ def fixed(alpha: float) -> core.LawConfig:
     return core.LawConfig("paper", {"alpha0": alpha}, adapts=False)
 
 
-def simulate(case: Case, ag: Floats) -> core.RecordArray:
+def simulate(case: InelasticCase, ag: Floats) -> core.RecordArray:
     """Return the records of the hybrid test."""
     controller = core.Controller(
         core.ControllerConfig(
@@ -147,9 +147,9 @@ def largest_stable_delay(
     last = -1
     for delay in search:
         law = fixed(float(delay)) if compensated else None
-        x = simulate(Case(law, specimen=ELASTIC, delay=delay, integrator=integrator), push)[
-            "x_meas_m"
-        ]
+        x = simulate(
+            InelasticCase(law, specimen=ELASTIC, delay=delay, integrator=integrator), push
+        )["x_meas_m"]
         if x.size < push.size or rms(x[-x.size // 4 :]) > rms(x[x.size // 4 : x.size // 2]):
             break
         last = delay
@@ -157,12 +157,12 @@ def largest_stable_delay(
 
 
 COMPENSATIONS = {
-    "none": Case(None),
-    "RFC": Case(None, rfc=True),
-    "PLC": Case(adaptive()),
-    "PLC + RFC": Case(adaptive(), rfc=True),
-    "PLC α = 10": Case(fixed(10.0)),
-    "PLC α = 10 + RFC": Case(fixed(10.0), rfc=True),
+    "none": InelasticCase(None),
+    "RFC": InelasticCase(None, rfc=True),
+    "PLC": InelasticCase(adaptive()),
+    "PLC + RFC": InelasticCase(adaptive(), rfc=True),
+    "PLC α = 10": InelasticCase(fixed(10.0)),
+    "PLC α = 10 + RFC": InelasticCase(fixed(10.0), rfc=True),
 }
 INTEGRATORS: tuple[core.Integrator, ...] = (
     "forward-euler",
@@ -235,27 +235,27 @@ def _accumulated(r: core.RecordArray, x_exact: Floats) -> Floats:
     return np.asarray(np.cumsum(np.abs(r["x_meas_m"] - x_exact[: r.size])))
 
 
-def _test_rows(runs: dict[str, core.RecordArray], x_exact: Floats, ag: Floats) -> list[Row]:
+def _test_rows(runs: dict[str, core.RecordArray], x_exact: Floats, ag: Floats) -> list[StudyRow]:
     alpha = runs["PLC"]["alpha"]
     converged = np.nonzero(np.abs(alpha / alpha[-1] - 1.0) > 0.05)[0]
-    elastic = simulate(Case(None, specimen=ELASTIC), ag)["x_meas_m"]
+    elastic = simulate(InelasticCase(None, specimen=ELASTIC), ag)["x_meas_m"]
     past = np.nonzero(np.abs(elastic) > 0.1)[0]
     total = {name: float(_accumulated(runs[name], x_exact)[-1]) for name in ("PLC", "PLC + RFC")}
     return [
-        Row("Peak displacement of the exact solution", float(np.abs(x_exact).max()) * 1e3, "mm",
-            36.24, 36.44),
-        Row("Time after which α stays within 5 % of its final value",
+        StudyRow("Peak displacement of the exact solution", float(np.abs(x_exact).max()) * 1e3,
+            "mm", 36.24, 36.44),
+        StudyRow("Time after which α stays within 5 % of its final value",
             float(converged.max(initial=0)) / core.FS_HZ, "s", 12.3, 14.3,
             "“more than 12 seconds”"),
-        Row("α at the end, PLC", float(alpha[-1]), "samples", 9.93, 9.99, "the delay is 10"),
-        Row("Accumulated error, ratio of PLC to PLC + RFC", total["PLC"] / total["PLC + RFC"],
+        StudyRow("α at the end, PLC", float(alpha[-1]), "samples", 9.93, 9.99, "the delay is 10"),
+        StudyRow("Accumulated error, ratio of PLC to PLC + RFC", total["PLC"] / total["PLC + RFC"],
             "", 5, None, "“much larger”"),
-        Row("Elastic specimen, no compensation: passes 100 mm at",
+        StudyRow("Elastic specimen, no compensation: passes 100 mm at",
             float(past[0]) / core.FS_HZ if past.size else math.nan, "s", 11.0, 11.4),
     ]  # fmt: skip
 
 
-def _compensation_rows(runs: dict[str, core.RecordArray], x_exact: Floats) -> list[Row]:
+def _compensation_rows(runs: dict[str, core.RecordArray], x_exact: Floats) -> list[StudyRow]:
     totals = {"PLC": (21.5, 23.5), "PLC + RFC": (2.9, 3.7)}
     responses = {"none": (50.0, None), "PLC + RFC": (None, 1.0)}
     rows = []
@@ -264,31 +264,32 @@ def _compensation_rows(runs: dict[str, core.RecordArray], x_exact: Floats) -> li
         least, most = responses.get(name, (None, None))
         total = float(_accumulated(r, x_exact)[-1])
         found = [
-            Row("Accumulated error", total, "m", low, high, "“much larger” with PLC only"),
-            Row("Response NRMSE", _response(r, x_exact), "%", least, most,
+            StudyRow("Accumulated error", total, "m", low, high, "“much larger” with PLC only"),
+            StudyRow("Response NRMSE", _response(r, x_exact), "%", least, most,
                 "PLC agrees “rather well”"),
-            Row("Tracking NRMSE", _tracking(r), "%"),
+            StudyRow("Tracking NRMSE", _tracking(r), "%"),
         ]  # fmt: skip
         rows += [replace(row, case=name) for row in found]
     return rows
 
 
-def _gain_rows(ag: Floats, x_exact: Floats) -> list[Row]:
+def _gain_rows(ag: Floats, x_exact: Floats) -> list[StudyRow]:
     bands = {0.005: (None, None), 0.1: (None, 3.0), 0.3: (10.0, None)}
     return [
-        Row("Response NRMSE", _response(simulate(Case(adaptive(gain)), ag), x_exact), "%", low,
-            high, "“as long as a proper adaptive gain is tuned”", case=f"γ = {gain:g}")
+        StudyRow("Response NRMSE",
+            _response(simulate(InelasticCase(adaptive(gain)), ag), x_exact), "%", low, high,
+            "“as long as a proper adaptive gain is tuned”", case=f"γ = {gain:g}")
         for gain, (low, high) in bands.items()
     ]  # fmt: skip
 
 
-def _own_rows() -> list[Row]:
+def _own_rows() -> list[StudyRow]:
     damping = {"forward-euler": 1.3865}
     delays = {"forward-euler": (2, 34), "central-difference": (3, 39)}
 
-    def delay(name: core.Integrator, quantity: str, compensated: bool, search: range) -> Row:
+    def delay(name: core.Integrator, quantity: str, compensated: bool, search: range) -> StudyRow:
         expected = delays[name][compensated] if name in delays else None
-        return Row(
+        return StudyRow(
             quantity, largest_stable_delay(name, compensated, search), "samples",
             None if expected is None else expected - 1, None if expected is None else expected + 1,
         )  # fmt: skip
@@ -297,7 +298,7 @@ def _own_rows() -> list[Row]:
     for name in INTEGRATORS:
         expected = damping.get(name, 2.0)
         found = [
-            Row("Effective damping of the structure with 2 % nominal damping",
+            StudyRow("Effective damping of the structure with 2 % nominal damping",
                 100 * free_decay_ratio(name), "%", expected - 0.002, expected + 0.002, "2 %"),
             delay(name, "Longest stable delay, no compensation", False, range(8)),
             delay(name, "Longest stable delay, PLC", True, range(30, 48)),
@@ -306,7 +307,7 @@ def _own_rows() -> list[Row]:
     return rows
 
 
-def _controller_rows(ag: Floats) -> list[Row]:
+def _controller_rows(ag: Floats) -> list[StudyRow]:
     """Compare the controllers, all started 20 % off, as after a poor identification."""
     x_exact, _ = exact(ag, "central-difference")
     noise = 2e-6
@@ -318,7 +319,7 @@ def _controller_rows(ag: Floats) -> list[Row]:
     }
     rows = []
     for name, law in laws.items():
-        case = Case(
+        case = InelasticCase(
             law,
             rfc=law is not None,
             tangent="mean-of-ratios" if name == "paper" else "least-squares",
@@ -329,8 +330,8 @@ def _controller_rows(ag: Floats) -> list[Row]:
         r = simulate(case, ag)
         best = name == "alpha-beta"
         rows += [
-            Row("Tracking NRMSE", _tracking(r), "%", None, 0.05 if best else None, case=name),
-            Row("Response NRMSE", _response(r, x_exact), "%", None, 0.5 if best else None,
+            StudyRow("Tracking NRMSE", _tracking(r), "%", None, 0.05 if best else None, case=name),
+            StudyRow("Response NRMSE", _response(r, x_exact), "%", None, 0.5 if best else None,
                 case=name),
         ]  # fmt: skip
     return rows

@@ -16,7 +16,7 @@ Colour = Literal["black", "orange", "green", "blue", "red", "purple", "grey"]
 
 
 @dataclass(frozen=True)
-class Row:
+class StudyRow:
     """One figure of a study.
 
     Attributes:
@@ -104,18 +104,18 @@ class Study:
     key: str
     title: str
     text: str
-    rows: tuple[Row, ...]
+    rows: tuple[StudyRow, ...]
     panels: tuple[Panel, ...]
     ambiguities: tuple[str, ...] = field(default=())
     notice: str = ""
 
     @property
-    def banded(self) -> list[Row]:
+    def banded(self) -> list[StudyRow]:
         """Rows that have a band."""
         return [row for row in self.rows if row.inside is not None]
 
     @property
-    def missed(self) -> list[Row]:
+    def missed(self) -> list[StudyRow]:
         """Rows whose value is outside its band."""
         return [row for row in self.rows if row.inside is False]
 
@@ -130,11 +130,11 @@ class Line:
     quantity: str
     unit: str
     paper: str
-    cells: tuple[Row | None, ...]
+    cells: tuple[StudyRow | None, ...]
 
 
 @dataclass(frozen=True)
-class Table:
+class StudyTable:
     """The rows of one group; ``cases`` are the headings of the cells, () if nothing is compared."""
 
     title: str
@@ -152,20 +152,20 @@ class Table:
         return any(line.paper for line in self.lines)
 
 
-def grouped(group: str, rows: Iterable[Row], case: str = "") -> list[Row]:
+def grouped(group: str, rows: Iterable[StudyRow], case: str = "") -> list[StudyRow]:
     """Return the rows as part of a group, and of a case if one is given."""
     return [replace(row, group=group, case=case or row.case) for row in rows]
 
 
-def tables(study: Study) -> list[Table]:
+def tables(study: Study) -> list[StudyTable]:
     """Return the rows of a study as one table per group, with cases side by side."""
-    groups: dict[str, list[Row]] = {}
+    groups: dict[str, list[StudyRow]] = {}
     for row in study.rows:
         groups.setdefault(row.group, []).append(row)
     return [_table(group, rows) for group, rows in groups.items()]
 
 
-def _table(title: str, rows: list[Row]) -> Table:
+def _table(title: str, rows: list[StudyRow]) -> StudyTable:
     cases = tuple(dict.fromkeys(row.case for row in rows))
     lines = []
     for quantity in dict.fromkeys(row.quantity for row in rows):
@@ -175,17 +175,17 @@ def _table(title: str, rows: list[Row]) -> Table:
         lines.append(
             Line(quantity, unit, "; ".join(statements), tuple(cells.get(case) for case in cases))
         )
-    return Table(title, cases if cases != ("",) else (), tuple(lines))
+    return StudyTable(title, cases if cases != ("",) else (), tuple(lines))
 
 
-def value_text(row: Row) -> str:
+def value_text(row: StudyRow) -> str:
     """Return the value with four significant digits, a count without decimals."""
     if float(row.value).is_integer() and abs(row.value) < 1e5:
         return f"{row.value:.0f}".replace("-", "−")
     return number(row.value, 4)
 
 
-def band_text(row: Row) -> str:
+def band_text(row: StudyRow) -> str:
     """Return the accepted band, ``11 – 13``, ``≤ 0.25``; "" without one."""
     if row.low is not None and row.high is not None:
         if row.low == row.high:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, grouped
+from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Study, StudyRow, grouped
 
 GRID = 641
 SPAN = 8.0
@@ -34,8 +34,8 @@ def study() -> Study:
     clear = np.abs(radius - 1.0) > 1e-9  # exactly on the boundary, rounding decides
     disagree = int(np.count_nonzero(clear & (decided != (radius < 1.0))))
     rows = [
-        Row("Grid points where decision and root finding differ", disagree, "", 0, 0),
-        Row("Largest pole radius at W1 = 3, W2 = 2",
+        StudyRow("Grid points where decision and root finding differ", disagree, "", 0, 0),
+        StudyRow("Largest pole radius at W1 = 3, W2 = 2",
             float(largest_pole(np.array(3.0), np.array(2.0))), "", 0.5773, 0.5775,
             "“always within a unit circle”"),
     ]  # fmt: skip
@@ -55,23 +55,23 @@ def study() -> Study:
     )
 
 
-def _gain_rows() -> list[Row]:
+def _gain_rows() -> list[StudyRow]:
     """Return the gains with and without the curvature term."""
     expected = {"β = 0, Eqn 2.5": (35.0, 103.0), "β = α²/2": (324.0, 1837.0)}
     amplitudes = {1.0: 1.0053, 2.0: 1.0211, 5.0: 1.1255, 10.0: 1.4383}
-    rows: list[Row] = []
+    rows: list[StudyRow] = []
     for case, beta in LEADS.items():
         first, nyquist = expected[case]
         gains = [
-            Row("First-sample gain", float(core.Plc().run(np.array([1.0]), ALPHA, beta)[0]), "",
-                first - 0.01, first + 0.01),
-            Row("Gain at the Nyquist frequency", _gain(beta, core.FS_HZ / 2), "",
+            StudyRow("First-sample gain", float(core.Plc().run(np.array([1.0]), ALPHA, beta)[0]),
+                "", first - 0.01, first + 0.01),
+            StudyRow("Gain at the Nyquist frequency", _gain(beta, core.FS_HZ / 2), "",
                 nyquist - 0.01, nyquist + 0.01),
         ]  # fmt: skip
         for frequency, amplitude in amplitudes.items():
             banded = beta == 0.0
             gains.append(
-                Row(f"Amplitude behind a delay of 17 samples, {frequency:g} Hz",
+                StudyRow(f"Amplitude behind a delay of 17 samples, {frequency:g} Hz",
                     _gain(beta, frequency), "", amplitude - 1e-3 if banded else None,
                     amplitude + 1e-3 if banded else None, "“small but negligible” error")
             )  # fmt: skip

@@ -12,7 +12,7 @@ from rthyb_rt import config, core
 from rthyb_rt.analysis.summary import stiffness_shares
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Row, Study, grouped, rms
+from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Study, StudyRow, grouped, rms
 
 RIG = "shaking-table-portal-frame"
 WINDOWS = (0.2, 0.1, 0.05)
@@ -34,7 +34,7 @@ LOUD = {
 
 
 @dataclass(frozen=True)
-class Structure:
+class TableStructure:
     """One of the two structures of Table 5.1, with the paper's statements and expected values."""
 
     period_s: float
@@ -48,15 +48,15 @@ class Structure:
 
 
 STRUCTURES = (
-    Structure(
+    TableStructure(
         0.5, 4220.0, 2121.0, 0.04, 0.25,
         "all close to the exact solution", "the only one that is not close", 3.1,
     ),
-    Structure(1.0, 16880.0, 4242.0, 0.02, 0.20, "less than 0.8 mm", "", 10.4),
+    TableStructure(1.0, 16880.0, 4242.0, 0.02, 0.20, "less than 0.8 mm", "", 10.4),
 )  # fmt: skip
 
 
-def setup(structure: Structure, changes: dict[str, str]) -> experiment.Setup:
+def setup(structure: TableStructure, changes: dict[str, str]) -> experiment.Setup:
     """Return the hybrid test of one structure: the built-in test with changes as for ``--set``.
 
     Raises:
@@ -76,7 +76,7 @@ def setup(structure: Structure, changes: dict[str, str]) -> experiment.Setup:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CompletedTest:
     """A completed test with both benchmarks."""
 
     setup: experiment.Setup
@@ -115,10 +115,10 @@ class Outcome:
         return 1e3 * float(np.abs(self.x_meas - self.calibrated[: self.x_meas.size]).max())
 
 
-def perform(structure: Structure, changes: dict[str, str]) -> Outcome:
+def perform(structure: TableStructure, changes: dict[str, str]) -> CompletedTest:
     """Run one test and simulate both benchmarks."""
     prepared = setup(structure, changes)
-    return Outcome(
+    return CompletedTest(
         prepared,
         virtual_time.run(prepared),
         experiment.reference(prepared, table_forces=True)["x_ref_m"],
@@ -144,7 +144,7 @@ def cases() -> dict[str, dict[str, str]]:
 
 def study() -> Study:
     """Reproduce Section 5 on the virtual rig."""
-    rows: list[Row] = []
+    rows: list[StudyRow] = []
     panels: list[Panel] = []
     for structure in STRUCTURES:
         outcomes = {name: perform(structure, changes) for name, changes in cases().items()}
@@ -182,10 +182,12 @@ def study() -> Study:
 
 
 def _rows(
-    structure: Structure, outcomes: dict[str, Outcome], compared: dict[str, Outcome]
-) -> list[Row]:
+    structure: TableStructure,
+    outcomes: dict[str, CompletedTest],
+    compared: dict[str, CompletedTest],
+) -> list[StudyRow]:
     head = f"T = {structure.period_s:g} s"
-    rows: list[Row] = []
+    rows: list[StudyRow] = []
     windows = {name: outcome for name, outcome in outcomes.items() if "T0Δt" in name}
     for name, outcome in outcomes.items():
         if name not in windows:
@@ -196,7 +198,7 @@ def _rows(
         found = [
             *_measures(outcome, structure, banded=True),
             *_delays(outcome),
-            Row("Samples with tangent stiffness 0", 100 * float(np.mean(k == 0.0)), "%",
+            StudyRow("Samples with tangent stiffness 0", 100 * float(np.mean(k == 0.0)), "%",
                 paper="zero “when the structural responses are small”"),
         ]  # fmt: skip
         case = name.removeprefix("adaptive PLC + RFC, ")
@@ -209,7 +211,7 @@ def _rows(
     )
     for case, reference, least in benchmarks:
         found = [
-            Row("Response NRMSE", fixed.response(reference), "%", least, None,
+            StudyRow("Response NRMSE", fixed.response(reference), "%", least, None,
                 "the benchmark considers “the combined effects”"),
         ]  # fmt: skip
         rows += grouped(f"{head}: PLC α = 17, against two benchmarks", found, case)
@@ -221,32 +223,36 @@ def _rows(
     return rows
 
 
-def _measures(outcome: Outcome, structure: Structure, *, banded: bool) -> list[Row]:
+def _measures(outcome: CompletedTest, structure: TableStructure, *, banded: bool) -> list[StudyRow]:
     """Return the errors of a test; without compensation, the time at which a limit ended it."""
     if outcome.setup.test.controller.type == "none":
         ended = math.nan if outcome.completed else outcome.x_meas.size / core.FS_HZ
         return [
-            Row("Time at which the growing motion reaches a limit", ended, "s",
+            StudyRow("Time at which the growing motion reaches a limit", ended, "s",
                 structure.none_ends_s - 1.0, structure.none_ends_s + 1.0, structure.paper_none),
         ]  # fmt: skip
     return [
-        Row("Largest difference from the reference simulation", outcome.largest_mm(), "mm", None,
-            structure.worst_mm if banded else None, structure.paper_mm),
-        Row("Response NRMSE", outcome.response(outcome.calibrated), "%"),
-        Row("Tracking NRMSE", outcome.tracking(), "%"),
+        StudyRow("Largest difference from the reference simulation", outcome.largest_mm(), "mm",
+            None, structure.worst_mm if banded else None, structure.paper_mm),
+        StudyRow("Response NRMSE", outcome.response(outcome.calibrated), "%"),
+        StudyRow("Tracking NRMSE", outcome.tracking(), "%"),
     ]  # fmt: skip
 
 
-def _delays(outcome: Outcome) -> list[Row]:
+def _delays(outcome: CompletedTest) -> list[StudyRow]:
     alpha = outcome.rows["alpha"]
     paper, stated = "16 to 19", (16.0, 19.0)
     return [
-        Row("Smallest delay estimate", float(alpha.min()), "samples", paper=paper, stated=stated),
-        Row("Largest delay estimate", float(alpha.max()), "samples", paper=paper, stated=stated),
+        StudyRow(
+            "Smallest delay estimate", float(alpha.min()), "samples", paper=paper, stated=stated
+        ),
+        StudyRow(
+            "Largest delay estimate", float(alpha.max()), "samples", paper=paper, stated=stated
+        ),
     ]
 
 
-def _loud() -> list[Row]:
+def _loud() -> list[StudyRow]:
     """Run T = 0.5 s with 10 um and 20 N of noise, five seeds: where the printed law fails."""
     bands = {"paper": (None, 1.0), "robust": (16.0, 17.4), "alpha-beta": (16.4, 17.3)}
     rows = []
@@ -260,16 +266,22 @@ def _loud() -> list[Row]:
             tracking.append(outcome.tracking())
         worst = None if name == "paper" else 3.0
         rows += [
-            Row("Smallest delay estimate at the end", min(alphas), "samples", low, high, case=name),
-            Row("Largest delay estimate at the end", max(alphas), "samples", low, high, case=name),
-            Row("Largest response NRMSE", max(responses), "%", None, worst, case=name),
-            Row("Largest tracking NRMSE", max(tracking), "%", case=name),
+            StudyRow(
+                "Smallest delay estimate at the end", min(alphas), "samples", low, high, case=name
+            ),
+            StudyRow(
+                "Largest delay estimate at the end", max(alphas), "samples", low, high, case=name
+            ),
+            StudyRow("Largest response NRMSE", max(responses), "%", None, worst, case=name),
+            StudyRow("Largest tracking NRMSE", max(tracking), "%", case=name),
         ]
     return rows
 
 
 def _panels(
-    structure: Structure, outcomes: dict[str, Outcome], compared: dict[str, Outcome]
+    structure: TableStructure,
+    outcomes: dict[str, CompletedTest],
+    compared: dict[str, CompletedTest],
 ) -> list[Panel]:
     key = f"t{structure.period_s:g}".replace(".", "-")
     figure = "5.4" if structure.period_s == 0.5 else "5.5"
@@ -348,13 +360,13 @@ def _panels(
     ]  # fmt: skip
 
 
-def _at_peak(structure: Structure, t: Floats, x: Floats) -> tuple[float, float]:
+def _at_peak(structure: TableStructure, t: Floats, x: Floats) -> tuple[float, float]:
     """Return one and a half periods around the peak, s."""
     centre = float(t[np.argmax(np.abs(x))])
     return centre - 0.75 * structure.period_s, centre + 0.75 * structure.period_s
 
 
-def _shares(outcome: Outcome) -> tuple[Curve, ...]:
+def _shares(outcome: CompletedTest) -> tuple[Curve, ...]:
     """Return the fractions of the tangent stiffness at its bounds as stacked areas."""
     k_t = outcome.rows["k_t_n_per_m"]
     edges, shares = stiffness_shares(k_t, outcome.setup.derived.k_e_n_per_m, core.FS_HZ)
@@ -373,6 +385,6 @@ def _shares(outcome: Outcome) -> tuple[Curve, ...]:
     )  # fmt: skip
 
 
-def _curve(label: str, t: Floats, outcome: Outcome, field: str, factor: float) -> Curve:
+def _curve(label: str, t: Floats, outcome: CompletedTest, field: str, factor: float) -> Curve:
     values = outcome.rows[field]
     return Curve(label, t[: values.size], values * factor)

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rthyb_rt.benchmark import cases, runs, table
-from rthyb_rt.benchmark.runs import Outcome
-from rthyb_rt.benchmark.table import Line
+from rthyb_rt.benchmark import benchmark_runs, benchmark_table, cases
+from rthyb_rt.benchmark.benchmark_runs import RunOutcome
+from rthyb_rt.benchmark.benchmark_table import EntrantLine
 from rthyb_rt.campaign import pools
 
 LAW = "inverse"
@@ -55,7 +55,7 @@ class Goal:
 
 
 def goals(
-    usual: Sequence[Outcome], wide: Sequence[Outcome], yielding: Sequence[Outcome]
+    usual: Sequence[RunOutcome], wide: Sequence[RunOutcome], yielding: Sequence[RunOutcome]
 ) -> list[Goal]:
     """Return every goal with the measured figure.
 
@@ -65,24 +65,24 @@ def goals(
         yielding: plants with a yielding specimen.
     """
     found: list[Goal] = []
-    lines = table.lines(usual)
+    lines = benchmark_table.lines(usual)
     for line in lines:
         if line.motion == "elcentro" and (line.rate_hz, line.case) in GOALS:
             found += _of_line(line)
     found += _of_wide(wide)
-    bent = table.lines(yielding)
+    bent = benchmark_table.lines(yielding)
     for line in bent:
         found += [
             Goal(f"{line.rate_hz} Hz, case {line.case}, yielding: {key}", line.mean[key], most)
             for key, most in YIELDING[line.rate_hz].items()
         ]
-    unstable = sum(line.unstable for line in (*lines, *table.lines(wide), *bent))
+    unstable = sum(line.unstable for line in (*lines, *benchmark_table.lines(wide), *bent))
     count = len(usual) + len(wide) + len(yielding)
     found.append(Goal(f"unstable of {count} runs", unstable, 0))
     return found
 
 
-def _of_line(line: Line) -> Iterator[Goal]:
+def _of_line(line: EntrantLine) -> Iterator[Goal]:
     where = f"{line.rate_hz} Hz, case {line.case}: "
     for key, most in (GOALS[line.rate_hz, line.case] | EVERYWHERE).items():
         yield Goal(f"{where}{key}", line.mean[key], most)
@@ -90,11 +90,11 @@ def _of_line(line: Line) -> Iterator[Goal]:
         yield Goal(f"{where}{key}, worst less mean", line.worst[key] - line.mean[key], most)
 
 
-def _of_wide(outcomes: Sequence[Outcome]) -> Iterator[Goal]:
+def _of_wide(outcomes: Sequence[RunOutcome]) -> Iterator[Goal]:
     lengths: dict[tuple[int, int], list[float]] = {}
     for one in outcomes:
         if one.completed:
-            motion_m = np.std(runs.reference(runs.prepared(one.run))[0])
+            motion_m = np.std(benchmark_runs.reference(benchmark_runs.prepared(one.run))[0])
             kind = one.run.rate_hz, one.run.case
             lengths.setdefault(kind, []).append(one.figures["J2"] * motion_m)
     for (rate_hz, case), found in lengths.items():
@@ -107,11 +107,11 @@ def main() -> int:
     arguments = argparse.ArgumentParser()
     arguments.add_argument("--jobs", type=int, default=pools.processors())
     jobs = arguments.parse_args().jobs
-    rates, seeds = list(cases.RATES), runs.seeds_of(20)
-    usual = runs.planned([LAW], rates, list(cases.CASES), list(cases.MOTIONS), seeds)
-    wide = runs.planned([LAW], rates, [1, 4], ["elcentro"], seeds, width=3.0)
-    yielding = runs.planned([LAW], rates, [1], ["elcentro"], seeds, yielding=True)
-    found = goals(*(runs.measured(some, jobs) for some in (usual, wide, yielding)))
+    rates, seeds = list(cases.RATES), benchmark_runs.seeds_of(20)
+    usual = benchmark_runs.planned([LAW], rates, list(cases.CASES), list(cases.MOTIONS), seeds)
+    wide = benchmark_runs.planned([LAW], rates, [1, 4], ["elcentro"], seeds, width=3.0)
+    yielding = benchmark_runs.planned([LAW], rates, [1], ["elcentro"], seeds, yielding=True)
+    found = goals(*(benchmark_runs.measured(some, jobs) for some in (usual, wide, yielding)))
     for goal in found:
         verdict = "" if goal.met else "   MISSED"
         print(f"{goal.what:52} {goal.found:8.3f}  at most {goal.most:g}{verdict}")

@@ -25,7 +25,7 @@ SECONDS = 5.0
 TICKS = round(SECONDS * core.FS_HZ)
 
 
-def in_core() -> list[jitter.Result]:
+def in_core() -> list[jitter.JitterResult]:
     """Return the runs of `rthyb jitter`."""
     load, cpu = jitter.Load.built_in(), jitter.choose_cpu(jitter.machine_facts())
     return [jitter.measure(case, TICKS, load, cpu) for case in jitter.CASES]

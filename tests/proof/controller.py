@@ -28,7 +28,7 @@ from rthyb_rt import core
 from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.lab import jitter
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import Reader, Ring, default_folder
+from rthyb_rt.record.ring import Ring, RingReader, default_folder
 
 NEXT: dict[str, core.Command] = {
     "IDLE": "zero",
@@ -75,7 +75,7 @@ class Allocations:
 class Follower:
     """Sends heartbeats and reads every row from the ring, 50 times per second."""
 
-    def __init__(self, running: loop.Loop, reader: Reader) -> None:
+    def __init__(self, running: loop.Loop, reader: RingReader) -> None:
         self._loop, self._reader = running, reader
         self._done = threading.Event()
         self._thread = threading.Thread(target=self._follow)
@@ -139,7 +139,7 @@ def main(spec: dict[str, Any]) -> None:
         )
         ring = Ring.create(Path(folder), session)
         owned.callback(ring.remove)
-        reader = owned.enter_context(Reader(ring.path))
+        reader = owned.enter_context(RingReader(ring.path))
         awake = owned.enter_context(ticker.AwakeProcessors())
         running = loop.Loop(station, end, link, ring, spec["clock"])
         running.start(cpu=spec["cpu"], latency_fd=awake.fd)

@@ -20,7 +20,7 @@ def load() -> jitter.Load:
 
 @pytest.mark.parametrize("case", jitter.CASES, ids=lambda case: case.title)
 def test_wake_up_is_as_punctual_as_that_of_a_bare_thread(
-    case: jitter.Case, load: jitter.Load, note: Note
+    case: jitter.KindOfRun, load: jitter.Load, note: Note
 ) -> None:
     cpu = jitter.choose_cpu(jitter.machine_facts())
     result = jitter.measure(case, round(SECONDS * core.FS_HZ), load, cpu)

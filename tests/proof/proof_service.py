@@ -32,7 +32,7 @@ from rthyb_rt import config, core
 from rthyb_rt.core import ticker
 from rthyb_rt.lab import experiment, jitter
 from rthyb_rt.record import recording
-from rthyb_rt.record.ring import Reader
+from rthyb_rt.record.ring import RingReader
 from rthyb_rt.service import disk
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import record_of
@@ -211,7 +211,7 @@ def attempt(folder: Path, small: Path, disk_is: str) -> Found:
         run_id = start_test(socket)
         if disk_is == "full":
             fill(small)
-        owned.enter_context(Reader(status(socket)["ring"]))
+        owned.enter_context(RingReader(status(socket)["ring"]))
         crowd = [
             owned.enter_context(process(sys.executable, HERE / "crowd.py", socket, kind, count))
             for kind, count in CROWD

@@ -21,7 +21,7 @@ from stalls import Stalled
 from test_realtime_vcan import assert_stop_is_in_time, ip_at_hand, vcan
 
 from rthyb_rt import config
-from rthyb_rt.analysis import several, summary
+from rthyb_rt.analysis import several_axes, summary
 from rthyb_rt.core import loop
 from rthyb_rt.lab import realtime
 from rthyb_rt.record.recording import Recording
@@ -118,7 +118,7 @@ def assert_completed(rec: Recording, example: Example) -> None:
     assert np.count_nonzero(running) == IN_TWO_S
     # It went where it was to go: nothing but noise, latency and lost pairs is left.
     if example.axes:
-        off = [own.tracking_nrmse for own in several.summarize(rec).axes]
+        off = [own.tracking_nrmse for own in several_axes.summarize(rec).axes]
     else:
         off = [summary.summarize(rec).tracking_nrmse]
     assert max(off) < 0.25

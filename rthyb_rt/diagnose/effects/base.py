@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.config.fields import written
-from rthyb_rt.core.diagnosis_models import Motion
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose.case import Family, Model
 from rthyb_rt.errors import InputError
 
@@ -68,7 +68,7 @@ class Context:
     """
 
     model: Model
-    motion: Motion
+    motion: ComputedMotion
     t: Floats
     force: Floats
     other: dict[str, Floats]

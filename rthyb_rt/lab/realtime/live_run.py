@@ -18,7 +18,7 @@ from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.runs import Run
 from rthyb_rt.record import ring
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import Reader, Ring
+from rthyb_rt.record.ring import Ring, RingReader
 
 LOOK_BACK_TICKS: Final = 64
 GOOD_PAIRS: Final = 48
@@ -47,7 +47,7 @@ class Counted:
     ``axes``: those of each of several axes, ``{"wire", "link"}``; empty for one axis.
     """
 
-    ticks: ticker.Counts
+    ticks: ticker.TickCounts
     loop: dict[str, int]
     wire: dict[str, int]
     link: dict[str, int]
@@ -74,7 +74,7 @@ class LiveRun(Run):
     """
 
     ring: Ring
-    reader: Reader
+    reader: RingReader
     keeps: bool
     counted: Counted | None = None
     missed: list[list[int]] = field(default_factory=list)
@@ -118,7 +118,7 @@ class LiveRun(Run):
         run.bare.replay.codec = b"".join(codec.table for codec in given)
         filled = Ring.create(folder or ring.default_folder(), run.bare)
         try:
-            reader = Reader(filled.path)
+            reader = RingReader(filled.path)
         except BaseException:
             filled.remove()
             raise

@@ -45,7 +45,7 @@ _MAX_BYTES: Final = 10**6
 
 
 @dataclass(frozen=True)
-class Step:
+class CheckedStep:
     """The result of one step.
 
     Attributes:
@@ -87,9 +87,9 @@ class Certificate:
     link: str
     sample_rate_hz: int = STANDARD_RATE_HZ
     version: str = __version__
-    steps: dict[str, Step] = field(default_factory=dict)
+    steps: dict[str, CheckedStep] = field(default_factory=dict)
 
-    def with_step(self, step: Step) -> Certificate:
+    def with_step(self, step: CheckedStep) -> Certificate:
         """Return a copy with this step added or replaced."""
         return replace(self, steps={**self.steps, step.name: step})
 
@@ -240,11 +240,13 @@ def read(path: Path) -> Certificate:
         ) from error
 
 
-def _step(name: str, data: dict[str, Any]) -> Step:
+def _step(name: str, data: dict[str, Any]) -> CheckedStep:
     if name not in STEPS or data["passed"] not in (True, False, None):
         raise ValueError(f"step {name!r}")
     date = datetime.datetime.fromisoformat(data["date"]).isoformat(timespec="seconds")
-    return Step(name, data["passed"], date, dict(data["figures"]), tuple(map(str, data["faults"])))
+    return CheckedStep(
+        name, data["passed"], date, dict(data["figures"]), tuple(map(str, data["faults"]))
+    )
 
 
 def find(

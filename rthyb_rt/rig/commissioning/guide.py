@@ -13,13 +13,13 @@ from rthyb_rt import core
 from rthyb_rt.core import FLAGS
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
-from rthyb_rt.rig.commissioning import limits, polarity, stops
-from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate, Step, now, rig_hash
-from rthyb_rt.rig.commissioning.moving import (
+from rthyb_rt.rig.commissioning import limit_checks, polarity, stops
+from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate, CheckedStep, now, rig_hash
+from rthyb_rt.rig.commissioning.guided_motion import (
     ATTEMPTS,
     Connection,
-    Motion,
-    Moved,
+    GuidedMotion,
+    MotionResult,
     Rows,
     bring_back,
     check_distance,
@@ -38,7 +38,7 @@ _PANEL: Final = "release the drive at its own panel, because its frames have no 
 
 
 @dataclass(frozen=True)
-class Plan:
+class CommissioningSettings:
     """Settings of a commissioning.
 
     Attributes:
@@ -58,7 +58,7 @@ class Plan:
 
 def commission(
     connection: Connection,
-    plan: Plan,
+    plan: CommissioningSettings,
     known: Certificate | None = None,
     keep: Callable[[Certificate], None] = lambda _: None,
     axis: str = "",
@@ -107,7 +107,7 @@ def commission(
     return certificate
 
 
-def _print_step(plan: Plan, step: Step) -> None:
+def _print_step(plan: CommissioningSettings, step: CheckedStep) -> None:
     words = {True: "passed", False: "FAILED", None: "could not be checked"}[step.passed]
     plan.tell(f"{step.name}: {words}")
     for fault in step.faults:
@@ -117,7 +117,7 @@ def _print_step(plan: Plan, step: Step) -> None:
 # ---- link ---------------------------------------------------------------------------------------
 
 
-def _link(connection: Connection, plan: Plan) -> Step | None:
+def _link(connection: Connection, plan: CommissioningSettings) -> CheckedStep | None:
     if not plan.allowed(
         "Before you agree, reduce the hydraulic pressure, or the drive's current limit, and limit "
         "the free travel: if displacement and command disagree on the wire, the drive jumps as "
@@ -126,11 +126,11 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
         return None
     # Lost pairs are counted and judged below, not tolerated silently.
     counted = {"lost_pairs": core.Watch(1.0 - FRESH_SHARE, "indicate")}
-    rest = Motion("rest", np.zeros(connection.rig.rate.ticks(REST_S)), counted)
+    rest = GuidedMotion("rest", np.zeros(connection.rig.rate.ticks(REST_S)), counted)
     try:
         moved = undisturbed(connection, rest)
     except InputError as error:
-        return Step("link", False, now(), faults=(str(error),))
+        return CheckedStep("link", False, now(), faults=(str(error),))
     figures = rest_figures(moved)
     faults = []
     if moved.cause != "completed":
@@ -156,10 +156,10 @@ def _link(connection: Connection, plan: Plan) -> Step | None:
         faults.append(
             f"the drive sends {rate:.1f} samples per second, but {wanted_hz:g} are needed"
         )
-    return Step("link", not faults, now(), figures, tuple(faults))
+    return CheckedStep("link", not faults, now(), figures, tuple(faults))
 
 
-def rest_figures(moved: Moved) -> dict[str, Any]:
+def rest_figures(moved: MotionResult) -> dict[str, Any]:
     """Return what a motion that stays at rest reveals about the link and the sensors."""
     rows = moved.running
     executed = rows[(rows["flags"] & FLAGS["blind"]) == 0]
@@ -193,11 +193,11 @@ def _rate(received: Rows) -> float | None:
 # ---- polarity -----------------------------------------------------------------------------------
 
 
-def _polarity(connection: Connection, plan: Plan) -> Step | None:
+def _polarity(connection: Connection, plan: CommissioningSettings) -> CheckedStep | None:
     question = f"Move by {plan.distance_m * 1e3:g} mm and back, at 1 mm/s, to see both signs?"
     if not plan.allowed(question):
         return None
-    moved = undisturbed(connection, limits.small_motion(connection.rig, plan.distance_m))
+    moved = undisturbed(connection, limit_checks.small_motion(connection.rig, plan.distance_m))
     verdict = polarity.judge(connection.rig, moved)
     faults = list(verdict.faults)
     if moved.cause != "completed":
@@ -210,20 +210,20 @@ def _polarity(connection: Connection, plan: Plan) -> Step | None:
         "stiffness_n_per_m": verdict.stiffness_n_per_m,
     }
     bring_back(connection, moved)
-    return Step("polarity", not faults, now(), figures, tuple(faults))
+    return CheckedStep("polarity", not faults, now(), figures, tuple(faults))
 
 
 # ---- limits -------------------------------------------------------------------------------------
 
 
-def _limits(connection: Connection, plan: Plan) -> Step | None:
+def _limits(connection: Connection, plan: CommissioningSettings) -> CheckedStep | None:
     if connection.rig.limits.command_velocity_m_per_s is None:
         plan.tell(
             "limits.command_velocity_m_per_s is missing in the rig file: each test will be "
             "limited to a velocity derived from its own reference simulation; it is better to "
             "state a limit for this rig"
         )
-    checks = limits.check_all(connection, plan.distance_m, plan.allowed)
+    checks = limit_checks.check_all(connection, plan.distance_m, plan.allowed)
     if all(check.reason == "not allowed" for check in checks):
         return None
     faults = [f"limits.{check.key} {check.fault}" for check in checks if check.fault]
@@ -234,13 +234,13 @@ def _limits(connection: Connection, plan: Plan) -> Step | None:
         "checked": [check.as_json() for check in checks if not check.reason],
         "not_checked": {check.key: check.reason for check in checks if check.reason},
     }
-    return Step("limits", not faults, now(), figures, tuple(faults))
+    return CheckedStep("limits", not faults, now(), figures, tuple(faults))
 
 
 # ---- the drive's own stop -----------------------------------------------------------------------
 
 
-def _watchdog(connection: Connection, plan: Plan) -> Step | None:
+def _watchdog(connection: Connection, plan: CommissioningSettings) -> CheckedStep | None:
     codec = connection.opened.codec
     after = "is reset" if codec.has_reset else "is released at its own panel"
     allowed = stops.watchdog_ticks(connection)
@@ -270,7 +270,7 @@ def _watchdog(connection: Connection, plan: Plan) -> Step | None:
     if stop.stays and not codec.has_reset:
         plan.tell(f"  {_PANEL}")
     figures = {"drive_ticks": stop.ticks, "stays_stopped": stop.stays, "reset": stop.released}
-    return Step("watchdog", not faults, now(), figures, tuple(faults))
+    return CheckedStep("watchdog", not faults, now(), figures, tuple(faults))
 
 
 def _follows_again(stop: stops.Stop) -> list[str]:
@@ -291,7 +291,7 @@ def _follows_again(stop: stops.Stop) -> list[str]:
     return []
 
 
-def _trip(connection: Connection, plan: Plan) -> Step | None:
+def _trip(connection: Connection, plan: CommissioningSettings) -> CheckedStep | None:
     if not plan.allowed("Trip, at rest? The drive should stop at once."):
         return None
     stop = stops.trip(connection)
@@ -307,7 +307,7 @@ def _trip(connection: Connection, plan: Plan) -> Step | None:
         stops.release(connection)
     elif stop.stopped:
         plan.tell(f"  {_PANEL}")
-    return Step("trip", not faults, now(), {"drive_ticks": stop.ticks}, tuple(faults))
+    return CheckedStep("trip", not faults, now(), {"drive_ticks": stop.ticks}, tuple(faults))
 
 
 def _late(stop: stops.Stop, allowed: int, since: str) -> list[str]:
@@ -323,7 +323,7 @@ def _late(stop: stops.Stop, allowed: int, since: str) -> list[str]:
     ]
 
 
-def _witnessed(plan: Plan, name: str, question: str) -> Step:
+def _witnessed(plan: CommissioningSettings, name: str, question: str) -> CheckedStep:
     """Return what the operator has seen of a drive whose frames contain no status."""
     seen = plan.witness(question)
     plan.tell(f"  {_PANEL}")
@@ -335,10 +335,10 @@ def _witnessed(plan: Plan, name: str, question: str) -> Step:
             "nobody was asked: make this check in a terminal, without --yes",
         ),
     }[seen]
-    return Step(name, seen, now(), {} if seen is None else {"seen_by": "operator"}, faults)
+    return CheckedStep(name, seen, now(), {} if seen is None else {"seen_by": "operator"}, faults)
 
 
-_MADE: Final[dict[str, Callable[[Connection, Plan], Step | None]]] = {
+_MADE: Final[dict[str, Callable[[Connection, CommissioningSettings], CheckedStep | None]]] = {
     "link": _link,
     "polarity": _polarity,
     "limits": _limits,

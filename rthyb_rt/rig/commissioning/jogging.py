@@ -7,10 +7,10 @@ from typing import Any
 
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.rig.commissioning import polarity
-from rthyb_rt.rig.commissioning.moving import (
+from rthyb_rt.rig.commissioning.guided_motion import (
     GENTLE_M_PER_S,
     Connection,
-    Motion,
+    GuidedMotion,
     carry_out,
     check_distance,
     check_limits,
@@ -30,7 +30,8 @@ class Jogged:
         stiffness_n_per_m: change of force over change of displacement; None if either is too small.
         state, cause, end_reason: how it ended, as in a recording.
         faults: what is wrong with sensors or command, with the remedy.
-        reversed: whether a sign is wrong, see `rthyb_rt.rig.commissioning.polarity.Verdict`.
+        reversed: whether a sign is wrong, see
+            `rthyb_rt.rig.commissioning.polarity.PolarityVerdict`.
     """
 
     asked_m: float
@@ -73,7 +74,7 @@ def jog(
         connection: the rig.
         distance_m: signed, in the coordinates of the structure.
         speed_m_per_s: greatest speed on the way.
-        operator, progress: as in `rthyb_rt.rig.commissioning.moving.carry_out`.
+        operator, progress: as in `rthyb_rt.rig.commissioning.guided_motion.carry_out`.
 
     Raises:
         InputError: the rig file has no limit on position or force, or there is no feedback.
@@ -91,7 +92,7 @@ def jog(
         )
     rate = connection.rig.rate
     path = with_rests(eased(distance_m, speed_m_per_s, acceleration, rate), rate=rate)
-    moved = carry_out(connection, Motion("jog", path), operator=operator, progress=progress)
+    moved = carry_out(connection, GuidedMotion("jog", path), operator=operator, progress=progress)
     verdict = polarity.judge(connection.rig, moved)
     # A motion that had barely begun reveals nothing about signs.
     conclusive = abs(moved.commanded_m) > moved.certain("x_meas_m")

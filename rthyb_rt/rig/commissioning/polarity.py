@@ -7,14 +7,14 @@ from typing import Final
 
 from rthyb_rt.config import RigFile
 from rthyb_rt.config.rigfile import DisplacementChannel
-from rthyb_rt.rig.commissioning.moving import Moved
+from rthyb_rt.rig.commissioning.guided_motion import MotionResult
 
 SLOPE_TOLERANCE: Final = 0.2
 """Allowed deviation of displacement/command from 1; shaft and amplifier contribute to it."""
 
 
 @dataclass(frozen=True)
-class Verdict:
+class PolarityVerdict:
     """Result of a slow motion.
 
     Attributes:
@@ -35,7 +35,7 @@ class Verdict:
         return not self.faults
 
 
-def judge(rig: RigFile, moved: Moved) -> Verdict:
+def judge(rig: RigFile, moved: MotionResult) -> PolarityVerdict:
     """Judge a motion that has come to rest."""
     command_m, x_m, f_n = moved.commanded_m, moved.moved_m, moved.change_n
     slope = x_m / command_m if abs(command_m) > 0.0 else 0.0
@@ -72,7 +72,7 @@ def judge(rig: RigFile, moved: Moved) -> Verdict:
         )
     seen = abs(x_m) > moved.certain("x_meas_m")
     backwards = seen and (slope < 0.0 or (stiffness is not None and stiffness < 0.0))
-    return Verdict(slope, stiffness, tuple(faults), backwards)
+    return PolarityVerdict(slope, stiffness, tuple(faults), backwards)
 
 
 def force_remedy(rig: RigFile) -> str:

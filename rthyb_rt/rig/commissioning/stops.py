@@ -22,10 +22,10 @@ from rthyb_rt.core.wire import DEVICE_STOPPED, VERDICTS, Feedback
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.lab.realtime import FEEDBACK_S, RefusedError, Session
-from rthyb_rt.rig.commissioning.moving import (
+from rthyb_rt.rig.commissioning.guided_motion import (
     ATTEMPTS,
     Connection,
-    Motion,
+    GuidedMotion,
     Rows,
     command_numbers,
     fresh,
@@ -141,7 +141,7 @@ def at_rest(connection: Connection) -> Iterator[Session]:
 
 @contextmanager
 def _begun(connection: Connection) -> Iterator[Session]:
-    motion = Motion("at-rest", np.zeros(1))
+    motion = GuidedMotion("at-rest", np.zeros(1))
     setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
     with Session(
         setup,
@@ -253,7 +253,7 @@ def _by_trip(connection: Connection) -> Stop:
 def after_trip(rows: Rows, before: int = 0) -> Stop:
     """Return what the drive did after a trip, from all rows of a session, (n,).
 
-    ``before``: as in `rthyb_rt.rig.commissioning.moving.command_numbers`.
+    ``before``: as in `rthyb_rt.rig.commissioning.guided_motion.command_numbers`.
     """
     tripped = (rows["state"] == STATES.index("TRIPPED")) & (
         (rows["flags"] & FLAGS["not_sent"]) == 0

@@ -18,7 +18,7 @@ from rthyb_rt.core.sizes import STANDARD_RATE_HZ
 from rthyb_rt.core.wire import ID_EXTENDED, Codec
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import locks, netlink
-from rthyb_rt.rig.links.netlink import Interface
+from rthyb_rt.rig.links.netlink import NetworkInterface
 from rthyb_rt.rig.links.opened import Opened, Owned, Side, bit_rate
 
 CAN_RAW_ERR_FILTER: Final = 2
@@ -106,7 +106,7 @@ def _no_sockets(error: OSError) -> str:
     return f"no CAN socket can be opened: {error.strerror}"
 
 
-def find(channel: str, interfaces: dict[str, Interface]) -> Interface:
+def find(channel: str, interfaces: dict[str, NetworkInterface]) -> NetworkInterface:
     """Return an interface by name; InputError if it does not exist or is not CAN."""
     found = interfaces.get(channel)
     if found is not None and found.is_can:
@@ -120,7 +120,7 @@ def find(channel: str, interfaces: dict[str, Interface]) -> Interface:
 
 
 def check(
-    interface: Interface, bitrate: int | None, fd: bool, data_bitrate: int | None = None
+    interface: NetworkInterface, bitrate: int | None, fd: bool, data_bitrate: int | None = None
 ) -> None:
     """Raise InputError with every fault of an interface and its remedy.
 
@@ -137,7 +137,7 @@ def check(
 
 
 def _wrong(
-    interface: Interface, bitrate: int | None, fd: bool, data_bitrate: int | None
+    interface: NetworkInterface, bitrate: int | None, fd: bool, data_bitrate: int | None
 ) -> Iterator[str]:
     if not interface.up:
         yield "the interface is down"
@@ -161,7 +161,9 @@ def _wrong(
         yield f"CAN FD is off (its frames have {interface.mtu} bytes, {CANFD_MTU} are needed)"
 
 
-def _remedy(interface: Interface, bitrate: int | None, fd: bool, data_bitrate: int | None) -> str:
+def _remedy(
+    interface: NetworkInterface, bitrate: int | None, fd: bool, data_bitrate: int | None
+) -> str:
     name = interface.name
     lines = [f"sudo ip link set {name} down"] if interface.up else []
     if interface.driver != "can":
@@ -178,7 +180,7 @@ def _remedy(interface: Interface, bitrate: int | None, fd: bool, data_bitrate: i
     return "; ".join([*lines, f"sudo ip link set {name} up {options}"])
 
 
-def check_load(interface: Interface, codec: Codec, rate_hz: int = STANDARD_RATE_HZ) -> None:
+def check_load(interface: NetworkInterface, codec: Codec, rate_hz: int = STANDARD_RATE_HZ) -> None:
     """Raise InputError if the frames of a sample leave too little of the bus free."""
     if interface.bitrate is None:
         return
@@ -256,7 +258,7 @@ def _discard(sock: socket.socket) -> None:
             sock.recv(CANFD_MTU, socket.MSG_DONTWAIT)
 
 
-def _name(interface: Interface) -> str:
+def _name(interface: NetworkInterface) -> str:
     if interface.driver in ("vcan", "vxcan"):
         return f"{interface.name}, virtual CAN"
     if interface.bitrate is None:
@@ -264,7 +266,9 @@ def _name(interface: Interface) -> str:
     return f"{interface.name}, CAN {bit_rate(interface.bitrate)}"
 
 
-def _facts(interface: Interface, codec: Codec, sock: socket.socket, rate_hz: int) -> dict[str, Any]:
+def _facts(
+    interface: NetworkInterface, codec: Codec, sock: socket.socket, rate_hz: int
+) -> dict[str, Any]:
     rate, frames = interface.bitrate, busload.frames_of(codec)
     load = busload.bus_load(frames, rate, interface.data_bitrate, rate_hz=rate_hz) if rate else None
     facts = {

@@ -15,7 +15,7 @@ BITRATE_UNKNOWN: Final = 2**32 - 1
 
 
 @dataclass(frozen=True)
-class Interface:
+class NetworkInterface:
     """A network interface; ``None`` for what the kernel does not report.
 
     Attributes:
@@ -45,7 +45,7 @@ class Interface:
     listen_only: bool = False
 
 
-def interfaces() -> dict[str, Interface]:
+def interfaces() -> dict[str, NetworkInterface]:
     """Return every network interface by name.
 
     Raises:
@@ -64,16 +64,16 @@ def interfaces() -> dict[str, Interface]:
         ) from error
 
 
-def by_name(links: Iterable[Any]) -> dict[str, Interface]:
+def by_name(links: Iterable[Any]) -> dict[str, NetworkInterface]:
     """Return interfaces by name, from the kernel's messages as pyroute2 decodes them."""
     return {found.name: found for found in map(_interface, links)}
 
 
-def _interface(link: Any) -> Interface:
+def _interface(link: Any) -> NetworkInterface:
     info = link.get_attr("IFLA_LINKINFO")
     driver = info.get_attr("IFLA_INFO_KIND") if info else None
     data = info.get_attr("IFLA_INFO_DATA") if info and driver == "can" else None
-    return Interface(
+    return NetworkInterface(
         name=str(link.get_attr("IFLA_IFNAME")),
         is_can=link["ifi_type"] == ARPHRD_CAN,
         driver=driver or "",

@@ -8,25 +8,31 @@ controller, at the other end of a socket pair.
 from rthyb_rt.rig.virtual_rig.companion import Companion
 from rthyb_rt.rig.virtual_rig.faulty import parse_mishaps
 from rthyb_rt.rig.virtual_rig.faulty import run as run_faulty
-from rthyb_rt.rig.virtual_rig.lines import (
-    Line,
-    OpenedLine,
-    inherited_line,
-    line_of,
-    lines_of,
-    pty_line,
+from rthyb_rt.rig.virtual_rig.rig_plan import (
+    DRIFT_MAX_PPM,
+    FAULT_KINDS,
+    POWER_CUT,
+    RigPlan,
+    parse_faults,
 )
-from rthyb_rt.rig.virtual_rig.plan import DRIFT_MAX_PPM, FAULT_KINDS, POWER_CUT, Plan, parse_faults
 from rthyb_rt.rig.virtual_rig.serving import (
     LOG_SECONDS,
     LOG_SUFFIXES,
-    Result,
-    Stop,
+    RigResult,
+    StopRequest,
     drive_of,
     drives_of,
     in_step,
     serve,
     write_log,
+)
+from rthyb_rt.rig.virtual_rig.wire_ends import (
+    OpenedLine,
+    WireEnd,
+    inherited_line,
+    line_of,
+    lines_of,
+    pty_line,
 )
 
 __all__ = [
@@ -36,11 +42,11 @@ __all__ = [
     "LOG_SUFFIXES",
     "POWER_CUT",
     "Companion",
-    "Line",
     "OpenedLine",
-    "Plan",
-    "Result",
-    "Stop",
+    "RigPlan",
+    "RigResult",
+    "StopRequest",
+    "WireEnd",
     "drive_of",
     "drives_of",
     "in_step",

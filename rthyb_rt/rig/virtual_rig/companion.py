@@ -13,9 +13,9 @@ from typing import Any, Final
 from rthyb_rt import config
 from rthyb_rt.config import AxesRig, Rate, RigFile
 from rthyb_rt.errors import RthybError
-from rthyb_rt.rig.virtual_rig.lines import inherited_line
-from rthyb_rt.rig.virtual_rig.plan import Plan
-from rthyb_rt.rig.virtual_rig.serving import Stop, serve
+from rthyb_rt.rig.virtual_rig.rig_plan import RigPlan
+from rthyb_rt.rig.virtual_rig.serving import StopRequest, serve
+from rthyb_rt.rig.virtual_rig.wire_ends import inherited_line
 
 _PEER_PATIENCE_S: Final = 20.0
 
@@ -99,9 +99,9 @@ def be_companion() -> None:
     order = json.loads(sys.stdin.readline())
     rig = config.parse_any_rig(order["rig_toml"], "rig")
     lines = [inherited_line(int(fd)) for fd in order["fds"]]
-    stop = Stop()
+    stop = StopRequest()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
-    plan = Plan(rate=Rate(float(order["rate_hz"])))
+    plan = RigPlan(rate=Rate(float(order["rate_hz"])))
     result = serve(rig, lines, plan, stop=stop, ready=lambda: print("ready", flush=True))
     # The reader may have been killed.
     with contextlib.suppress(BrokenPipeError):

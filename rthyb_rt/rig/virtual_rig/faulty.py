@@ -13,7 +13,7 @@ from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.virtual_time import HOLD_S
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig.links import opening
-from rthyb_rt.rig.virtual_rig.plan import Plan, parse_faults
+from rthyb_rt.rig.virtual_rig.rig_plan import RigPlan, parse_faults
 from rthyb_rt.rig.virtual_rig.serving import in_step
 
 
@@ -59,7 +59,7 @@ def run(
         setup = dataclasses.replace(setup, group=group)
     names = setup.axis_names
     ours, theirs = opening.socket_pairs(names) if names else opening.socket_pair()
-    with ours, theirs, in_step(setup.rig_file, theirs, Plan(rate=setup.rate)) as drive:
+    with ours, theirs, in_step(setup.rig_file, theirs, RigPlan(rate=setup.rate)) as drive:
         # A fault that is out of range is refused now, not in the middle of the test.
         drive.schedule(faults)
         drive.schedule(())

@@ -23,8 +23,8 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_rig, experiment, extras
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.rig.links.opened import Opened
-from rthyb_rt.rig.virtual_rig.lines import Line
-from rthyb_rt.rig.virtual_rig.plan import NO_PLAN, Plan
+from rthyb_rt.rig.virtual_rig.rig_plan import NO_PLAN, RigPlan
+from rthyb_rt.rig.virtual_rig.wire_ends import WireEnd
 
 LOG_SECONDS: Final = 600.0
 """Length of the drive log if the duration of the run is not known."""
@@ -36,7 +36,7 @@ Drives = loop.Drive | loop.Drives
 """The drive of a rig, or those of all its axes."""
 
 
-class Stop:
+class StopRequest:
     """A request to end a rig; it may be set from a signal handler at any instant.
 
     It takes no lock: `threading.Event.set` would wait forever for the lock that the interrupted
@@ -56,7 +56,7 @@ class Stop:
 
 
 @dataclass(frozen=True)
-class Result:
+class RigResult:
     """Summary of the run of a virtual rig.
 
     Attributes:
@@ -106,13 +106,13 @@ class _Watcher:
             self._followed[k] = follows
 
 
-def rate_of(rig: RigFile | AxesRig, plan: Plan) -> Rate:
+def rate_of(rig: RigFile | AxesRig, plan: RigPlan) -> Rate:
     """Return the sample rate of a virtual rig."""
     return rig.rate if plan.rate is None else plan.rate
 
 
 def drives_of(
-    rig: AxesRig, codecs: Sequence[wire.Codec], links: Sequence[loop.Link], plan: Plan
+    rig: AxesRig, codecs: Sequence[wire.Codec], links: Sequence[loop.Link], plan: RigPlan
 ) -> loop.Drives:
     """Return the drive of each axis of a rig file, each at its end of its link.
 
@@ -145,7 +145,7 @@ def drives_of(
 
 
 def _drives_at(
-    rig: RigFile | AxesRig, ends: Sequence[tuple[wire.Codec, loop.Link]], plan: Plan
+    rig: RigFile | AxesRig, ends: Sequence[tuple[wire.Codec, loop.Link]], plan: RigPlan
 ) -> Drives:
     if isinstance(rig, AxesRig):
         return drives_of(rig, [codec for codec, _ in ends], [link for _, link in ends], plan)
@@ -153,7 +153,7 @@ def _drives_at(
     return drive_of(rig, codec, link, plan)
 
 
-def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> loop.Drive:
+def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: RigPlan) -> loop.Drive:
     """Return the drive of a rig file at its end of a link.
 
     Raises:
@@ -176,18 +176,18 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: Plan) -> lo
 
 @overload
 def in_step(
-    rig: RigFile, opened: Opened, plan: Plan = NO_PLAN
+    rig: RigFile, opened: Opened, plan: RigPlan = NO_PLAN
 ) -> contextlib.AbstractContextManager[loop.Drive]: ...
 
 
 @overload
 def in_step(
-    rig: RigFile | AxesRig, opened: Opened, plan: Plan = NO_PLAN
+    rig: RigFile | AxesRig, opened: Opened, plan: RigPlan = NO_PLAN
 ) -> contextlib.AbstractContextManager[Drives]: ...
 
 
 @contextlib.contextmanager
-def in_step(rig: RigFile | AxesRig, opened: Opened, plan: Plan = NO_PLAN) -> Iterator[Any]:
+def in_step(rig: RigFile | AxesRig, opened: Opened, plan: RigPlan = NO_PLAN) -> Iterator[Any]:
     """Yield a drive that ticks when the caller asks: for the stepped clock, not in real time.
 
     For a rig of several axes, yield the drives of all.
@@ -207,11 +207,11 @@ def in_step(rig: RigFile | AxesRig, opened: Opened, plan: Plan = NO_PLAN) -> Ite
 
 def serve(
     rig: RigFile | AxesRig,
-    line: Line | Sequence[Line],
-    plan: Plan = NO_PLAN,
-    stop: Stop | None = None,
+    line: WireEnd | Sequence[WireEnd],
+    plan: RigPlan = NO_PLAN,
+    stop: StopRequest | None = None,
     ready: Callable[[], None] = lambda: None,
-) -> Result:
+) -> RigResult:
     """Run a virtual rig until it is stopped, its time is over, or the other end is gone.
 
     Args:
@@ -224,8 +224,8 @@ def serve(
     Raises:
         CoreError: the rig, the drift or a fault is invalid.
     """
-    stop = stop or Stop()
-    lines = (line,) if isinstance(line, Line) else tuple(line)
+    stop = stop or StopRequest()
+    lines = (line,) if isinstance(line, WireEnd) else tuple(line)
     names = rig.names if isinstance(rig, AxesRig) else ("",)
     with contextlib.ExitStack() as owned:
         ends = []
@@ -240,11 +240,11 @@ def serve(
 def _run(
     drive: Drives,
     names: Sequence[str],
-    ends: Sequence[tuple[Line, loop.Link]],
-    plan: Plan,
-    stop: Stop,
+    ends: Sequence[tuple[WireEnd, loop.Link]],
+    plan: RigPlan,
+    stop: StopRequest,
     ready: Callable[[], None],
-) -> Result:
+) -> RigResult:
     begun = threading.Event()
     clocks: list[ticker.Ticker] = []
     obtained: list[str] = []
@@ -275,7 +275,7 @@ def _run(
         thread.join()
         ticker.unlock_memory()
     watcher.look()
-    return Result(
+    return RigResult(
         ticks=drive.ticks,
         skipped=clock.counts.skipped,
         commands=sum(_commands(line, link) for line, link in ends),
@@ -288,7 +288,7 @@ def _run(
     )
 
 
-def _commands(line: Line, link: loop.Link) -> int:
+def _commands(line: WireEnd, link: loop.Link) -> int:
     """Return how many command frames have been received."""
     counters = link.counters()
     serial = line.kind == "stream"
@@ -304,9 +304,9 @@ def _phase(drives: Sequence[loop.Drive], names: Sequence[str]) -> str:
 
 def _look_after(
     drive: Drives,
-    ends: Sequence[tuple[Line, loop.Link]],
-    plan: Plan,
-    stop: Stop,
+    ends: Sequence[tuple[WireEnd, loop.Link]],
+    plan: RigPlan,
+    stop: StopRequest,
     watcher: _Watcher,
 ) -> bool:
     """Return whether the power was cut."""

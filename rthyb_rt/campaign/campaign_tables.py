@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from rthyb_rt.campaign.groups import Group
+from rthyb_rt.campaign.groups import RunGroup
 from rthyb_rt.campaign.plan import FAILED, STOPPED, Measure, Row
 from rthyb_rt.record.recording import replacing
 
@@ -25,7 +25,7 @@ def columns(rows: Sequence[Row], first: Sequence[str] = _FIRST) -> list[str]:
     return list(names)
 
 
-def statistics(groups: Sequence[Group], measures: Sequence[Measure]) -> list[Row]:
+def statistics(groups: Sequence[RunGroup], measures: Sequence[Measure]) -> list[Row]:
     """Return a row for each group: chosen values, counts, and statistics of its measures."""
     rows = []
     for one in groups:

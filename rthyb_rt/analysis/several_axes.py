@@ -17,7 +17,7 @@ from rthyb_rt.analysis.notices import (
     flag_notices,
     not_finite_notices,
 )
-from rthyb_rt.analysis.summary import Live, Row, Summary, live, live_notices, live_rows
+from rthyb_rt.analysis.summary import Live, Summary, SummaryRow, live, live_notices, live_rows
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.axes_reference import AxesReference, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
@@ -37,7 +37,7 @@ NOT_COMPUTED: Final = (
 
 
 @dataclass(frozen=True)
-class OfAxis:
+class AxisRows:
     """One axis over the rows of the test proper.
 
     Attributes:
@@ -132,7 +132,7 @@ class AxesSummary:
     not_finite_rows: int
     attention: tuple[tuple[str, Finding], ...]
     fs_hz: float
-    axes: tuple[OfAxis, ...]
+    axes: tuple[AxisRows, ...]
     directions: tuple[OfDirection, ...]
     live: Live | None
     signals: Signals
@@ -272,12 +272,12 @@ def _peak(values: Floats) -> float:
     return float(np.nanmax(np.abs(values)))
 
 
-def _of_axis(rec: Recording, signals: Signals, i: int, name: str, by_law: bool) -> OfAxis:
+def _of_axis(rec: Recording, signals: Signals, i: int, name: str, by_law: bool) -> AxisRows:
     wanted, measured = signals.wanted_m[:, i], signals.measured_m[:, i]
     running = rec.running()
     alpha = rec.samples["alpha"] if i == 0 else rec.samples[f"alpha_{i}"]
     last = float(alpha[running][-1])
-    return OfAxis(
+    return AxisRows(
         name,
         measures.tracking_nrmse(wanted, measured),
         _peak(measured - wanted),
@@ -308,35 +308,38 @@ def size_of(value: float, turns: bool) -> str:
     return quantity(value, "mrad" if turns else "mm", 1e3)
 
 
-def table(s: AxesSummary) -> list[Row]:
+def table(s: AxesSummary) -> list[SummaryRow]:
     """Return the results as rows: label, value, definition."""
     rows = [
-        Row("Rows of the test", f"{s.rows} ({number(s.rows / s.fs_hz, 4)} s)", f"{s.lost} lost")
+        SummaryRow(
+            "Rows of the test", f"{s.rows} ({number(s.rows / s.fs_hz, 4)} s)", f"{s.lost} lost"
+        )
     ]
     for one in s.directions:
         rows += [
-            Row(f"{one.name}: peak", size_of(one.peak, one.turns), "of the command"),
-            Row(f"{one.name}: tracking, NRMSE", percent(one.tracking_nrmse),
+            SummaryRow(f"{one.name}: peak", size_of(one.peak, one.turns), "of the command"),
+            SummaryRow(f"{one.name}: tracking, NRMSE", percent(one.tracking_nrmse),
                 "rms(measured − command) / rms(command)"),
-            Row(f"{one.name}: response, NRMSE", percent(one.response_nrmse),
+            SummaryRow(f"{one.name}: response, NRMSE", percent(one.response_nrmse),
                 "rms(measured − reference) / rms(reference)"),
-            Row(f"{one.name}: largest difference", size_of(one.response_peak, one.turns),
+            SummaryRow(f"{one.name}: largest difference", size_of(one.response_peak, one.turns),
                 f"of a reference of {size_of(one.reference_peak, one.turns)}"),
         ]  # fmt: skip
     for axis in s.axes:
         rows += [
-            Row(f"Axis {axis.name}: tracking, NRMSE", percent(axis.tracking_nrmse),
+            SummaryRow(f"Axis {axis.name}: tracking, NRMSE", percent(axis.tracking_nrmse),
                 "rms(x_meas − command) / rms(command)"),
-            Row(f"Axis {axis.name}: peak, compensated command",
+            SummaryRow(f"Axis {axis.name}: peak, compensated command",
                 quantity(axis.peak_command_m, "mm", 1e3),
                 f"measured {quantity(axis.peak_measured_m, 'mm', 1e3)}"),
-            Row(f"Axis {axis.name}: peak of the force", quantity(axis.peak_force_n, "kN", 1e-3),
-                "at its load cell"),
+            SummaryRow(f"Axis {axis.name}: peak of the force",
+                quantity(axis.peak_force_n, "kN", 1e-3), "at its load cell"),
         ]  # fmt: skip
         if axis.delay_samples is not None:
             delay = axis.delay_samples
             rows.append(
-                Row(f"Axis {axis.name}: delay estimate", quantity(delay, "samples", digits=4),
+                SummaryRow(f"Axis {axis.name}: delay estimate",
+                    quantity(delay, "samples", digits=4),
                     f"{number(delay / s.fs_hz * 1e3, 3)} ms at the end")
             )  # fmt: skip
     return rows + live_rows(s.live)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from rthyb_rt import __version__, core
-from rthyb_rt.campaign.groups import Group, figure, group
-from rthyb_rt.campaign.plan import COMPLETED, FAILED, STOPPED, Case, Plan, Row
+from rthyb_rt.campaign.groups import RunGroup, figure, group
+from rthyb_rt.campaign.plan import COMPLETED, FAILED, STOPPED, Plan, PlannedRun, Row
 from rthyb_rt.numbers import number
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
@@ -67,7 +67,7 @@ def render(plan: Plan, rows: Sequence[Row]) -> str:
     )
 
 
-def _shown(rows: Sequence[Row], groups: Sequence[Group]) -> list[Row]:
+def _shown(rows: Sequence[Row], groups: Sequence[RunGroup]) -> list[Row]:
     """Return the runs that the page lists: the worst cases, to which it links, then the first."""
     worst = {spread.worst_case for one in groups for spread in one.spreads.values()}
     order = sorted(rows, key=lambda r: (r["case"] not in worst, r["ending"] == COMPLETED))
@@ -92,7 +92,7 @@ def value(given: Any) -> str:
     return f"{given:g}" if isinstance(given, float) else str(given)
 
 
-def name_of(row: Row, case: Case) -> str:
+def name_of(row: Row, case: PlannedRun) -> str:
     """Return the values that distinguish a run from the others of its campaign."""
     parts = [value(v) for v in case.chosen.values()]
     if case.drawn > 0:
@@ -104,7 +104,7 @@ def name_of(row: Row, case: Case) -> str:
     return ", ".join(parts) or f"run {row['case']}"
 
 
-def _plates(rows: Sequence[Row], plan: Plan, groups: Sequence[Group]) -> list[Plate]:
+def _plates(rows: Sequence[Row], plan: Plan, groups: Sequence[RunGroup]) -> list[Plate]:
     """Return the figure of the second measure over the first, one point per run, or none."""
     from matplotlib import rc_context
 

@@ -41,7 +41,7 @@ _FAULT = re.compile(
 
 
 @dataclass(frozen=True)
-class Plan:
+class RigPlan:
     """Rate, faults and duration of a virtual rig.
 
     Attributes:
@@ -63,7 +63,7 @@ class Plan:
     rate: Rate | None = None
 
 
-NO_PLAN: Final = Plan()
+NO_PLAN: Final = RigPlan()
 """No faults."""
 
 

@@ -94,7 +94,7 @@ AxesConnection: TypeAlias = Reach[AxesRig]
 
 
 @dataclass(frozen=True)
-class Motion:
+class GuidedMotion:
     """A motion of the structure, from where it is now.
 
     Attributes:
@@ -116,7 +116,7 @@ class Motion:
 
 
 @dataclass(frozen=True)
-class Moved:
+class MotionResult:
     """The result of a motion.
 
     Attributes:
@@ -267,7 +267,7 @@ def with_rests(
 # ---- what a motion requires ---------------------------------------------------------------------
 
 
-def station_of(setup: Setup, motion: Motion) -> core.StationConfig:
+def station_of(setup: Setup, motion: GuidedMotion) -> core.StationConfig:
     """Return the settings of the station: the rig's limits, except those that the motion replaces.
 
     The rig's limits count from where the motion begins and, once that position is known, also from
@@ -349,7 +349,7 @@ class _Beginning:
     """What is checked before a motion begins."""
 
     connection: Connection
-    motion: Motion
+    motion: GuidedMotion
 
     def judge(self, session: realtime.Session) -> None:
         """Check the position and the load of the specimen before anything moves."""
@@ -404,11 +404,11 @@ class _Beginning:
 
 def carry_out(
     connection: Connection,
-    motion: Motion,
+    motion: GuidedMotion,
     *,
     operator: realtime.Operator | None = None,
     progress: experiment.Progress | None = None,
-) -> Moved:
+) -> MotionResult:
     """Zero, arm, follow the path and come to rest, whatever happens on the way.
 
     Args:
@@ -441,15 +441,15 @@ def carry_out(
             resets=connection.resets,
             zeroed=_Beginning(connection, motion).judge,
         )
-    return Moved(rec)
+    return MotionResult(rec)
 
 
 def undisturbed(
     connection: Connection,
-    motion: Motion,
+    motion: GuidedMotion,
     *,
     progress: experiment.Progress | None = None,
-) -> Moved:
+) -> MotionResult:
     """Carry out a motion; if this PC or the link stalled, go back and repeat it.
 
     Raises:
@@ -474,7 +474,7 @@ def undisturbed(
     )
 
 
-def bring_back(connection: Connection, moved: Moved) -> None:
+def bring_back(connection: Connection, moved: MotionResult) -> None:
     """Return slowly to where a motion began, if the command ended elsewhere.
 
     It is the command that is reversed, because the sign of the reading may be the fault.
@@ -493,7 +493,7 @@ def bring_back(connection: Connection, moved: Moved) -> None:
         rate = connection.rig.rate
         way = eased(back_m, min(velocity, GENTLE_M_PER_S), acceleration, rate)
         path = with_rests(way, rate=rate)
-        returned = carry_out(connection, Motion("way-back", path))
+        returned = carry_out(connection, GuidedMotion("way-back", path))
         if returned.cause == "completed":
             return
         if returned.cause in ("operator", "signal", "none"):
@@ -504,7 +504,7 @@ def bring_back(connection: Connection, moved: Moved) -> None:
     raise ended(returned, f"on the way back: {returned.end_reason}")
 
 
-def ended(moved: Moved, message: str) -> RthybError:
+def ended(moved: MotionResult, message: str) -> RthybError:
     """Return the error that matches how a motion ended early."""
     late = moved.cause in realtime.TIMING_CAUSES
     return realtime.TimingError(message) if late else LimitError(message)

@@ -20,7 +20,7 @@ NOMINAL: Final = 0
 
 
 @dataclass(frozen=True)
-class Run:
+class BenchmarkRun:
     """One run.
 
     Attributes:
@@ -43,7 +43,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RunOutcome:
     """Result of a run.
 
     Attributes:
@@ -54,7 +54,7 @@ class Outcome:
         beyond: whether it was not completed, and could not be with any law: see `is_beyond`.
     """
 
-    run: Run
+    run: BenchmarkRun
     end: str
     figures: dict[str, float]
     beyond: bool = False
@@ -74,13 +74,13 @@ def planned(
     *,
     width: float = 1.0,
     yielding: bool = False,
-) -> list[Run]:
+) -> list[BenchmarkRun]:
     """Return all combinations as runs, each on every plant.
 
     Args:
         entrants, rates, numbers, motions: values to combine; ``numbers`` are `cases.CASES`.
         seeds: seeds of plants, or `NOMINAL`; `seeds_of` returns the benchmark's.
-        width, yielding: as in `Run`.
+        width, yielding: as in `BenchmarkRun`.
 
     Raises:
         InputError: there is no such entrant, rate, case, motion or plant.
@@ -98,7 +98,7 @@ def planned(
                 "--plant",
             )
     return [
-        Run(name, rate, case, motion, seed, width, yielding)
+        BenchmarkRun(name, rate, case, motion, seed, width, yielding)
         for rate in rates
         for motion in motions
         for name in entrants
@@ -129,7 +129,7 @@ def _known(found: Sequence[Any], known: Any, where: str, unit: str) -> None:
             raise InputError(f"found {one}; must be one of {allowed} {unit}".rstrip(), where)
 
 
-def prepared(run: Run) -> Setup:
+def prepared(run: BenchmarkRun) -> Setup:
     """Return a run as a test of this program, ready to run."""
     who = cases.entrant(run.entrant)
     seed = None if run.plant == NOMINAL else run.plant
@@ -143,14 +143,14 @@ def recorded(setup: Setup) -> Recording:
     return virtual_time.run(setup, truth=True, freedoms=True)
 
 
-def measure(run: Run) -> Outcome:
+def measure(run: BenchmarkRun) -> RunOutcome:
     """Carry out one run in virtual time, and evaluate it."""
     setup = prepared(run)
     rec = recorded(setup)
     end = str(rec.meta["end_reason"])
     if end != "completed":
-        return Outcome(run, end, {}, is_beyond(setup))
-    return Outcome(run, end, figures_of(setup, rec))
+        return RunOutcome(run, end, {}, is_beyond(setup))
+    return RunOutcome(run, end, figures_of(setup, rec))
 
 
 def is_beyond(setup: Setup) -> bool:
@@ -199,7 +199,9 @@ Tell = Callable[[int, int, str], None]
 _CHUNK: Final = 4
 
 
-def measured(runs: Sequence[Run], jobs: int = 1, tell: Tell | None = None) -> list[Outcome]:
+def measured(
+    runs: Sequence[BenchmarkRun], jobs: int = 1, tell: Tell | None = None
+) -> list[RunOutcome]:
     """Carry out runs, in their order, with the given number of processes.
 
     Args:

@@ -12,6 +12,12 @@ from types import MappingProxyType
 import numpy as np
 
 from rthyb_rt.errors import InputError, Problem
+from rthyb_rt.ground_motion.acceleration_units import (
+    ACCELERATION_UNITS,
+    STANDARD_GRAVITY_MPS2,
+    canonical_unit,
+    likely_units,
+)
 from rthyb_rt.ground_motion.at2 import is_at2, read_at2, resembles_at2
 from rthyb_rt.ground_motion.channels import Samples
 from rthyb_rt.ground_motion.columns import read_columns
@@ -19,13 +25,7 @@ from rthyb_rt.ground_motion.cosmos import cosmos_volume, read_cosmos
 from rthyb_rt.ground_motion.csmip import csmip_volume, read_csmip
 from rthyb_rt.ground_motion.knet import is_knet, read_knet
 from rthyb_rt.ground_motion.record import FloatArray, GroundMotion
-from rthyb_rt.ground_motion.text import MAX_POINTS, Text, clean, load_text
-from rthyb_rt.ground_motion.units import (
-    ACCELERATION_UNITS,
-    STANDARD_GRAVITY_MPS2,
-    canonical_unit,
-    likely_units,
-)
+from rthyb_rt.ground_motion.text import MAX_POINTS, TextLines, clean, load_text
 
 FORMATS = ("auto", "at2", "cosmos-v1", "cosmos-v2", "csmip-v1", "csmip-v2", "knet", "columns")
 
@@ -212,18 +212,18 @@ def read(
     return GroundMotion(name, source, samples.dt_s, acceleration, details)
 
 
-def _only_channel(text: Text, channel: int | str | None) -> None:
+def _only_channel(text: TextLines, channel: int | str | None) -> None:
     """Reject a choice of channel in a format that contains only one."""
     if channel is not None and str(channel) != "1":
         raise text.error(f"has only one component; omit channel {clean(str(channel), 40)!r}")
 
 
-def _at2(text: Text, units: str | None, channel: int | str | None) -> Samples:
+def _at2(text: TextLines, units: str | None, channel: int | str | None) -> Samples:
     _only_channel(text, channel)
     return read_at2(text, units)
 
 
-def _columns(text: Text, units: str | None, channel: int | str | None) -> Samples:
+def _columns(text: TextLines, units: str | None, channel: int | str | None) -> Samples:
     try:
         return read_columns(text, units, channel)
     except InputError:
@@ -233,20 +233,20 @@ def _columns(text: Text, units: str | None, channel: int | str | None) -> Sample
         raise
 
 
-def _knet(text: Text, _units: str | None, channel: int | str | None) -> Samples:
+def _knet(text: TextLines, _units: str | None, channel: int | str | None) -> Samples:
     _only_channel(text, channel)
     return read_knet(text)
 
 
-def _cosmos(text: Text, _units: str | None, channel: int | str | None) -> Samples:
+def _cosmos(text: TextLines, _units: str | None, channel: int | str | None) -> Samples:
     return read_cosmos(text, channel)
 
 
-def _csmip(text: Text, _units: str | None, channel: int | str | None) -> Samples:
+def _csmip(text: TextLines, _units: str | None, channel: int | str | None) -> Samples:
     return read_csmip(text, channel)
 
 
-_READERS: dict[str, Callable[[Text, str | None, int | str | None], Samples]] = {
+_READERS: dict[str, Callable[[TextLines, str | None, int | str | None], Samples]] = {
     "at2": _at2,
     "knet": _knet,
     "cosmos-v1": _cosmos,
@@ -257,7 +257,7 @@ _READERS: dict[str, Callable[[Text, str | None, int | str | None], Samples]] = {
 }
 
 
-def _detect(text: Text) -> str:
+def _detect(text: TextLines) -> str:
     """Return the format that the content resembles; columns if none of the others."""
     if is_knet(text):
         return "knet"
@@ -266,7 +266,7 @@ def _detect(text: Text) -> str:
     return cosmos_volume(text) or csmip_volume(text) or "columns"
 
 
-def _checked(text: Text, samples: Samples) -> tuple[FloatArray, list[str]]:
+def _checked(text: TextLines, samples: Samples) -> tuple[FloatArray, list[str]]:
     """Convert to m/s2 and check that the record is a plausible ground motion."""
     low, high = INTERVAL_RANGE_S
     if not low <= samples.dt_s <= high:

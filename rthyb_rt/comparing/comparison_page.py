@@ -95,7 +95,7 @@ def render(overlay: Overlay) -> str:
         InputError: matplotlib or jinja2 is not installed.
     """
     with extra_needed("the page of a comparison"):
-        from rthyb_rt.comparing.figures import plates
+        from rthyb_rt.comparing.comparison_figures import plates
 
         template = environment(_HERE).get_template("compare.html.j2")
     heads, rows = table(overlay)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rthyb_rt.campaign import page, pools, tables
+from rthyb_rt.campaign import campaign_page, campaign_tables, pools
 from rthyb_rt.campaign.book import Book
 from rthyb_rt.campaign.groups import group
 from rthyb_rt.campaign.plan import Plan, Row
@@ -73,20 +73,22 @@ def conduct(
 
 
 def _written(plan: Plan, rows: list[Row], folder: Path) -> Campaign:
-    paths, notes = {"table": folder / tables.CSV}, []
-    tables.write_csv(rows, folder / tables.CSV)
+    paths, notes = {"table": folder / campaign_tables.CSV}, []
+    campaign_tables.write_csv(rows, folder / campaign_tables.CSV)
     groups = group(rows, list(plan.cases[0].chosen), plan.measures)
-    tables.write_csv(tables.statistics(groups, plan.measures), folder / tables.STATISTICS, ())
-    paths["statistics"] = folder / tables.STATISTICS
-    if tables.write_parquet(rows, folder / tables.PARQUET):
-        paths["parquet"] = folder / tables.PARQUET
+    campaign_tables.write_csv(
+        campaign_tables.statistics(groups, plan.measures), folder / campaign_tables.STATISTICS, ()
+    )
+    paths["statistics"] = folder / campaign_tables.STATISTICS
+    if campaign_tables.write_parquet(rows, folder / campaign_tables.PARQUET):
+        paths["parquet"] = folder / campaign_tables.PARQUET
     else:
         notes.append(
             "no Parquet table was written; install pyarrow with pip install 'rthyb-rt[campaign]'"
         )
     try:
-        page.write(plan, rows, folder)
-        paths["page"] = folder / page.PAGE
+        campaign_page.write(plan, rows, folder)
+        paths["page"] = folder / campaign_page.PAGE
     except InputError as error:
         notes.append(f"no page was written: {error}")
     return Campaign(plan, rows, paths, tuple(notes))

@@ -12,7 +12,7 @@ from typing import Any
 from rthyb_rt import __version__, core
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
-from rthyb_rt.studies.results import Row, Study, band_text, tables, value_text
+from rthyb_rt.studies.results import Study, StudyRow, band_text, tables, value_text
 
 SCHEMA = "rthyb-reproduce/1"
 PAGE, RESULTS = "index.html", "results.json"
@@ -62,7 +62,7 @@ def document(studies: Sequence[Study]) -> dict[str, Any]:
     }
 
 
-def _row(study: Study, row: Row) -> dict[str, Any]:
+def _row(study: Study, row: StudyRow) -> dict[str, Any]:
     band = None if row.inside is None else {"low": row.low, "high": row.high}
     return {
         "section": study.key,
@@ -89,7 +89,7 @@ def render(studies: Sequence[Study]) -> str:
         InputError: matplotlib or jinja2 is not installed.
     """
     with extra_needed("the page"):
-        from rthyb_rt.studies.figures import draw_all
+        from rthyb_rt.studies.studies_figures import draw_all
 
         engine = environment(_HERE)
     engine.filters["value"] = value_text

@@ -23,7 +23,7 @@ _SETTLED_S: Final = 0.05
 """Time that a new connection is given to prove that it is up."""
 
 
-class Line:
+class WireEnd:
     """The rig's end of a wire: a descriptor that stays the same while controllers change.
 
     Args:
@@ -54,7 +54,7 @@ class Line:
             os.close(fd)
 
 
-class OpenedLine(Line):
+class OpenedLine(WireEnd):
     """A line over a link that is already open."""
 
     def __init__(self, opened: Opened) -> None:
@@ -71,7 +71,7 @@ class OpenedLine(Line):
         self._opened.close()
 
 
-class ListeningLine(Line):
+class ListeningLine(WireEnd):
     """CAN frames over a socket in the file system, to which one controller after another connects.
 
     Args:
@@ -149,7 +149,7 @@ def _remove_abandoned(path: Path) -> None:
     path.unlink()
 
 
-def pty_line() -> tuple[Line, str]:
+def pty_line() -> tuple[WireEnd, str]:
     """Return a line of serial packets on a new pty, and the path of the pty's other end."""
     master, slave = os.openpty()
     tty.setraw(slave)
@@ -157,15 +157,15 @@ def pty_line() -> tuple[Line, str]:
     path = os.ttyname(slave)
     # Unread bytes must not wait for the first controller: without one the line is dead.
     os.close(slave)
-    return Line("stream", master, wire.serial(), path), path
+    return WireEnd("stream", master, wire.serial(), path), path
 
 
-def inherited_line(fd: int) -> Line:
+def inherited_line(fd: int) -> WireEnd:
     """Return the line on a socket inherited from another process; it ends with that process."""
-    return Line("can", fd, wire.can(), "socket pair", mortal=True)
+    return WireEnd("can", fd, wire.can(), "socket pair", mortal=True)
 
 
-def lines_of(rig: AxesRig) -> list[Line]:
+def lines_of(rig: AxesRig) -> list[WireEnd]:
     """Open the drive's end of the link of each axis of a rig.
 
     Raises:
@@ -177,7 +177,7 @@ def lines_of(rig: AxesRig) -> list[Line]:
     return list(found.values())
 
 
-def line_of(link: Link, *, shared: bool = False) -> Line:
+def line_of(link: Link, *, shared: bool = False) -> WireEnd:
     """Open the drive's end of a rig file's link; ``shared`` as of `opening.open_link`.
 
     Raises:

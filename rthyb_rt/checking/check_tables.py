@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from rthyb_rt import core
-from rthyb_rt.analysis.loop_roots import MOST_GAIN, Verdict
-from rthyb_rt.checking.figures import Figures, most_delay
+from rthyb_rt.analysis.loop_roots import MOST_GAIN, LoopVerdict
+from rthyb_rt.checking.check_figures import Figures, most_delay
 from rthyb_rt.config import STANDARD_HZ
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.own import FmuFile, LibraryFile
@@ -148,7 +148,7 @@ def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
     return rows
 
 
-def loop_rows(loop: Verdict | None) -> list[tuple[str, str, str]]:
+def loop_rows(loop: LoopVerdict | None) -> list[tuple[str, str, str]]:
     """Return the rows for the whole loop: root, gain margin, delay margin."""
     if loop is None:
         return [("Largest root", "not computed", "the rig file has no identified response")]

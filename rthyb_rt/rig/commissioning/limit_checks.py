@@ -13,12 +13,12 @@ from rthyb_rt.config import Limit, RigFile
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.core import FLAGS
 from rthyb_rt.lab.experiment import WATCHES
-from rthyb_rt.rig.commissioning.moving import (
+from rthyb_rt.rig.commissioning.guided_motion import (
     GENTLE_M_PER_S,
     Connection,
     Floats,
-    Motion,
-    Moved,
+    GuidedMotion,
+    MotionResult,
     Rows,
     bring_back,
     check_distance,
@@ -59,7 +59,7 @@ _SLOPE_S: Final = 0.25
 
 
 @dataclass(frozen=True)
-class Check:
+class LimitCheck:
     """Result of the check of one limit.
 
     Attributes:
@@ -96,7 +96,7 @@ def configured(rig: RigFile) -> list[tuple[str, str]]:
     return found
 
 
-def small_motion(rig: RigFile, distance_m: float) -> Motion:
+def small_motion(rig: RigFile, distance_m: float) -> GuidedMotion:
     """Return the motion that provokes limits.
 
     Raises:
@@ -105,19 +105,19 @@ def small_motion(rig: RigFile, distance_m: float) -> Motion:
     check_distance(rig, distance_m)
     velocity, acceleration = path_figures(rig)
     way = eased(distance_m, min(velocity, GENTLE_M_PER_S), acceleration, rig.rate)
-    return Motion("small-motion", with_rests(way, rate=rig.rate))
+    return GuidedMotion("small-motion", with_rests(way, rate=rig.rate))
 
 
-def brisk_motion(rig: RigFile, distance_m: float) -> Motion:
+def brisk_motion(rig: RigFile, distance_m: float) -> GuidedMotion:
     """Return a motion of the same distance whose acceleration exceeds the rounding of the wire."""
     velocity, acceleration = path_figures(rig)
     way = eased(distance_m, velocity, min(acceleration, _BRISK), rig.rate)
-    return Motion("brisk-motion", with_rests(way, rate=rig.rate))
+    return GuidedMotion("brisk-motion", with_rests(way, rate=rig.rate))
 
 
 def check_all(
     connection: Connection, distance_m: float, allowed: Callable[[str], bool]
-) -> list[Check]:
+) -> list[LimitCheck]:
     """Provoke every limit that can be provoked, each with its own motion and return.
 
     Args:
@@ -135,12 +135,12 @@ def check_all(
     if not wanted or not allowed(
         f"Move by {distance_m * 1e3:g} mm and back, well within all limits?"
     ):
-        return [Check(key, action, reason="not allowed") for key, action in wanted]
+        return [LimitCheck(key, action, reason="not allowed") for key, action in wanted]
     usual = undisturbed(connection, plain)
     bring_back(connection, usual)
     if usual.cause != "completed":
         words = f"the small motion ended even without it: {usual.end_reason}"
-        return [Check(key, action, fault=words) for key, action in wanted]
+        return [LimitCheck(key, action, fault=words) for key, action in wanted]
     brisk = brisk_motion(connection.rig, distance_m)
     h = connection.rig.rate.period_s
     reached = peaks(usual.running, h) | {ACCELERATION: _largest(np.diff(brisk.path_m, 2)) / h**2}
@@ -186,18 +186,18 @@ def _slopes(indicator: Floats, h: float) -> Floats:
 
 def _check(
     connection: Connection,
-    plain: Motion,
+    plain: GuidedMotion,
     key: str,
     action: str,
     reached: dict[str, float],
     allowed: Callable[[str], bool],
-) -> Check:
+) -> LimitCheck:
     if key in _NOT_PROVOKED:
-        return Check(key, action, reason=_NOT_PROVOKED[key])
+        return LimitCheck(key, action, reason=_NOT_PROVOKED[key])
     h = connection.rig.rate.period_s
     least = _LEAST_STEPS * reached[_QUANTUM] / h**2 if key == ACCELERATION else 0.0
     if not reached[key] > least:
-        return Check(
+        return LimitCheck(
             key, action, reason="the small motion does not come close enough to this limit"
         )
     given = getattr(connection.rig.limits, key)
@@ -207,7 +207,7 @@ def _check(
     unit = limits_file.unit_of(key)
     question = f"Provoke limits.{key}, lowered to {value:.3g} {unit}? It should {outcome}."
     if not allowed(question):
-        return Check(key, action, reason="not allowed")
+        return LimitCheck(key, action, reason="not allowed")
     if action == "limit":
         moved = undisturbed(connection, _bounded(plain, key, value))
         fault = _why_not_bounded(moved, key, value, reached[_QUANTUM], h)
@@ -217,7 +217,7 @@ def _check(
         seen = f"{moved.end_reason}, {moved.state}"
         fault = _why_not_seen(moved, WATCHES[key], action)
     bring_back(connection, moved)
-    return Check(key, action, value=value, seen=seen, fault=fault)
+    return LimitCheck(key, action, value=value, seen=seen, fault=fault)
 
 
 _OUTCOMES: Final = {
@@ -228,9 +228,9 @@ _OUTCOMES: Final = {
 }
 
 
-def _watched(plain: Motion, key: str, action: str, value: float) -> Motion:
+def _watched(plain: GuidedMotion, key: str, action: str, value: float) -> GuidedMotion:
     watch = core.Watch(value, action)  # type: ignore[arg-type]
-    return Motion(
+    return GuidedMotion(
         f"provoke-{WATCHES[key].replace('_', '-')}",
         plain.path_m,
         watches={WATCHES[key]: watch},
@@ -239,16 +239,16 @@ def _watched(plain: Motion, key: str, action: str, value: float) -> Motion:
     )
 
 
-def _bounded(plain: Motion, key: str, value: float) -> Motion:
+def _bounded(plain: GuidedMotion, key: str, value: float) -> GuidedMotion:
     name = {
         "command_velocity_m_per_s": "velocity_limit_m_per_s",
         ACCELERATION: "acceleration_limit_m_per_s2",
     }[key]
-    return Motion(f"bound-{'speed' if 'velocity' in key else 'acceleration'}", plain.path_m,
+    return GuidedMotion(f"bound-{'speed' if 'velocity' in key else 'acceleration'}", plain.path_m,
                   **{name: value})  # type: ignore[arg-type]  # fmt: skip
 
 
-def _why_not_seen(moved: Moved, cause: str, action: str) -> str:
+def _why_not_seen(moved: MotionResult, cause: str, action: str) -> str:
     """Return what is wrong with the reaction to a limit, or ""."""
     if action == "indicate":
         if cause not in moved.facts["indicated"]:
@@ -262,7 +262,9 @@ def _why_not_seen(moved: Moved, cause: str, action: str) -> str:
     return ""
 
 
-def _why_not_bounded(moved: Moved, key: str, value: float, quantum_m: float, h: float) -> str:
+def _why_not_bounded(
+    moved: MotionResult, key: str, value: float, quantum_m: float, h: float
+) -> str:
     """Return what is wrong with the bounds of a command, or ""."""
     if moved.cause != "completed":
         return f"the motion ended: {moved.end_reason}"

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 from typing import Final
 
-from rthyb_rt.campaign.plan import FAILED, STOPPED, Case, Row, program
+from rthyb_rt.campaign.plan import FAILED, STOPPED, PlannedRun, Row, program
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import storing
 from rthyb_rt.lab.experiment import Setup
@@ -22,7 +22,7 @@ class OtherProgramError(InputError):
     """A process has another program than the process that conducts the campaign."""
 
 
-def carry_out(case: Case, keep: str = "nothing", folder: str = "", wanted: str = "") -> Row:
+def carry_out(case: PlannedRun, keep: str = "nothing", folder: str = "", wanted: str = "") -> Row:
     """Run one test in virtual time; a run that fails gives a row that says why.
 
     Args:
@@ -55,7 +55,7 @@ def carry_out(case: Case, keep: str = "nothing", folder: str = "", wanted: str =
     return row
 
 
-def _kept(case: Case, setup: Setup, rec: Recording, folder: Path) -> Row:
+def _kept(case: PlannedRun, setup: Setup, rec: Recording, folder: Path) -> Row:
     """Store recording, settings and report of a run; return the links to them."""
     place = folder / FOLDERS / f"{case.number:06d}"
     shutil.rmtree(place, ignore_errors=True)  # what a process began that was killed

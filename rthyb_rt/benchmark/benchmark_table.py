@@ -14,7 +14,7 @@ import numpy as np
 
 from rthyb_rt import __version__, core
 from rthyb_rt.benchmark import cases, criteria
-from rthyb_rt.benchmark.runs import NOMINAL, Outcome
+from rthyb_rt.benchmark.benchmark_runs import NOMINAL, RunOutcome
 from rthyb_rt.lab import jitter
 
 WITH_WORST: Final = ("J2", "J4", "J6", "J8", "true")
@@ -22,7 +22,7 @@ WITH_WORST: Final = ("J2", "J4", "J6", "J8", "true")
 
 
 @dataclass(frozen=True)
-class Line:
+class EntrantLine:
     """All plants of one entrant in one case, at one rate, with one motion.
 
     Attributes:
@@ -45,23 +45,23 @@ class Line:
     deviation: Mapping[str, float]
 
 
-def lines(outcomes: Iterable[Outcome]) -> list[Line]:
+def lines(outcomes: Iterable[RunOutcome]) -> list[EntrantLine]:
     """Return a row for each kind of run, in the order in which they occur."""
-    kinds: dict[tuple[int, str, str, int], list[Outcome]] = {}
+    kinds: dict[tuple[int, str, str, int], list[RunOutcome]] = {}
     for one in outcomes:
         run = one.run
         kinds.setdefault((run.rate_hz, run.motion, run.entrant, run.case), []).append(one)
     return [_line(kind, found) for kind, found in kinds.items()]
 
 
-def _line(kind: tuple[int, str, str, int], found: Sequence[Outcome]) -> Line:
+def _line(kind: tuple[int, str, str, int], found: Sequence[RunOutcome]) -> EntrantLine:
     rate_hz, motion, name, case = kind
     done = [one.figures for one in found if one.completed]
     beyond = sum(one.beyond for one in found)
     columns = {
         key: np.array([one[key] for one in done]) for key in (criteria.MEANINGS if done else ())
     }
-    return Line(
+    return EntrantLine(
         name,
         rate_hz,
         motion,
@@ -81,7 +81,7 @@ def heads() -> list[str]:
     return [units.get(key, f"{key} %") for key in criteria.MEANINGS] + ["unstable"]
 
 
-def cells(line: Line) -> list[str]:
+def cells(line: EntrantLine) -> list[str]:
     """Return the cells below `heads`: a mean, followed by the worst plant if relevant."""
     found = []
     for key in criteria.MEANINGS:
@@ -121,7 +121,7 @@ def facts() -> dict[str, Any]:
     }
 
 
-def document(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+def document(outcomes: Sequence[RunOutcome]) -> dict[str, Any]:
     """Return everything in machine-readable form: facts, meanings, rows, and all runs."""
     return {
         "benchmark": "rths",
