@@ -227,6 +227,7 @@ def test_sweep_goes_on_where_it_was_and_is_not_mixed_with_another(
     out = tmp_path / "laws"
     with pytest.raises(Enough):
         rt.sweep(short, LAWS, repeat_seeds=2, out=out, jobs=1, progress=stop)
+    out = out.rename(tmp_path / "moved")
     told: list[int] = []
     found = rt.sweep(
         short, LAWS, repeat_seeds=2, out=out, jobs=1, progress=lambda done, _: told.append(done)

@@ -315,6 +315,36 @@ def test_changed_ground_motion_or_control_law_is_another_campaign(
             assert campaign(tmp_path, text).fingerprint != first
 
 
+def test_campaign_that_was_moved_with_its_files_goes_on(tmp_path: Path) -> None:
+    here, there = tmp_path / "here", tmp_path / "elsewhere" / "there"
+    (here / "rigs").mkdir(parents=True)
+    there.parent.mkdir()
+    repository = Path(__file__).parents[1]
+    for name in ("first", "second"):
+        rig = repository / "hw" / "rigs" / "shaking-table-portal-frame.toml"
+        (here / "rigs" / f"{name}.toml").write_text(rig.read_text() + f"# {name}\n")
+    test = (repository / "examples" / "section5-T0.5.toml").read_text()
+    (here / "mine.toml").write_text(
+        test.replace("elcentro-1940-ns", "motion.csv").replace("duration_s = 40", "duration_s = 1")
+    )
+    (here / "motion.csv").write_text(MOTION)
+    text = TWO_LAWS.replace('"two-laws"', '"two-laws"\ntest = "mine.toml"')
+    text += 'rig = ["rigs/first.toml", "rigs/second.toml"]\n'
+    first = campaign(here, text)
+    book.Book(here / "out", first).close()
+    here.rename(there)
+    moved = campaign(there, text)
+    assert [one.rig for one in moved.cases] != [one.rig for one in first.cases]
+    with book.Book(there / "out", moved) as kept:
+        assert kept.left == list(moved.cases)
+    # Two files that have changed places are other runs.
+    rigs = there / "rigs"
+    (rigs / "first.toml").rename(rigs / "third.toml")
+    (rigs / "second.toml").rename(rigs / "first.toml")
+    (rigs / "third.toml").rename(rigs / "second.toml")
+    assert campaign(there, text).fingerprint != first.fingerprint
+
+
 def test_campaign_that_was_killed_while_its_plan_was_written_goes_on(tmp_path: Path) -> None:
     whole = campaign(tmp_path)
     out = tmp_path / "out"

@@ -327,14 +327,41 @@ def program() -> str:
 
 
 def fingerprint(cases: Sequence[PlannedRun]) -> str:
-    """Return the fingerprint of a campaign, including its files and the program."""
-    digest = hashlib.sha256(json.dumps([asdict(case) for case in cases]).encode())
-    digest.update(program().encode())
+    """Return the fingerprint of a campaign, including its files and the program.
+
+    A file counts with its name and content, not with its folder, so that a campaign that was moved
+    together with its files resumes where it is now.
+    """
     named = {name for case in cases for name in (case.test, case.rig)}
     named |= {setting.partition("=")[2] for case in cases for setting in case.settings}
-    for path in files_read(named):
-        digest.update(path.read_bytes())
+    named |= {text for case in cases for text in case.chosen.values() if isinstance(text, str)}
+    known = {text: _content(path) for text in named if text and (path := _file(Path(), text))}
+    about = [_without_folders(asdict(case), known) for case in cases]
+    digest = hashlib.sha256(json.dumps(about).encode())
+    digest.update(program().encode())
+    for content in sorted(_content(path) for path in files_read(named)):
+        digest.update(content.encode())
     return digest.hexdigest()
+
+
+def _content(path: Path) -> str:
+    return f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
+def _without_folders(case: dict[str, Any], known: dict[str, str]) -> dict[str, Any]:
+    """Return the parts of a case, with the content of each file that it names in place of its path.
+
+    Args:
+        case: its parts.
+        known: name and content of files, by the texts that name them.
+    """
+    chosen = {key: known.get(str(value), value) for key, value in case["chosen"].items()}
+    settings = []
+    for setting in case["settings"]:
+        key, equals, value = setting.partition("=")
+        settings.append(f"{key}{equals}{known.get(value, value)}")
+    named = {which: known.get(case[which], case[which]) for which in FILES}
+    return {**case, **named, "chosen": chosen, "settings": settings}
 
 
 def files_read(named: Iterable[str]) -> list[Path]:
