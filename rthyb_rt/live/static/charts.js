@@ -87,7 +87,7 @@ export class TimeChart {
     const axis = { font: FONT, stroke: INK.black, grid: { stroke: INK.grid, width: 1 }, ticks: { show: false } };
     return {
       width: Math.max(this.plot.clientWidth, 50), height: Math.max(this.plot.clientHeight, 50),
-      padding: [6, 10, 0, 0],
+      padding: [9, 22, 0, 0],
       legend: { show: false },
       cursor: { sync: { key: SYNC }, y: false, points: { size: 7 }, drag: { x: true, y: false, setScale: false }, bind: { dblclick: () => () => { on.all(); return null; } } },
       scales: { x: { time: false, range: () => this.range }, y: { range: () => this.steady.over(...extent(this.chart ? this.chart.data.slice(1) : [])) } },
