@@ -21,4 +21,6 @@ def on_page_content(content: str, **_: Any) -> str:
 def _converted(match: re.Match[str]) -> str:
     inline, block = match[2], match[3]
     display = "inline" if block is None else "block"
-    return convert(html.unescape(block or inline).strip(), display=display)
+    formula = convert(html.unescape(block or inline).strip(), display=display)
+    # On a narrow screen a long formula is scrolled by itself, not the whole page.
+    return formula if block is None else f'<div style="overflow-x: auto">{formula}</div>'
