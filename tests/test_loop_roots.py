@@ -12,7 +12,7 @@ import scipy.signal
 from kernels import H
 
 from rthyb_rt import config, core
-from rthyb_rt.analysis import loop_roots, margins
+from rthyb_rt.analysis import loop_roots, loop_stability, margins
 from rthyb_rt.analysis.loop_roots import Block, LoopVerdict, judge
 from rthyb_rt.benchmark import plants as rths_benchmark
 from rthyb_rt.config import RigFile, response
@@ -346,16 +346,16 @@ def test_unstable_loop_is_refused_on_a_real_link_and_nowhere_else() -> None:
     with pytest.raises(
         InputError, match=r"unstable, so the motion will grow: its largest root is 1\.000"
     ) as caught:
-        loop_roots.demand(linked(setup, virtual=False))
+        loop_stability.demand(linked(setup, virtual=False))
     assert "shaking-table-portal-frame" in str(caught.value)
     for harmless in (setup, linked(setup, virtual=True)):
-        text = loop_roots.demand(harmless)
+        text = loop_stability.demand(harmless)
         assert text is not None
         assert "the motion will grow" in text
 
 
 def test_stable_loop_is_neither_refused_nor_remarked_on() -> None:
-    assert loop_roots.demand(linked(table("alpha-beta"), virtual=False)) is None
+    assert loop_stability.demand(linked(table("alpha-beta"), virtual=False)) is None
 
 
 def test_blocks_of_no_memory_have_no_roots() -> None:

@@ -282,5 +282,5 @@ def test_rthyb_check_shows_axes_and_directions_and_what_it_does_not_compute(rthy
     # The shares of all modes add up to the mass that the ground motion moves.
     assert sum(mode["effective_mass"] for mode in modes) == pytest.approx(1.0, abs=0.02)
     assert "of the mass" in done.err
-    assert any("are computed only for a rig with one axis" in note for note in told["notes"])  # type: ignore[attr-defined]
+    assert any("computed only for a rig with one axis" in note for note in told["notes"])  # type: ignore[attr-defined]
     assert "Direction theta" in done.err

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -54,87 +55,149 @@ class LinearPart:
 
     def response(self, z: Complexes) -> Complexes:
         """Return c (z - a)^-1 b at points z, (count,): displacement over force."""
+        return self._whole.response(z)[:, 0, 0]
+
+    @functools.cached_property
+    def _whole(self) -> LinearStep:
+        return LinearStep(self.a, self.b[:, None], self.c[None, :])
+
+
+@dataclass(frozen=True)
+class LinearStep:
+    """s[n+1] = a s[n] + b force[n]; the displacements of m interfaces are c s[n].
+
+    Attributes:
+        a, b, c: (n, n), (n, m), (m, n).
+    """
+
+    a: Floats
+    b: Floats
+    c: Floats
+
+    @classmethod
+    def of(cls, config: SparseConfig) -> LinearStep:
+        """Return the linear system of a part with all its interfaces, as `LinearPart.of` does.
+
+        Raises:
+            CoreError: the part must be condensed, but has a motion without stiffness.
+        """
+        rows = config.interface_rows()
+        k_e = np.diag(config.k_e_n_per_m)
+        if config.k_e_between:
+            k_e = k_e + np.array(config.k_e_between)
+        return (_condensed if config.size > MOST_MODES else _step_of)(config, rows, k_e)
+
+    def response(self, z: Complexes) -> Complexes:
+        """Return c (z - a)^-1 b at points z, (count,): displacements over forces, (count, m, m)."""
         if len(self.a) > _DIRECT:
             found = self._by_roots(z)
             check = z[:: max(1, z.size // 5)]
-            if np.allclose(self._by_roots(check), self._directly(check), rtol=1e-6, atol=0.0):
+            direct = self._directly(check)
+            rounding = 1e-6 * np.abs(direct).max(axis=(1, 2), keepdims=True)
+            if (np.abs(self._by_roots(check) - direct) <= rounding).all():
                 return found
         return np.concatenate(
             [self._directly(some) for some in np.array_split(z, z.size // 64 + 1)]
         )
 
     def _directly(self, z: Complexes) -> Complexes:
-        n = self.b.size
-        inner = z[:, None, None] * np.eye(n) - self.a
-        states = np.linalg.solve(inner, np.broadcast_to(self.b[:, None], (z.size, n, 1)))
-        return np.asarray(states[:, :, 0] @ self.c)
+        inner = z[:, None, None] * np.eye(len(self.a)) - self.a
+        states = np.linalg.solve(inner, np.broadcast_to(self.b, (z.size, *self.b.shape)))
+        return np.asarray(self.c @ states)
 
     def _by_roots(self, z: Complexes) -> Complexes:
         roots, weights = self._fractions
-        return np.concatenate(
-            [(weights / (some[:, None] - roots)).sum(axis=1) for some in np.array_split(z, 32)]
-        )
+        m, flat = weights.shape[1], weights.reshape(len(roots), -1)
+        parts = [(1.0 / (some[:, None] - roots)) @ flat for some in np.array_split(z, 32)]
+        return np.concatenate(parts).reshape(z.size, m, m)
 
     @functools.cached_property
     def _fractions(self) -> tuple[Complexes, Complexes]:
         roots, shapes = np.linalg.eig(self.a.astype(np.complex128))
-        return roots, (self.c @ shapes) * np.linalg.solve(shapes, self.b.astype(np.complex128))
+        into = np.linalg.solve(shapes, self.b.astype(np.complex128))
+        return roots, np.einsum("in,nj->nij", self.c @ shapes, into)
 
 
 def of_sparse(config: SparseConfig) -> LinearPart:
-    """Return one step of KR-alpha in x and v, preceded by weights of the last q and force."""
-    n, h, w = config.size, config.period_s, Weights.of(config.integrator, config.rho_inf)
-    b = config.interface_rows()[0]
+    """Return one step of a part at its first interface, with all its degrees of freedom."""
+    return _at_first(_step_of, config)
+
+
+def condensed(config: SparseConfig) -> LinearPart:
+    """Return a part at its first interface by `MOST_MODES` modes of the joined structure."""
+    return _at_first(_condensed, config)
+
+
+def _at_first(
+    step_of: Callable[[SparseConfig, Floats, Floats], LinearStep], config: SparseConfig
+) -> LinearPart:
     k_e = config.k_e_n_per_m[0]
+    step = step_of(config, config.interface_rows()[:1], np.array([[k_e]]))
+    return LinearPart(step.a, step.b[:, 0], step.c[0], k_e, 0)
+
+
+def _step_of(config: SparseConfig, b: Floats, k_e: Floats) -> LinearStep:
+    """Return one step of KR-alpha in x and v, preceded by weights of the last q and force.
+
+    Args:
+        config: the part.
+        b: rows of the interfaces, (m, n).
+        k_e: elastic stiffness of the specimen along them, (m, m).
+    """
+    n, m_count = config.size, len(b)
+    h, w = config.period_s, Weights.of(config.integrator, config.rho_inf)
     m, whole = config.mass_kg.matrix().toarray(), config.whole_stiffness().toarray()
     c = config.damping_times(np.eye(n))
-    own = whole - k_e * np.outer(b, b)
+    own = whole - b.T @ k_e @ b
     gain = (0.5 + w.gamma) * h * h
     now, before = 1.0 - w.alpha_f, w.alpha_f
     in_step = w.gamma * h * c + w.beta * h * h * whole
     # x and v before the last step, from x, v and q.
     by_q = w.alpha_m * m + before * (in_step + (h * h - gain) * own - h * c)
-    by = np.hstack([own, c - before * h * own, by_q, (before * b)[:, None]])
+    by = np.hstack([own, c - before * h * own, by_q, before * b.T])
     s = (1.0 - w.alpha_m) * m + now * in_step
-    rows, of_force = np.linalg.solve(s, -by), np.linalg.solve(s, -now * b)
-    a = np.zeros((3 * n + 1, 3 * n + 1))
+    rows, of_force = np.linalg.solve(s, -by), np.linalg.solve(s, -now * b.T)
+    a = np.zeros((3 * n + m_count,) * 2)
     one = np.eye(n)
     a[:n, :n], a[:n, n : 2 * n], a[n : 2 * n, n : 2 * n] = one, h * one, one
     a[:n] += gain * rows
     a[n : 2 * n] += h * rows
     a[2 * n : 3 * n] = rows
-    column = np.concatenate([gain * of_force, h * of_force, of_force, [1.0]])
-    kept = 2 * n if before == 0.0 and w.alpha_m == 0.0 else 3 * n + 1
-    at = np.concatenate([b, np.zeros(2 * n + 1)])
-    return LinearPart(a[:kept, :kept], column[:kept], at[:kept], k_e, 0)
+    columns = np.vstack([gain * of_force, h * of_force, of_force, np.eye(m_count)])
+    kept = 2 * n if before == 0.0 and w.alpha_m == 0.0 else 3 * n + m_count
+    at = np.hstack([b, np.zeros((m_count, 2 * n + m_count))])
+    return LinearStep(a[:kept, :kept], columns[:kept], at[:, :kept])
 
 
-def condensed(config: SparseConfig) -> LinearPart:
+def _condensed(config: SparseConfig, rows: Floats, k_e: Floats) -> LinearStep:
     """Return `MOST_MODES` modes of the joined structure, the rest by its residual flexibility.
 
     With f the force and x the interface, the joined structure is driven by f - k_e x. The
     flexibility of the omitted modes (MacNeal 1971) acts one sample later, as any force does.
     """
-    row, k_e = config.interface_rows()[0], config.k_e_n_per_m[0]
     w2, shapes = lowest_modes(config, MOST_MODES)
-    at = row @ shapes
-    n = len(w2)
-    given_way = float(row @ config.stiffness_solver().solve(np.ascontiguousarray(row)))
-    left = max(given_way - float(np.sum(at**2 / w2)), 0.0)
-    joined = of_sparse(
+    at = rows @ shapes
+    n, solver = len(w2), config.stiffness_solver()
+    given_way = rows @ np.column_stack([solver.solve(np.ascontiguousarray(row)) for row in rows])
+    # What rounding leaves of a flexibility that the modes hold in full may be negative.
+    values, turned = np.linalg.eigh(given_way - (at / w2) @ at.T)
+    left = (turned * np.maximum(values, 0.0)) @ turned.T
+    joined = _step_of(
         SparseConfig(
             Symmetric.of(np.eye(n)),
             Symmetric.of(np.diag(w2)),
             np.zeros(n),
-            (tuple((i, float(by)) for i, by in enumerate(at)),),
-            (0.0,),
+            tuple(tuple((i, float(by)) for i, by in enumerate(row)) for row in at),
+            (0.0,) * len(at),
             damping_n_s_per_m=Symmetric.of(shapes.T @ config.damping_times(shapes)),
             integrator=config.integrator,
             rho_inf=config.rho_inf,
             period_s=config.period_s,
-        )
+        ),
+        at,
+        np.zeros_like(k_e),
     )
-    b, c = np.append(joined.b, -left), np.append(joined.c, 1.0)
-    a = -k_e * np.outer(b, c)
-    a[:-1, :-1] += joined.a
-    return LinearPart(a, b, c, k_e, 0)
+    b, c = np.vstack([joined.b, -left]), np.hstack([joined.c, np.eye(len(at))])
+    a = -b @ k_e @ c
+    a[: len(joined.a), : len(joined.a)] += joined.a
+    return LinearStep(a, b, c)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,6 @@ from rthyb_rt.config import response, rigsettings
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.core import ControllerConfig, DenseConfig, LawConfig
 from rthyb_rt.core.sparse import SparseConfig
-from rthyb_rt.errors import InputError
 from rthyb_rt.numbers import delay
 
 if TYPE_CHECKING:
@@ -379,10 +378,15 @@ def judge(setup: Setup) -> LoopVerdict | None:
         return None
     hold = response.hold_of(setup.rig)
     found = [
-        _verdict(loop_of(config, model, law, hold), setup.rate, model.swept_hz)
+        verdict(loop_of(config, model, law, hold), setup.rate, model.swept_hz)
         for law in laws(config.law, model, config.period_s, hold)
     ]
-    return max(found, key=lambda v: (v.unstable, -v.gain_margin, -v.delay_margin_samples))
+    return max(found, key=badness)
+
+
+def badness(found: LoopVerdict) -> tuple[bool, float, float]:
+    """Return a key that is larger, the less stable a loop is."""
+    return found.unstable, -found.gain_margin, -found.delay_margin_samples
 
 
 _SLOW: Final = "compensate the delay, or increase the damping of the structure"
@@ -392,8 +396,13 @@ _FAST: Final = (
 )
 
 
-def remark(found: LoopVerdict | None) -> str | None:
-    """Return a remark for the user on an unstable or nearly unstable loop, or None."""
+def remark(found: LoopVerdict | None, fast: str = _FAST) -> str | None:
+    """Return a remark for the user on an unstable or nearly unstable loop, or None.
+
+    Args:
+        found: the stability of the loop; None: not known.
+        fast: what to do against an instability above the motion of structures.
+    """
     if found is None or not (found.unstable or found.thin):
         return None
     known = f"the rig's response is known up to {found.swept_hz:g} Hz"
@@ -405,7 +414,7 @@ def remark(found: LoopVerdict | None) -> str | None:
             f"additional delay of {found_delay}; at least "
             f"{delay(THIN_DELAY_SAMPLES, STANDARD_HZ)} is advised; {known}"
         )
-    remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else _FAST
+    remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else fast
     return (
         "the whole loop (numerical part, control law, rig, force compensation; specimen elastic) "
         f"is unstable, so the motion will grow: its largest root is {found.radius:.5f} at "
@@ -413,26 +422,24 @@ def remark(found: LoopVerdict | None) -> str | None:
     )
 
 
-def remark_of(setup: Setup) -> str | None:
-    """Return the remark for a test in which nothing real can be damaged."""
-    return remark(judge(setup))
+class AnyLoop(Protocol):
+    """A loop of one axis or of several."""
+
+    def roots(self) -> Complexes:
+        """Return its roots."""
+        ...
+
+    def gain_margin(self) -> float:
+        """Return the factor on the rig's response at which stability ends."""
+        ...
+
+    def delay_margin(self) -> float:
+        """Return the additional delay of the rig at which stability ends, samples."""
+        ...
 
 
-def demand(setup: Setup) -> str | None:
-    """Refuse an unstable test on a real link; return the remark for any other test.
-
-    Raises:
-        InputError: the loop is unstable, and the rig's link leads to a real drive.
-    """
-    found = judge(setup)
-    text = remark(found)
-    link = setup.rig.link
-    if found is not None and found.unstable and link is not None and not link.virtual:
-        raise InputError(text or "", f'test "{setup.test.test.name}" on rig "{setup.rig.rig.name}"')
-    return text
-
-
-def _verdict(loop: LinearLoop, rate: Rate, swept_hz: float) -> LoopVerdict:
+def verdict(loop: AnyLoop, rate: Rate, swept_hz: float) -> LoopVerdict:
+    """Return the stability of a loop at a rate, with a rig that is known up to a frequency."""
     roots = loop.roots()
     largest = roots[np.argmax(np.abs(roots))]
     radius, frequency = float(np.abs(largest)), float(abs(np.angle(largest))) * rate.hz

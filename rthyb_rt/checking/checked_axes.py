@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 
+from rthyb_rt.analysis import loop_stability
+from rthyb_rt.analysis.loop_roots import LoopVerdict
+from rthyb_rt.checking.check_tables import loop_rows
 from rthyb_rt.checking.remarks import within_reach
 from rthyb_rt.config import AxesRig, Limit, TestFile
 from rthyb_rt.config.deriving_axes import law_of_axis
@@ -20,8 +23,8 @@ Rows = list[tuple[str, str, str]]
 SCHEMA: Final = "rthyb-check/1"
 MODES: Final = 5
 NOT_COMPUTED: Final = (
-    "critical delay, roots and margins of the whole loop, and the margin of the delay estimator "
-    "are computed only for a rig with one axis"
+    "the critical delay and the margin of the delay estimator are computed only for a rig with one "
+    "axis"
 )
 
 
@@ -31,18 +34,26 @@ class ExaminedAxes:
 
     Attributes:
         setup, group: the test, ready to run.
+        loop: roots and margins of the loop; None if the axes' responses are not known.
         notes, warnings: information, and problems that should be corrected.
     """
 
     setup: Setup
     group: Group
+    loop: LoopVerdict | None
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
 
     def tables(self) -> list[Rows]:
-        """Return rows for structure, axes and directions: quantity, value, explanation."""
-        return [self._structure(), *(self._axis(i) for i in range(len(self.group.rig.axis))),
-                self._directions()]  # fmt: skip
+        """Return rows for structure, axes, directions, loop: quantity, value, explanation."""
+        known = self.group.rig.identified is not None
+        axes = [self._axis(i) for i in range(len(self.group.rig.axis))]
+        return [
+            self._structure(),
+            *axes,
+            self._directions(),
+            loop_rows(self.loop, identified=known),
+        ]
 
     def _structure(self) -> Rows:
         structure = self.group.derived.structure
@@ -125,6 +136,7 @@ class ExaminedAxes:
                 }
                 for j, name in enumerate(group.rig.directions)
             },
+            "loop": None if self.loop is None else asdict(self.loop),
             "notes": list(self.notes),
             "warnings": list(self.warnings),
         }
@@ -171,5 +183,9 @@ def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:
     """
     setup = several.prepare(test, rig)
     assert setup.group is not None
-    warnings = tuple(_limits_in_reach(setup, setup.group))
-    return ExaminedAxes(setup, setup.group, (*setup.notes, NOT_COMPUTED), warnings)
+    loop = loop_stability.judge(setup)
+    warnings = _limits_in_reach(setup, setup.group)
+    warnings += filter(None, [loop_stability.remark(setup, loop)])
+    if loop is not None and loop.unstable and loop_stability.is_real(setup):
+        warnings.append("a test in real time will be refused: the loop is unstable")
+    return ExaminedAxes(setup, setup.group, loop, (*setup.notes, NOT_COMPUTED), tuple(warnings))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from rthyb_rt.analysis import loop_roots
+from rthyb_rt.analysis import loop_stability
 from rthyb_rt.analysis.loop_roots import LoopVerdict
 from rthyb_rt.checking import check_tables, facts, remarks
 from rthyb_rt.checking.check_figures import Figures, figures_of
@@ -79,7 +79,10 @@ class Examined:
         if isinstance(self.figures, HistoryFigures):
             return rows_of_history(self.setup, self.figures)
         rows = check_tables.rows_of_test(self.setup, self.figures)
-        return [*rows, *check_tables.loop_rows(self.loop)]
+        return [
+            *rows,
+            *check_tables.loop_rows(self.loop, identified=self.setup.rig.identified is not None),
+        ]
 
 
 def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> Examined:
@@ -96,14 +99,14 @@ def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> E
     setup = experiment.prepare(test_file, rig_file, real_time=real_time)
     figures = figures_of(setup) if setup.plan is None else figures_of_history(setup)
     runs_on = braking.run_on(setup)
-    loop = loop_roots.judge(setup)
+    loop = loop_stability.judge(setup)
     commissioning = None if rig is None else facts.commissioning_of(setup, rig)
     notes, warnings = remarks.remarks(setup, figures)
     warnings += remarks.run_on_warnings(setup, figures, runs_on)
-    remark = loop_roots.remark(loop)
+    remark = loop_stability.remark(setup, loop)
     if remark is not None:
         warnings.append(remark)
-    if loop is not None and loop.unstable and facts.is_real(setup):
+    if loop is not None and loop.unstable and loop_stability.is_real(setup):
         warnings.append("a test in real time will be refused: the loop is unstable")
     if commissioning is not None and commissioning["why_not"]:
         warnings.append(f"a test in real time will be refused: {commissioning['why_not']}")

@@ -15,11 +15,6 @@ from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.rig.commissioning import certificate
 
 
-def is_real(setup: Setup) -> bool:
-    """Return whether the rig's link leads to a real rig."""
-    return setup.rig.link is not None and not setup.rig.link.virtual
-
-
 def limits_of(setup: Setup) -> list[dict[str, Any]]:
     """Return every limit of test and rig combined: key, value, unit, action, origin."""
     found = []

@@ -103,7 +103,7 @@ def run(
     enough. Recording and report are written in both cases.
     """
     from rthyb_rt import config
-    from rthyb_rt.analysis import loop_roots, summary
+    from rthyb_rt.analysis import summary
     from rthyb_rt.lab import experiment, several, storing, virtual_time
     from rthyb_rt.record import recording
 
@@ -121,6 +121,7 @@ def run(
     mishaps = _mishaps(fault, axes, config.Rate(test_file.test.sample_rate_hz)) if fault else ()
     if isinstance(rig_file, config.AxesRig):
         of_all = several.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
+        _tell_notes(of_all, realtime=realtime)
         facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
 
         def conduct(
@@ -134,10 +135,7 @@ def run(
         run_axes.run(of_all, out, conducted, report=not no_report, as_json=as_json)
         return
     setup = experiment.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
-    # In virtual time an unstable loop is not refused: seeing it diverge may be the purpose.
-    remark = loop_roots.demand(setup) if realtime else loop_roots.remark_of(setup)
-    for note in (*setup.notes, *filter(None, [remark])):
-        terminal.tell(f"note: {note}")
+    _tell_notes(setup, realtime=realtime)
     facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
     refuse_taken(out)
     target = out or Path("runs") / f"{test_file.test.name}-{started:%Y%m%dT%H%M%SZ}"
@@ -184,6 +182,20 @@ def _status(result: Summary) -> int:
         if result.final_state != "TRIPPED" and result.live.cause in ("operator", "none"):
             return 0
     return LIMIT_TRIP
+
+
+def _tell_notes(setup: Setup, *, realtime: bool) -> None:
+    """Print the notes on a test, and what is known of the stability of its loop.
+
+    Raises:
+        InputError: in real time, the loop is unstable and the rig is real.
+    """
+    from rthyb_rt.analysis import loop_stability
+
+    # In virtual time an unstable loop is not refused: seeing it diverge may be the purpose.
+    remark = loop_stability.demand(setup) if realtime else loop_stability.remark_of(setup)
+    for note in (*setup.notes, *filter(None, [remark])):
+        terminal.tell(f"note: {note}")
 
 
 def _commissioned(name: str | None, rig: RigFile | AxesRig) -> dict[str, Any]:

@@ -42,8 +42,6 @@ def run(
     from rthyb_rt.lab import storing, virtual_time
 
     started = datetime.datetime.now(datetime.UTC)
-    for note in setup.notes:
-        terminal.tell(f"note: {note}")
     refuse_taken(out)
     target = out or Path("runs") / f"{setup.test.test.name}-{started:%Y%m%dT%H%M%SZ}"
     with staged(target) as stage:

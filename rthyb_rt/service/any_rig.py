@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rthyb_rt.analysis import loop_roots
+from rthyb_rt.analysis import loop_stability
 from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import experiment, several
@@ -24,9 +24,10 @@ def prepare(test: TestFile, rig: RigFile | AxesRig, record: GroundMotion) -> Set
         InputError: everything that is wrong in the files, in the record, or between them.
     """
     if isinstance(rig, AxesRig):
-        return several.prepare(test, rig, real_time=True, record=record)
-    setup = experiment.prepare(test, rig, real_time=True, record=record)
-    remark = loop_roots.demand(setup)
+        setup = several.prepare(test, rig, real_time=True, record=record)
+    else:
+        setup = experiment.prepare(test, rig, real_time=True, record=record)
+    remark = loop_stability.demand(setup)
     return setup if remark is None else replace(setup, notes=(*setup.notes, remark))
 
 

@@ -1,0 +1,409 @@
+"""Stability of the closed loop of a test on several axes, before it runs: roots and margins.
+
+As for one axis (`rthyb_rt.analysis.loop_roots`), with matrices. The interface's command x_c leads
+to those of the axes by the kinematics at rest, T; they pass the control law C and the identified
+axes G, and return as the interface's reading x_m = T^+ G C T x_c. With Z the specimen's stiffness,
+damping and mass, LP the low-pass and tau V the delay of the force compensation, K its stiffness:
+
+    f* = Z x_m + K (LP + tau V) x_c - K LP x_m,   x_c = -N f*
+
+The axes are known at the frequencies of a sweep only. There x_m and the force Z x_m are fitted by
+real poles behind a common delay, which is stable by construction; beyond the sweep the model rolls
+off. If no fit follows the sweep, the loop is not judged.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rthyb_rt.analysis import loop_roots, margins
+from rthyb_rt.analysis.linear_parts import LinearStep
+from rthyb_rt.analysis.loop_roots import MOST_GAIN, ROUNDING, Block, LoopVerdict
+from rthyb_rt.config import response
+from rthyb_rt.config.axes_response import response_of_rig
+from rthyb_rt.config.matrix_response import MatrixResponse, fitted_terms
+from rthyb_rt.core import ControllerConfig
+from rthyb_rt.core.matrix_lead import MatrixInverse, MatrixLeadConfig
+from rthyb_rt.core.sparse import SparseConfig
+
+if TYPE_CHECKING:
+    from rthyb_rt.config import AxesRig
+    from rthyb_rt.lab.experiment import Setup
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+POLES_HZ: Final = (2.0, 5.0, 12.0, 25.0, 50.0, 100.0, 200.0)
+"""About an octave apart: from the slow modes of a servo to where a command at 1024 Hz ends."""
+MOST_LATE: Final = 64
+"""Largest delay that is tried, in samples: a loop with a longer one has no use."""
+MOST_ERROR: Final = response.MOST_ERROR
+"""Largest error of the fit in the sweep, as a share of the response at rest; as for one axis."""
+
+
+GOOD: Final = 0.02
+"""Error of the fit that is not worth a larger model beyond the sweep: of the order of what the
+sweep itself leaves uncertain, 1 to 2 % on the shipped rigs from one sweep to the next."""
+_QUIET: Final = tuple(0.1 * 0.25**k for k in range(8))
+"""Trial weights on the size of the response beyond the sweep, where it is not known."""
+_BEYOND_TONES: Final = 40
+
+
+@dataclass(frozen=True)
+class System:
+    """A linear system, s[n+1] = A s[n] + B u[n], y[n] = C s[n] + D u[n].
+
+    Attributes:
+        a, b, c, d: (n, n), (n, inputs), (outputs, n), (outputs, inputs).
+        response: transfer function at z, (k,), as (k, outputs, inputs); it is put together from
+            those of the parts, since the roots of delays in series are not separable.
+    """
+
+    a: Floats
+    b: Floats
+    c: Floats
+    d: Floats
+    response: Callable[[Complexes], Complexes]
+
+    def then(self, other: System) -> System:
+        """Return the series connection: the other system fed by this one."""
+        n, m = len(self.a), len(other.a)
+        a = np.zeros((n + m, n + m))
+        a[:n, :n], a[n:, n:], a[n:, :n] = self.a, other.a, other.b @ self.c
+        return System(
+            a,
+            np.vstack([self.b, other.b @ self.d]),
+            np.hstack([other.d @ self.c, other.c]),
+            other.d @ self.d,
+            lambda z: other.response(z) @ self.response(z),
+        )
+
+    def plus(self, other: System) -> System:
+        """Return the sum of both outputs for a common input."""
+        n, m = len(self.a), len(other.a)
+        a = np.zeros((n + m, n + m))
+        a[:n, :n], a[n:, n:] = self.a, other.a
+        return System(
+            a,
+            np.vstack([self.b, other.b]),
+            np.hstack([self.c, other.c]),
+            self.d + other.d,
+            lambda z: self.response(z) + other.response(z),
+        )
+
+    def times(self, by: Floats) -> System:
+        """Return the system with its output multiplied by a matrix from the left."""
+        return System(self.a, self.b, by @ self.c, by @ self.d, lambda z: by @ self.response(z))
+
+
+def constant(matrix: Floats) -> System:
+    """Return a system without memory."""
+    rows, columns = matrix.shape
+    return System(
+        np.zeros((0, 0)),
+        np.zeros((0, columns)),
+        np.zeros((rows, 0)),
+        matrix,
+        lambda z: np.broadcast_to(matrix.astype(complex), (z.size, rows, columns)),
+    )
+
+
+def on_each(block: Block, count: int) -> System:
+    """Return a block for each of several inputs: all its outputs for the first, the second, ..."""
+    one = np.eye(count)
+
+    def spread(matrix: Floats) -> Floats:
+        return np.asarray(np.kron(one, matrix), np.float64)
+
+    return System(
+        spread(block.a),
+        spread(block.b[:, None]),
+        spread(block.c),
+        spread(block.d[:, None]),
+        lambda z: np.asarray(np.kron(one[None], block.response(z)[:, :, None]), np.complex128),
+    )
+
+
+def side_by_side(blocks: list[Block]) -> System:
+    """Return blocks of one output each for as many inputs."""
+    one = np.eye(len(blocks))
+    whole = constant(np.zeros_like(one))
+    for block, own in zip(blocks, one, strict=True):
+        whole = whole.plus(constant(own[None, :]).then(on_each(block, 1)).times(own[:, None]))
+    return whole
+
+
+def _mixed(block: Block, weights: Floats) -> System:
+    """Return the sum over a block's outputs, each times its matrix.
+
+    Args:
+        block: as many outputs as there are matrices.
+        weights: (block's outputs, outputs, inputs).
+    """
+    shapes, rows, columns = weights.shape
+    return on_each(block, columns).times(weights.transpose(1, 2, 0).reshape(rows, columns * shapes))
+
+
+# ---- the parts ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Axes:
+    """Fitted axes with their specimen.
+
+    Attributes:
+        system: commands of the axes -> x_m along the interface, then the forces along it.
+        swept_hz: highest frequency of the sweep.
+        error: largest error of x_m in the sweep, as a share of the largest response.
+    """
+
+    system: System
+    swept_hz: float
+    error: float
+
+
+def fitted_axes(rig: AxesRig, found: MatrixResponse, period_s: float) -> Axes | None:
+    """Return the axes as identified, or None if no model follows the sweep.
+
+    Args:
+        rig: the rig, with specimen and kinematics.
+        found: its response at the rate of the controller.
+        period_s: sampling period.
+    """
+    f = found.frequency_hz
+    if f.size < response.LEAST_TONES:
+        return None
+    back = np.linalg.pinv(rig.core_kinematics().jacobian())
+    moved = back @ found.response
+    w2 = (2.0 * math.pi * f) ** 2
+    k_e = np.array(rig.k_e)
+    z = k_e + np.zeros((f.size, 1, 1), complex)
+    if rig.specimen.damping is not None:
+        z = z + 1j * np.sqrt(w2)[:, None, None] * np.array(rig.specimen.damping)
+    if rig.specimen.mass is not None:
+        z = z - w2[:, None, None] * np.array(rig.specimen.mass)
+    # Forces as displacements at rest, so that both count alike.
+    per_k = np.linalg.inv(k_e)
+    wanted = np.concatenate([moved, per_k @ z @ moved], axis=1)
+    on_circle = np.exp(2j * np.pi * f * period_s)
+    beyond = np.exp(2j * np.pi * np.linspace(f[-1] * period_s, 0.5, _BEYOND_TONES))
+    right = np.concatenate([wanted.real, wanted.imag]).reshape(2 * f.size, -1)
+    scale = float(np.abs(moved).max())
+    best: tuple[float, _Poles, Floats] | None = None
+    for quiet in _QUIET:
+        for late in range(MOST_LATE + 1):
+            block = _Poles.of(period_s, late)
+            shapes, outside = block.response(on_circle), quiet * block.response(beyond)
+            columns = np.concatenate([shapes.real, shapes.imag])
+            rows = np.concatenate([columns, outside.real, outside.imag])
+            none = np.zeros((len(rows) - len(right), right.shape[1]))
+            weights = np.linalg.lstsq(rows, np.concatenate([right, none]), rcond=1e-12)[0]
+            error = float(np.abs(columns @ weights - right).max()) / scale
+            if best is None or error < best[0]:
+                best = error, block, weights
+        if best is not None and best[0] <= GOOD:
+            break
+    assert best is not None
+    error, block, weights = best
+    size = len(k_e)
+    system = _mixed(block, weights.reshape(-1, 2 * size, moved.shape[2]))
+    both = np.zeros((2 * size, 2 * size))
+    both[:size, :size], both[size:, size:] = np.eye(size), k_e
+    if error > MOST_ERROR:
+        return None
+    return Axes(system.times(both), float(f[-1]), error)
+
+
+@dataclass(frozen=True)
+class _Poles(Block):
+    """A delay of late + 1 samples, and what each pole makes of it: outputs (1, 1 + poles)."""
+
+    late: int
+    rho: Floats
+
+    @classmethod
+    def of(cls, h: float, late: int) -> _Poles:
+        """Return those of `POLES_HZ` that a sampling period allows."""
+        rho = np.exp(-2.0 * math.pi * np.array([f for f in POLES_HZ if 2.0 * f * h < 1.0]) * h)
+        n = late + 1
+        a = np.zeros((n + rho.size,) * 2)
+        a[np.arange(1, n), np.arange(n - 1)] = 1.0
+        a[n:, n:], a[n:, n - 1] = np.diag(rho), 1.0 - rho
+        c = np.eye(n + rho.size)[n - 1 :]
+        return cls(a, np.eye(n + rho.size)[0], c, np.zeros(len(c)), late, rho)
+
+    def response(self, z: Complexes) -> Complexes:
+        """Return the transfer function at z (k,) as (k, 1 + poles)."""
+        behind = (1.0 - self.rho) / (z[:, None] - self.rho)
+        waits = z[:, None] ** -(self.late + 1.0)
+        return np.asarray(waits * np.hstack([np.ones((z.size, 1)), behind]))
+
+
+def matrix_law(config: MatrixLeadConfig, terms: Floats) -> System:
+    """Return the matrix law with gain less 1, delay (s) and curvature (s^2), (3, axes, axes)."""
+    h, size = config.period_s, config.size
+    rho = math.exp(-2.0 * math.pi * config.roll_off_hz * h)
+    bottom = np.array([1.0 / rho**2, -2.0 / rho, 1.0])
+    filtered = [
+        loop_roots.rational(bottom.sum() * np.array(top), bottom)
+        for top in ([1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [1.0, -2.0, 1.0])
+    ]
+    block = filtered[0].beside(filtered[1]).beside(filtered[2])
+    per_sample = terms / np.array([1.0, h, h * h])[:, None, None]
+    lead = constant(np.eye(size)).plus(_mixed(block, per_sample))
+    if config.inverse is None:
+        return lead
+    return lead.then(inverse_law(config.inverse, h))
+
+
+def inverse_law(inverse: MatrixInverse, h: float) -> System:
+    """Return C(z) of `rthyb_rt.config.matrix_response`."""
+    block = loop_roots.gain(1.0)
+    for f in inverse.pole_hz:
+        rho = math.exp(-2.0 * math.pi * f * h)
+        block = block.beside(loop_roots.rational(np.array([1.0, -1.0]), np.array([1.0, -rho])))
+    return _mixed(block, np.asarray(inverse.coefficients, np.float64))
+
+
+def laws(setup: Setup, found: MatrixResponse) -> list[System]:
+    """Return the control laws of a test with their initial settings, and as adapted."""
+    config, h = setup.controller, setup.controller.period_s
+    count = len(config.axes)
+    if not config.lead_enabled:
+        return [constant(np.eye(count))]
+    if config.matrix_lead is not None:
+        own = config.matrix_lead
+        first = np.zeros((3, count, count)) if own.first is None else np.asarray(own.first)
+        adapted = fitted_terms(found, h, own.roll_off_hz, coupled=own.coupled, before=own.inverse)
+        return [matrix_law(own, first), matrix_law(own, adapted)]
+    assert setup.group is not None
+    rig, of_axes = setup.group.rig, []
+    for axis in config.axes:
+        law = axis.law or config.law
+        view = rig.of_axis(axis.name)
+        model = response.plant(view)
+        if model is None:
+            return []
+        of_axes.append(loop_roots.laws(law, model, h, response.hold_of(view)))
+    # Each law has its initial settings first; one that does not adapt has only those.
+    chosen = [0, -1] if any(len(of) > 1 for of in of_axes) else [0]
+    return [side_by_side([of[which] for of in of_axes]) for which in chosen]
+
+
+# ---- the loop -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class AxesLoop:
+    """A loop in parts: f* -> x_c, the feedback through the axes, and that without them."""
+
+    part: LinearStep
+    law: System
+    axes: System
+    beside: System
+
+    def roots(self, by: float = 1.0) -> Complexes:
+        """Return the roots of the loop with the axes' response multiplied by a factor."""
+        back = self.law.then(self.axes).times(by * np.eye(len(self.part.c))).plus(self.beside)
+        part = self.part
+        n, m = len(part.a), len(back.a)
+        a = np.zeros((n + m, n + m))
+        a[:n, :n] = part.a + part.b @ back.d @ part.c
+        a[:n, n:] = part.b @ back.c
+        a[n:, :n] = back.b @ part.c
+        a[n:, n:] = back.a
+        return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
+
+    def stable(self, by: float = 1.0) -> bool:
+        """Return whether no root is outside the unit circle."""
+        return bool(np.abs(self.roots(by)).max() <= 1.0 + ROUNDING)
+
+    def gain_margin(self) -> float:
+        """Return the factor on the axes' response at which stability ends, at most `MOST_GAIN`."""
+        low, high = 1.0, 1.0
+        for high in np.geomspace(1.0, MOST_GAIN, 13)[1:]:
+            if not self.stable(float(high)):
+                break
+            low = float(high)
+        else:
+            return MOST_GAIN
+        for _ in range(8):
+            middle = 0.5 * (low + float(high))
+            low, high = (middle, high) if self.stable(middle) else (low, middle)
+        return low
+
+    def opened(self, z: Complexes) -> Complexes:
+        """Return the loop opened at all axes, for z (k,): eigenvalues by magnitude, (k, m).
+
+        A common gain or delay of the axes multiplies each of them: the loop is at its limit where
+        one is -1.
+        """
+        moved = self.part.response(z)
+        by_axes = self.law.then(self.axes).response(z)
+        inner = np.eye(len(self.part.c)) - moved @ self.beside.response(z)
+        values = np.linalg.eigvals(-np.linalg.solve(inner, moved @ by_axes))
+        order = np.argsort(-np.abs(values), axis=1)
+        return np.asarray(np.take_along_axis(values, order, axis=1))
+
+    def delay_margin(self) -> float:
+        """Return the additional delay of all axes at which stability ends, samples; inf: none."""
+        peaks = np.abs(np.angle(np.concatenate([self.roots(), self.roots(0.0)])))
+
+        def branch(i: int) -> float:
+            return margins.first_crossing(lambda z: self.opened(z)[:, i], peaks, 0)
+
+        return min(branch(i) for i in range(len(self.part.c)))
+
+
+def loop_of(config: ControllerConfig, axes: Axes, law: System, jacobian: Floats) -> AxesLoop:
+    """Assemble the loop of a test, with the stiffness of the force compensation at k_e.
+
+    Raises:
+        CoreError: the numerical part has a motion without stiffness.
+    """
+    assert isinstance(config.numerical, SparseConfig)
+    part = LinearStep.of(config.numerical)
+    size, h = len(part.c), config.period_s
+    one, none = np.eye(size), np.zeros((size, size))
+    k, cutoff_hz, lateness_s = none, 0.0, 0.0
+    if config.matrix_rfc is not None:
+        rfc = config.matrix_rfc
+        k = np.asarray(rfc.k_e) if rfc.enabled else none
+        cutoff_hz, lateness_s = rfc.cutoff_hz, rfc.lateness_s
+    filtered = on_each(loop_roots.low_pass(cutoff_hz, h), size)
+    force = axes.system.times(np.hstack([none, one]))
+    beside = filtered.times(k)
+    if k.any():
+        moved = axes.system.times(np.hstack([one, none]))
+        force = force.plus(moved.then(filtered).times(-k))
+        if lateness_s:
+            velocity = on_each(loop_roots.backward_velocity(h), size)
+            beside = beside.plus(velocity.times(k * lateness_s))
+    return AxesLoop(part, constant(jacobian).then(law), force, beside)
+
+
+def judge(setup: Setup) -> LoopVerdict | None:
+    """Return the stability of the loop of a test; None if the axes' response is not known.
+
+    The worse of the laws' initial settings and those to which the response leads them.
+    """
+    assert setup.group is not None
+    rig, config = setup.group.rig, setup.controller
+    if rig.identified is None or not isinstance(config.numerical, SparseConfig):
+        return None
+    found = response_of_rig(rig, rig.identified, setup.rate)
+    axes = fitted_axes(rig, found, config.period_s)
+    if axes is None:
+        return None
+    jacobian = rig.core_kinematics().jacobian()
+    verdicts = [
+        loop_roots.verdict(loop_of(config, axes, law, jacobian), setup.rate, axes.swept_hz)
+        for law in laws(setup, found)
+    ]
+    return max(verdicts, key=loop_roots.badness, default=None)
