@@ -452,6 +452,50 @@ MISTAKES = {
     "row for signal": (lambda rec: rec[0], "found 0; a signal is chosen by its name"),
     "measure": (lambda rec: rec.measures["trackng_nrmse"], '(did you mean "tracking_nrmse"?)'),
     "unit": (lambda rec: rec.units["x_meas"], 'no signal "x_meas" (did you mean "x_meas_m"?)'),
+    "progress of a run": (
+        lambda rec: rt.run(HALF_A_SECOND, progress=3),
+        "run: progress: found 3; give a function of two numbers",
+    ),
+    "progress of a diagnosis": (
+        lambda rec: rt.diagnose(rec, "delay-10-elastic", progress=3),
+        "diagnose: progress: found 3; give a function of one text",
+    ),
+    "cluster": (
+        lambda rec: rt.sweep(HALF_A_SECOND, {"controller.w1": [3]}, client=7),
+        "sweep: client: found 7; give a distributed.Client, or the address",
+    ),
+    "spread": (
+        lambda rec: rt.sweep(HALF_A_SECOND, draws={"count": 2}),
+        "draws.spread: missing; give the standard deviation of each key that is drawn, draws={",
+    ),
+    "one table together": (
+        lambda rec: rt.sweep(HALF_A_SECOND, together={"controller.w1": [3]}),
+        "sweep: together: found a table; give a list of dicts",
+    ),
+    "list to compare": (
+        lambda rec: rt.compare([rec, rec]),
+        "found a list of 2; give each recording, or its path, by itself: compare(*recordings)",
+    ),
+    "columns in a list": (
+        lambda rec: rt.compare(rec, rec, columns=["x"]),
+        "columns: found a list of 1; give a dict of columns by channel",
+    ),
+    "number for an effect": (
+        lambda rec: rt.diagnose(rec, "delay-10-elastic", effects=[3]),
+        "found 3; an effect is an object of a class Gap(rthyb_rt.Effect), such as Gap()",
+    ),
+    "figure of a check": (
+        lambda rec: rt.check(HALF_A_SECOND).figures["critical_delay_sample"],
+        'check: no figure "critical_delay_sample" (did you mean "critical_delay_samples"?)',
+    ),
+    "recording as CSV": (
+        lambda rec: rec.save("rec.csv"),
+        'found the file name extension ".csv"; must be .h5 or .hdf5',
+    ),
+    "rig as JSON": (
+        lambda rec: rt.Rig("delay-10-elastic").save("rig.json"),
+        'rig.json: found the file name extension ".json"; must be .toml',
+    ),
     "axis without a name": (
         lambda rec: rec.axis("upper"),
         'no axis "upper"; the test ran on a single axis, which has no name',
@@ -489,6 +533,13 @@ MISTAKES = {
 HALF_A_SECOND = rt.Test(
     "section5-T0.5", ground_motion={"duration_s": 0.5}, test={"free_vibration_s": 0.1}
 )
+
+
+def test_shortest_of_tests_has_a_report(tmp_path: Path) -> None:
+    """In which no frequency is known well enough to be drawn."""
+    rec = rt.run(HALF_A_SECOND, out=tmp_path / "run")
+    assert "<svg" in (tmp_path / "run" / "report.html").read_text()
+    assert not any("no report" in note for note in rec.notes)
 
 
 @pytest.mark.parametrize("call", WITHOUT_A_PATH)

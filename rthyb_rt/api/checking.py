@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test, path_of
-from rthyb_rt.api.recordings import Plot, plot_of
+from rthyb_rt.api.recordings import Named, Plot, plot_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config import AxesRig
 from rthyb_rt.errors import InputError
@@ -28,13 +28,13 @@ class Check:
     def figures(self) -> dict[str, Any]:
         """Computed figures by name, which includes the unit; None where a figure does not apply.
 
-        For several axes: ``modes_hz``, ``modes``, and by name ``axes`` and ``directions``.
+        For several axes: ``modes_hz``, ``modes``, and by name ``axes`` and ``directions``. A name
+        that is not there raises `InputError`, with those that are.
         """
-        if "figures" not in self.document:
-            names = ("modes_hz", "modes", "axes", "directions")
-            return {name: self.document[name] for name in names}
-        figures: dict[str, Any] = self.document["figures"]
-        return figures
+        figures: dict[str, Any] = self.document.get("figures") or {
+            name: self.document[name] for name in ("modes_hz", "modes", "axes", "directions")
+        }
+        return Named(figures, "figure", where="check")
 
     @property
     def warnings(self) -> list[str]:

@@ -12,6 +12,7 @@ from rthyb_rt.api.recordings import Plot, Recording, extra, plot_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.comparing import comparison_page, courses
 from rthyb_rt.comparing.overlay import Overlay
+from rthyb_rt.config.fields import written
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -136,6 +137,13 @@ def compare(
         >>> found.rows[0]["x_difference_nrmse"]
         0.0
     """
+    for one in recordings:
+        if isinstance(one, (list, tuple)):
+            raise InputError(
+                f"found {written(one)}; give each recording, or its path, by itself: "
+                "compare(*recordings)",
+                "compare",
+            )
     given = [
         one.raw
         if isinstance(one, Recording)

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api.files import Place, Rig, path_of
-from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
+from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options, require_progress
 from rthyb_rt.api.recordings import Recording
+from rthyb_rt.config.fields import written
 from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
@@ -146,6 +147,7 @@ def diagnose(
     from rthyb_rt.diagnose.outcome import finish
     from rthyb_rt.diagnose.power import self_check as checked
 
+    require_progress(progress, "diagnose", "one text, the name of a step: progress=print")
     try:
         own = _own_effects(effects)
         tell = progress or (lambda part: None)
@@ -208,10 +210,11 @@ def _own_effects(given: Sequence[Any]) -> list[Effect]:
         elif isinstance(one, (str, os.PathLike)):
             register.load(Path(one))
         else:
-            name = getattr(one, "__name__", type(one).__name__)
+            name = one.__name__ if isinstance(one, type) else "Gap"
+            found_here = name if isinstance(one, type) else written(one)
             raise InputError(
-                f"found {name}; an effect is an object of a class {name}(rthyb_rt.Effect), such as "
-                f"{name}(), or the path of a Python file that registers one",
+                f"found {found_here}; an effect is an object of a class {name}(rthyb_rt.Effect), "
+                f"such as {name}(), or the path of a Python file that registers one",
                 "diagnose: effects",
             )
     return found

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Literal, Self, 
 import numpy as np
 
 from rthyb_rt import config
+from rthyb_rt.api.messages import file_to_write
 from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.config.fields import Table, nearest, written
 from rthyb_rt.config.own import PYTHON
@@ -161,12 +162,13 @@ class _Document(Generic[_File]):
         """Write the result of `to_toml` to a file atomically; an existing file is replaced.
 
         Raises:
-            InputError: the argument is not a path.
-        RthybError: it cannot be written.
+            InputError: the argument is not a path, or its file name does not end in .toml.
+            RthybError: it cannot be written.
         """
         from rthyb_rt.record.recording import replacing
 
-        target = path_of(path, "save", f"the {self._kind} file to write, {self._kind}.toml")
+        what = f"the {self._kind} file to write, {self._kind}.toml"
+        target = file_to_write(path_of(path, "save", what), (".toml",))
         with replacing(target) as temporary:
             temporary.write_text(self.to_toml(), encoding="utf-8")
         return target

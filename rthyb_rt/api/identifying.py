@@ -13,6 +13,7 @@ from pydantic_core import PydanticCustomError
 from rthyb_rt import config
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig
+from rthyb_rt.api.messages import require_progress
 from rthyb_rt.api.recordings import Plot, Recording, plot_of
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.fields import Range
@@ -179,6 +180,7 @@ def identify(
         10
     """
     on = files.as_rig(rig)
+    require_progress(progress, "identify")
     sweep = sweeping.SweepPlan.up_to(
         _read(max_frequency, "max_frequency", _FREQUENCY), _read(amplitude, "amplitude", _AMPLITUDE)
     )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Final
 
+from rthyb_rt.config.fields import written
 from rthyb_rt.errors import InputError, Problem, RthybError
 
 MAP_WORDS: Final = {r'--map (\w+)="([^"]*)"': r'columns={"\1": "\2"}'}
@@ -14,12 +16,62 @@ MAP_WORDS: Final = {r'--map (\w+)="([^"]*)"': r'columns={"\1": "\2"}'}
 
 
 def map_options(columns: Mapping[str, str] | str | os.PathLike[str] | None) -> list[str]:
-    """Return columns by channel, or the path of a mapping file, as values for ``--map``."""
+    """Return columns by channel, or the path of a mapping file, as values for ``--map``.
+
+    Raises:
+        InputError: it is neither.
+    """
     if columns is None:
         return []
     if isinstance(columns, Mapping):
         return [f"{channel}={column}" for channel, column in columns.items()]
+    if not isinstance(columns, (str, os.PathLike)):
+        raise InputError(
+            f"found {written(columns)}; give a dict of columns by channel, "
+            'columns={"x_meas": "LVDT 1 [mm]"}, or the path of a mapping file',
+            "columns",
+        )
     return [os.fspath(columns)]
+
+
+def require_progress(
+    progress: object,
+    where: str,
+    form: str = "two numbers, how many are done and of how many: "
+    "progress=lambda done, whole: print(done, whole)",
+) -> None:
+    """Refuse what cannot be called to show progress.
+
+    Args:
+        progress: the argument; None is allowed.
+        where: the function to which it was given.
+        form: of what it is a function, with an example.
+
+    Raises:
+        InputError: it cannot be called.
+    """
+    if progress is not None and not callable(progress):
+        raise InputError(
+            f"found {written(progress)}; give a function of {form}", f"{where}: progress"
+        )
+
+
+def file_to_write(path: Path, names: Sequence[str]) -> Path:
+    """Return the path of a file to write, whose name says what it contains.
+
+    Args:
+        path: the file.
+        names: file name extensions that are allowed.
+
+    Raises:
+        InputError: it has another extension.
+    """
+    if path.suffix.lower() not in names:
+        raise InputError(
+            f"found the file name extension {written(path.suffix)}; must be {' or '.join(names)}",
+            str(path),
+        )
+    return path
 
 
 def in_python(error: RthybError, words: Mapping[str, str]) -> RthybError:

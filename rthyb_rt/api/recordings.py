@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.api.files import Place, Rig, Test, path_of
-from rthyb_rt.api.messages import in_python
+from rthyb_rt.api.messages import file_to_write, in_python
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.errors import InputError
@@ -49,22 +49,27 @@ class Named(dict[str, Any]):
         values: the values.
         what: what each is, for messages: "measure".
         hint: where else a value may be found.
+        where: what they belong to, for messages.
     """
 
-    def __init__(self, values: Mapping[str, Any], what: str, hint: str = "") -> None:
+    def __init__(
+        self, values: Mapping[str, Any], what: str, hint: str = "", where: str = "recording"
+    ) -> None:
         super().__init__(values)
-        self._what, self._hint = what, hint
+        self._what, self._hint, self._where = what, hint, where
 
     def __missing__(self, name: object) -> Any:
-        raise _absent(name, list(self), self._what, self._hint)
+        raise _absent(name, list(self), self._what, self._hint, self._where)
 
 
-def _absent(name: object, names: list[str], what: str, hint: str = "") -> InputError:
+def _absent(
+    name: object, names: list[str], what: str, hint: str = "", where: str = "recording"
+) -> InputError:
     """Return the error for a name that is not there, with those that are."""
     return InputError(
         f"no {what} {written(name)}{nearest(str(name), names)}; {what}s are: "
         f"{', '.join(names) or 'none'}{hint}",
-        "recording",
+        where,
     )
 
 
@@ -587,9 +592,12 @@ class Recording(Mapping[str, NDArray[Any]]):
         """Write the recording to an HDF5 file, which can be read with `open`.
 
         Raises:
+            InputError: the file name does not end in .h5 or .hdf5.
             RthybError: the file cannot be written.
         """
-        target = path_of(path, "save", "the file to write, recording.h5")
+        target = file_to_write(
+            path_of(path, "save", "the file to write, recording.h5"), (".h5", ".hdf5")
+        )
         files.write(target, self._raw)
         return target
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test, plain
-from rthyb_rt.api.messages import in_python
+from rthyb_rt.api.messages import in_python, require_progress
 from rthyb_rt.api.recordings import Recording, extra, open_recording
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.campaign import campaign_tables, given, plan, pools, whole_campaign
@@ -31,6 +31,8 @@ _WORDS_HERE: Final = {
     "--cluster": "client",
     rf"{_CALLED}: campaign\.": f"{_CALLED}: ",
     f"{_CALLED}: noise_seeds": f"{_CALLED}: repeat_seeds",
+    r"add the table \[spread\]": "give the standard deviation of each key that is drawn, "
+    'draws={"count": 20, "spread": {"rig.actuator.delay_samples": 0.05}}',
 }
 """Terms in messages of the campaign engine, and their equivalents here."""
 
@@ -196,7 +198,13 @@ def sweep(
         >>> found
         <Sweep section5-t0.5-sweep: 2 runs, 2 completed, 0 stopped, 0 failed>
     """
-    _require(jobs, progress)
+    _require(jobs, progress, client)
+    if isinstance(together, Mapping):
+        raise InputError(
+            f"found {written(together)}; give a list of dicts, whose lists vary together, "
+            'together=[{"controller.w1": [3, 4], "controller.w2": [2, 2.5]}]',
+            f"{_CALLED}: together",
+        )
     base = files.as_test(test)
     base = base if rig is None else base.with_(rig=files.as_rig(rig))
     called = name or f"{base.name}-{_CALLED}"
@@ -222,8 +230,8 @@ def sweep(
     return Sweep(found, folder)
 
 
-def _require(jobs: object, progress: object) -> None:
-    """Refuse a number of processes, or a function for the progress, that is none.
+def _require(jobs: object, progress: object, client: object) -> None:
+    """Refuse a number of processes, a function for the progress, or a cluster that is none.
 
     Raises:
         InputError: with what was found.
@@ -234,11 +242,12 @@ def _require(jobs: object, progress: object) -> None:
             "None for one per processor",
             f"{_CALLED}: jobs",
         )
-    if progress is not None and not callable(progress):
+    require_progress(progress, _CALLED)
+    if client is not None and not isinstance(client, str) and not hasattr(client, "scheduler"):
         raise InputError(
-            f"found {written(progress)}; give a function of two numbers, how many runs are done "
-            "and of how many: progress=lambda done, whole: print(done, whole)",
-            f"{_CALLED}: progress",
+            f"found {written(client)}; give a distributed.Client, or the address of a scheduler, "
+            'client="tcp://lab:8786"',
+            f"{_CALLED}: client",
         )
 
 

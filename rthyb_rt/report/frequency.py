@@ -64,7 +64,7 @@ def transfer(rec: Recording, summary: Summary) -> draw.Plate:
         draw.head(gain, "gain")
         draw.head(delay, "delay, ms")
         draw.head(coherence, "coherence", below=True)
-        top = max(float(one.frequency_hz[one.known].max()) for one, _, _ in shown)
+        top = max(float(one.frequency_hz[one.known].max(initial=0.0)) for one, _, _ in shown)
         coherence.set_xlim(0.0, 1.15 * max(top, 2.0))
         coherence.xaxis.set_major_locator(MaxNLocator(5))
         draw.x_label(coherence, "frequency, Hz")
