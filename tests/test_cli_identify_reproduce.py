@@ -103,6 +103,12 @@ def test_bode_plot_has_the_sines_and_the_model_of_the_check() -> None:
     assert found.recording["x_meas_m"].size > 10 * 1024
 
 
+def test_bode_plot_of_a_pure_delay_is_not_filled_with_rounding() -> None:
+    for axes in rt.identify("delay-10-elastic").plot().figure.axes:
+        low, high = axes.get_ylim()
+        assert high - low >= 1.0 - 1e-9
+
+
 def test_identified_rig_runs_a_test(rthyb: Rthyb, tmp_path: Path) -> None:
     assert rthyb("identify", TABLE, "--max-frequency", "3 Hz", "--out", "found.toml").code == 0
     run = ("run", "--rig", "found.toml", "--no-report", "--set", "test.duration_s=3")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from rthyb_rt.config import RigFile, response
@@ -76,6 +77,7 @@ def bode(rig: RigFile, tones: Sequence[ToneLike], rate: Rate = STANDARD) -> draw
         late.plot(f, 1e3 * delay, label="sines", **points)
         for axes, label in ((decibels, "gain, dB"), (phase, "phase, °"), (late, "delay, ms")):
             axes.margins(y=0.12)
+            _widen(axes)
             draw.head(axes, label, below=axes is late)
         late.set_xscale("log")
         late.set_xlim(0.9 * float(f[0]), 1.1 * float(f[-1]))
@@ -86,4 +88,14 @@ def bode(rig: RigFile, tones: Sequence[ToneLike], rate: Rate = STANDARD) -> draw
         return paper.plate(f"From command to displacement: {rig.rig.name}", note)
 
 
+def _widen(axes: Axes) -> None:
+    """Show at least `LEAST` of the ordinate, so that rounding does not fill a figure."""
+    low, high = axes.get_ylim()
+    if high - low < LEAST:
+        middle = 0.5 * (low + high)
+        axes.set_ylim(middle - 0.5 * LEAST, middle + 0.5 * LEAST)
+
+
+LEAST: Final = 1.0
+"""Smallest range of an ordinate, dB, ° and ms: a sample at 1024 Hz is 1 ms; chosen by judgement."""
 _TICKS_HZ = (0.5, 1.0, 2.0, 4.0, 10.0, 20.0, 40.0, 80.0)
