@@ -4,7 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_diagnose_noise import DRIVE, F_STD, FS_HZ, X_STD, C, K, M, motion, written
+from test_diagnose_noise import (
+    DRIVE,
+    F_HZ,
+    F_STD,
+    FS_HZ,
+    LATE_S,
+    X_STD,
+    ZETA,
+    C,
+    K,
+    M,
+    motion,
+    written,
+)
 
 from rthyb_rt.diagnose import noise
 
@@ -210,3 +223,33 @@ def test_late_load_cell_does_not_make_a_stated_damping_wrong(tmp_path):
     d = written(tmp_path, columns, DRIVE.replace(f"fs_hz = {FS_HZ}", f"fs_hz = {FINE_HZ}"))
     assert (d.verdict, d.effects) == ("explained", ["time_skew"])
     assert d.candidates[0].params["skew_s"] == pytest.approx(late_s, abs=1e-4)
+
+
+def of_one_frequency(random: np.random.Generator, extra, shape: np.ndarray):
+    """The same drive at 1.9 Hz alone, in steady state from the first row on."""
+    t = np.arange(int(14.0 * FS_HZ)) / FS_HZ
+    w, w0 = 2.0 * np.pi * 1.9, 2.0 * np.pi * F_HZ
+    turning = 4e-3 * np.exp(1j * (w * t + 1.0))
+    lagged = turning * w0**2 / (w0**2 - w**2 + 2j * ZETA * w0 * w) * np.exp(-1j * w * LATE_S)
+    x, v, a = ((lagged * (1j * w) ** n).imag for n in range(3))
+    return {
+        "t": t,
+        "x_cmd": turning.imag,
+        "x_meas": x + X_STD * random.standard_normal(t.size),
+        "f_meas": K * x + C * v + M * a + extra(x) + F_STD * coloured(random, shape, t.size, FS_HZ),
+    }
+
+
+def test_sine_recorded_in_mid_course_leaves_mass_and_stiffness_one(tmp_path):
+    """The model's actuator starts from rest, and its jump is in no row that is judged."""
+    columns = of_one_frequency(
+        np.random.default_rng(61), lambda x: -0.08 * K * x, random_walk_over_white()
+    )
+    d = written(tmp_path, columns, DRIVE)
+    assert d.verdict == "ambiguous"
+    assert {tuple(names) for names in d.ambiguous_with} == {("inertia",), ("stiffness",)}
+    assert d.estimate is not None
+    assert d.estimate.coloured
+    jump = np.zeros(columns["t"].size)
+    jump[0] = 1e6 * F_STD
+    assert not np.any(d.estimate.whiten(jump))

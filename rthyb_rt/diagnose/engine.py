@@ -254,8 +254,7 @@ def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
     found = _motion(case, disp)
     if found is None or case.model.bouc_wen is None:
         return found
-    first = _forgotten(case, found)
-    return replace(found, rows=found.rows & (np.arange(found.rows.size) >= first))
+    return found.beginning(_forgotten(case, found), case.fs_hz)
 
 
 def _forgotten(case: Case, found: Estimate) -> int:
@@ -411,14 +410,18 @@ def _in_its_noise(
     problem = search.problem
     sets = {id(f): f for f in (search.null, *search.fits[: noise.TRIED], *search.pool)}
     tried = [
-        (remainder.left_by(search, fit), found.motion.v, evidence.cost(problem, fit))
+        (
+            found.begun(remainder.left_by(search, fit), case.fs_hz),
+            found.motion.v,
+            evidence.cost(problem, fit),
+        )
         for fit in sets.values()
     ]
     own = estimate.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blur)
     if own is None:
         return found, search
     progress("noise")
-    now = replace(found, whiten=own.whiten, pieces=own.pieces, scatter=own.scatter)
+    now = replace(found, scatter=own.scatter).whitened(own.whiten, own.pieces, case.fs_hz)
     problem = Problem(case, problem.ctx, now, effects.catalogue().values())
     return now, anew(problem, [f.members for f in search.pool])
 

@@ -174,6 +174,7 @@ class Estimate:
         scatter: relative standard deviation of the noise's rms over such a recording, if its
             colour was fitted to the residual of a set; 0: the noise is white.
         blur: contribution of the estimated motion; None if unknown, or the motion is exact.
+        begins: first row at which the motion and its history are known, see `begun`.
     """
 
     motion: ComputedMotion
@@ -186,11 +187,56 @@ class Estimate:
     pieces: Callable[[Floats, Rows, int], Floats] | None = None
     scatter: float = 0.0
     blur: Blur | None = None
+    begins: int = 0
 
     @property
     def coloured(self) -> bool:
         """Whether the noise has a fitted colour."""
         return self.scatter > 0.0
+
+    def begun(self, signal: Floats, fs_hz: float) -> Floats:
+        """Return a force, (n,), N, faded out before the first row that is known.
+
+        A motion that is simulated from a command in mid-course begins with a jump from rest. A
+        filter for coloured noise has a memory of seconds: without this, the jump would also be in
+        the rows that are evaluated, differently for each law.
+        """
+        if self.begins == 0:
+            return signal
+        reach = min(int(noise.FADE_S * fs_hz), self.begins)
+        weight = np.ones(signal.size)
+        weight[: self.begins] = 0.0
+        weight[self.begins - reach : self.begins] = _smooth(np.arange(reach) / reach)
+        return weight * signal
+
+    def beginning(self, first: int, fs_hz: float) -> Estimate:
+        """Return the estimate evaluated, and known, from a row on only."""
+        later = replace(self, begins=max(first, self.begins))
+        later = replace(later, rows=self.rows & (np.arange(self.rows.size) >= first))
+        return later.whitened(self.whiten, self.pieces, fs_hz) if first else later
+
+    def whitened(
+        self,
+        whiten: Callable[[Floats], Floats],
+        pieces: Callable[[Floats, Rows, int], Floats] | None,
+        fs_hz: float,
+    ) -> Estimate:
+        """Return the estimate with another filter for its noise, which sees known rows only."""
+
+        def of_pieces(signal: Floats, first: Rows, length: int) -> Floats:
+            assert pieces is not None
+            return pieces(self.begun(signal, fs_hz), first, length)
+
+        return replace(
+            self,
+            whiten=lambda signal: whiten(self.begun(signal, fs_hz)),
+            pieces=None if pieces is None else of_pieces,
+        )
+
+
+def _smooth(ramp: Floats) -> Floats:
+    """Return a transition from 0 to 1 that is smooth up to its third derivative."""
+    return np.asarray(ramp**4 * (35.0 - 84.0 * ramp + 70.0 * ramp**2 - 20.0 * ramp**3))
 
 
 def _extended(signal: Floats, pad: int, odd: bool) -> Floats:
@@ -199,8 +245,7 @@ def _extended(signal: Floats, pad: int, odd: bool) -> Floats:
         head, tail = 2.0 * signal[0] - head, 2.0 * signal[-1] - tail
     out = np.concatenate((head, signal, tail))
     # The extension is periodic in the transform: both ends approach zero smoothly.
-    ramp = np.clip(np.arange(pad) / max(0.75 * pad, 1.0), 0.0, 1.0)
-    smooth = ramp**4 * (35.0 - 84.0 * ramp + 70.0 * ramp**2 - 20.0 * ramp**3)
+    smooth = _smooth(np.clip(np.arange(pad) / max(0.75 * pad, 1.0), 0.0, 1.0))
     out[:pad] *= smooth
     out[-pad:] *= smooth[::-1]
     return out
@@ -623,7 +668,9 @@ def along(case: Case, motion: ComputedMotion, exact_from: int) -> Estimate | Non
     sure = rows & at_its_time(case.model.force(motion.x, motion.v, motion.a), sigma, case.fs_hz)
     if sure.sum() > POLICY.abrupt_rows * rows.sum():
         rows = sure
-    return Estimate(motion, filled(f_meas), rows, lambda y: y / sigma, sigma, True)
+    return Estimate(
+        motion, filled(f_meas), rows, lambda y: y / sigma, sigma, True, begins=exact_from
+    )
 
 
 def _in_colour_each(
