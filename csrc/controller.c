@@ -3,7 +3,7 @@
  *
  * Each axis has a compensated command, readings and a control law; each interface has a command, a
  * force and the compensation of that force. The kinematics converts between the two; without one,
- * axis i is interface i. */
+ * axis i is interface i. There may be more axes than interfaces, if the actuators are redundant. */
 #include <string.h>
 
 #include "internal.h"
@@ -20,8 +20,12 @@ static int counts_ok(const rthyb_controller_config *cfg)
 {
     const int32_t axes = cfg->axis_count, interfaces = cfg->interface_count;
     const int32_t given = cfg->kinematics.size, lead = cfg->matrix_lead.size;
-    return axes >= 1 && axes <= MOST && interfaces >= 1 && interfaces <= MOST &&
-           axes == interfaces && (given == 0 || given == axes) && (lead == 0 || lead == axes) &&
+    const int32_t directions = given == 0 ? axes : rthyb_kinematics_directions(&cfg->kinematics);
+    /* The axes of redundant actuators do not move independently, so the matrices of a lead, one
+     * column per axis, would not be determined. */
+    return axes >= 1 && axes <= MOST && interfaces >= 1 && interfaces <= axes &&
+           interfaces == directions && (given == 0 || given == axes) &&
+           (lead == 0 || (lead == axes && axes == interfaces)) &&
            (cfg->matrix_rfc.size == 0 || cfg->matrix_rfc.size == interfaces);
 }
 
@@ -93,10 +97,14 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
 /* ---- between axes and interfaces --------------------------------------------------------------- */
 
 /* Without a pose, each axis keeps its target: no pose corresponds to the present positions. */
-PER_COUNT int targets_of(int n, rthyb_controller *c, const double *x_num, double *target)
+PER_COUNT int targets_of(int n, int m, rthyb_controller *c, const double *x_num, double *target)
 {
-    if (c->cfg.kinematics.size > 0 && c->posed)
-        return rthyb_kinematics_axes(&c->kinematics, x_num, target);
+    if (c->cfg.kinematics.size > 0 && c->posed) {
+        const int code = rthyb_kinematics_axes(&c->kinematics, x_num, target);
+        for (int i = 0; m < n && i < n; i++)
+            target[i] += c->axis[i].apart;
+        return code;
+    }
     for (int i = 0; i < n; i++)
         target[i] = c->cfg.kinematics.size > 0 ? c->axis[i].target : x_num[i];
     return RTHYB_OK;
@@ -112,14 +120,14 @@ static inline int is_no_pose(rthyb_controller *c, const double *x)
 }
 
 /* Pose and forces in interface coordinates, from the readings of the axes. */
-PER_COUNT int meet(int n, rthyb_controller *c, const double *x, const double *f, double *pose,
+PER_COUNT int meet(int m, rthyb_controller *c, const double *x, const double *f, double *pose,
                    double *force)
 {
     if (c->cfg.kinematics.size > 0) {
         const int code = c->posed ? rthyb_kinematics_pose(&c->kinematics, x, pose) : RTHYB_OK;
         return code | rthyb_kinematics_forces(&c->kinematics, f, force);
     }
-    for (int j = 0; j < n; j++) {
+    for (int j = 0; j < m; j++) {
         pose[j] = x[j];
         force[j] = f[j];
     }
@@ -128,9 +136,8 @@ PER_COUNT int meet(int n, rthyb_controller *c, const double *x, const double *f,
 
 /* Expected change of the axes' readings if the specimen follows its command: displacements by the
  * change of the targets, forces by the tangent stiffness times the change of the commands. */
-PER_COUNT void ahead_of(int n, rthyb_controller *c, double *x, double *f)
+PER_COUNT void ahead_of(int n, int m, rthyb_controller *c, double *x, double *f)
 {
-    const int m = n;
     double way[MOST], force[MOST] = {0.0};
     for (int i = 0; i < n; i++)
         x[i] = c->axis[i].target - c->axis[i].target1;
@@ -175,7 +182,7 @@ static int is_pair(const rthyb_axis_control *cfg, const rthyb_pair *in, int *cod
  * they are predicted. Pairs that are valid individually but correspond to no pose together are
  * rejected. Two measured samples are not extrapolated: over twenty ticks their noise would grow
  * larger than the motion. */
-PER_COUNT int gate(int n, rthyb_controller *c, const rthyb_input *in, double *x, double *f,
+PER_COUNT int gate(int n, int m, rthyb_controller *c, const rthyb_input *in, double *x, double *f,
                    int *code)
 {
     int made_up = 0;
@@ -192,7 +199,7 @@ PER_COUNT int gate(int n, rthyb_controller *c, const rthyb_input *in, double *x,
     *code |= made_up ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
     double dx[MOST] = {0.0}, df[MOST] = {0.0};
     if (c->missing < c->extrapolate_until)
-        ahead_of(n, c, dx, df);
+        ahead_of(n, m, c, dx, df);
     for (int i = 0; i < n; i++) {
         const rthyb_controller_axis *a = &c->axis[i];
         x[i] = clamp(a->x_m1 + dx[i], -RTHYB_DISPLACEMENT_MAX_M, RTHYB_DISPLACEMENT_MAX_M);
@@ -282,24 +289,24 @@ static int answer(rthyb_controller *c, double excitation, const double *force, d
     return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
 }
 
-PER_COUNT int asks_velocity(int n, const rthyb_controller *c)
+PER_COUNT int asks_velocity(int m, const rthyb_controller *c)
 {
     int asks = c->cfg.matrix_rfc.size > 0 && c->cfg.matrix_rfc.lateness_s != 0.0;
-    for (int j = 0; j < n; j++)
+    for (int j = 0; j < m; j++)
         asks = asks || c->cfg.rfc[j].lateness_s != 0.0;
     return asks;
 }
 
 /* Velocities of the interfaces at t_n; computed only if needed, to compensate for a late force. */
-PER_COUNT void velocities(int n, rthyb_controller *c, double *v)
+PER_COUNT void velocities(int m, rthyb_controller *c, double *v)
 {
     rthyb_interface at[MOST];
     memset(v, 0, MOST * sizeof *v);
-    if (!asks_velocity(n, c))
+    if (!asks_velocity(m, c))
         return;
     const rthyb_numerical part = part_of(c);
     rthyb_numerical_look(&part, at);
-    for (int j = 0; j < n; j++)
+    for (int j = 0; j < m; j++)
         v[j] = at[j].v;
 }
 
@@ -318,29 +325,29 @@ PER_COUNT int observe(int n, rthyb_controller *c, const double *x, int held)
 }
 
 /* Forces after compensation, as used in the equation of motion. */
-PER_COUNT int compensate(int n, rthyb_controller *c, const double *pose, const double *f,
+PER_COUNT int compensate(int m, rthyb_controller *c, const double *pose, const double *f,
                          int frozen, double *force)
 {
     double v[MOST], x_num[MOST] = {0.0};
     int code = RTHYB_OK;
-    velocities(n, c, v);
+    velocities(m, c, v);
     if (c->cfg.matrix_rfc.size > 0) {
-        for (int j = 0; j < n; j++)
+        for (int j = 0; j < m; j++)
             x_num[j] = c->interface[j].x_num;
         return rthyb_matrix_rfc_step(&c->matrix_rfc, x_num, v, pose, f, frozen, force);
     }
-    for (int j = 0; j < n; j++) {
+    for (int j = 0; j < m; j++) {
         rthyb_controller_interface *at = &c->interface[j];
         code |= rthyb_rfc_step(&at->rfc, at->x_num, v[j], pose[j], f[j], frozen, &force[j]);
     }
     return code;
 }
 
-PER_COUNT int meet_and_note(int n, rthyb_controller *c, const double *x, const double *f,
+PER_COUNT int meet_and_note(int m, rthyb_controller *c, const double *x, const double *f,
                             double *pose, double *force)
 {
-    const int code = meet(n, c, x, f, pose, force);
-    for (int j = 0; j < n; j++) {
+    const int code = meet(m, c, x, f, pose, force);
+    for (int j = 0; j < m; j++) {
         c->interface[j].x_m = pose[j];
         c->interface[j].f = force[j];
     }
@@ -348,26 +355,26 @@ PER_COUNT int meet_and_note(int n, rthyb_controller *c, const double *x, const d
 }
 
 /* Next displacements from the equation of motion; the laws adapt, and RFC and monitors run. */
-PER_COUNT int compute_motion(int n, rthyb_controller *c, const rthyb_input *in, const double *x,
-                             const double *f, int frozen, double *x_num)
+PER_COUNT int compute_motion(int n, int m, rthyb_controller *c, const rthyb_input *in,
+                             const double *x, const double *f, int frozen, double *x_num)
 {
     double pose[MOST] = {0.0}, met[MOST] = {0.0}, force[MOST] = {0.0};
     monitor(n, c, x, f);
     int code = observe(n, c, x, frozen || c->cfg.estimate_held);
-    code |= meet_and_note(n, c, x, f, pose, met);
-    code |= compensate(n, c, pose, met, frozen, force);
+    code |= meet_and_note(m, c, x, f, pose, met);
+    code |= compensate(m, c, pose, met, frozen, force);
     code |= answer(c, in->excitation, force, x_num);
     return code;
 }
 
 /* Next displacements from a path: laws and RFC follow the motion but do not adapt. */
-PER_COUNT int follow_path(int n, rthyb_controller *c, const double *x, const double *f,
+PER_COUNT int follow_path(int n, int m, rthyb_controller *c, const double *x, const double *f,
                           const double *path_m, double *x_num)
 {
     double pose[MOST] = {0.0}, met[MOST] = {0.0}, at[MOST] = {0.0};
     int code = observe(n, c, x, 1);
-    code |= meet_and_note(n, c, x, f, pose, met);
-    for (int j = 0; j < n; j++) {
+    code |= meet_and_note(m, c, x, f, pose, met);
+    for (int j = 0; j < m; j++) {
         at[j] = c->interface[j].x_num;
         rthyb_rfc_follow(&c->interface[j].rfc, at[j], pose[j], met[j]);
         x_num[j] = accept(path_m[j], RTHYB_DISPLACEMENT_MAX_M, at[j], &code);
@@ -465,24 +472,24 @@ PER_COUNT void shift(int n, rthyb_controller *c, const double *x, const double *
     }
 }
 
-/* For any number of axes. If the compiler knows that there is only one, no loops remain. */
-PER_COUNT int sample(int n, rthyb_controller *c, const rthyb_input *in, const double *path_m,
+/* For n axes and m interfaces. If the compiler knows that there is only one, no loops remain. */
+PER_COUNT int sample(int n, int m, rthyb_controller *c, const rthyb_input *in, const double *path_m,
                      int blind, rthyb_record *record)
 {
     double x[MOST] = {0.0}, f[MOST] = {0.0}, x_num[MOST] = {0.0};
     double target[MOST] = {0.0}, x_plc[MOST] = {0.0}, x_cmd[MOST] = {0.0};
     int code = RTHYB_OK;
-    const int made_up = gate(n, c, in, x, f, &code);
+    const int made_up = gate(n, m, c, in, x, f, &code);
     rthyb_controller_advance(c);
     c->missing = made_up ? c->missing + (c->missing < UINT32_MAX) : 0;
     const int frozen = blind || c->missing >= c->freeze_after;
     if (path_m)
-        code |= follow_path(n, c, x, f, path_m, x_num);
+        code |= follow_path(n, m, c, x, f, path_m, x_num);
     else
-        code |= compute_motion(n, c, in, x, f, frozen, x_num);
+        code |= compute_motion(n, m, c, in, x, f, frozen, x_num);
     code |= c->late_code;
     c->late_code = RTHYB_OK;
-    code |= targets_of(n, c, x_num, target);
+    code |= targets_of(n, m, c, x_num, target);
     code |= lead(n, c, target, path_m, x_plc);
     if (command(n, c, x_plc, blind, x_cmd))
         code |= RTHYB_S_LIMITED;
@@ -491,7 +498,7 @@ PER_COUNT int sample(int n, rthyb_controller *c, const rthyb_input *in, const do
                            (blind ? RTHYB_F_BLIND | RTHYB_F_NOT_SENT : 0u) |
                            (code & RTHYB_S_LIMITED ? RTHYB_F_LIMITED : 0u);
     write_record(n, c, in, x, f, flags, code, record);
-    for (int j = 0; j < n; j++) {
+    for (int j = 0; j < m; j++) {
         c->interface[j].x_num1 = c->interface[j].x_num;
         c->interface[j].x_num = x_num[j];
     }
@@ -503,8 +510,9 @@ PER_COUNT int sample(int n, rthyb_controller *c, const rthyb_input *in, const do
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                             int blind, rthyb_record *record)
 {
-    return c->cfg.axis_count == 1 ? sample(1, c, in, path_m, blind, record)
-                                  : sample(c->cfg.axis_count, c, in, path_m, blind, record);
+    const int n = c->cfg.axis_count, m = c->cfg.interface_count;
+    return n == 1 ? sample(1, 1, c, in, path_m, blind, record)
+                  : sample(n, m, c, in, path_m, blind, record);
 }
 
 int rthyb_controller_meets(const rthyb_controller *c, const double *x_m, const double *f_n,
@@ -524,6 +532,18 @@ int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m)
     return rthyb_controller_meets(c, x_m, none, pose, force);
 }
 
+/* Redundant actuators rarely stand exactly at positions of one pose. Each keeps its difference from
+ * the common pose until the next rest: removing it would move it against the others. */
+static void keep_apart(rthyb_controller *c, const double *x_m, const double *pose)
+{
+    double common[MOST] = {0.0};
+    const int n = c->cfg.axis_count;
+    if (c->cfg.interface_count < n && c->posed)
+        (void)rthyb_kinematics_axes(&c->kinematics, pose, common);
+    for (int i = 0; i < n; i++)
+        c->axis[i].apart = c->cfg.interface_count < n ? x_m[i] - common[i] : 0.0;
+}
+
 void rthyb_controller_rest(rthyb_controller *c, const double *x_m)
 {
     const int n = c->cfg.axis_count;
@@ -533,6 +553,7 @@ void rthyb_controller_rest(rthyb_controller *c, const double *x_m)
         c->posed = rthyb_kinematics_find(&c->kinematics, x_m, pose) == RTHYB_OK;
     else
         memcpy(pose, x_m, (size_t)n * sizeof *pose);
+    keep_apart(c, x_m, pose);
     for (int j = 0; j < c->cfg.interface_count; j++)
         c->interface[j].x_num = c->interface[j].x_num1 = pose[j];
     for (int i = 0; i < n; i++) {

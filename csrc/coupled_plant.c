@@ -35,7 +35,8 @@ int rthyb_coupled_plant_init(rthyb_coupled_plant *plant, const rthyb_coupled_pla
         return RTHYB_E_PERIOD;
     if (cfg->size < 1 || cfg->size > RTHYB_COUPLED_MAX || cfg->states < 1 ||
         cfg->states > RTHYB_PLANT_STATES || cfg->forces < 0 || cfg->forces > RTHYB_COUPLED_MAX ||
-        cfg->kinematics.size != cfg->size || !matrices_ok(cfg))
+        cfg->kinematics.size != cfg->size ||
+        rthyb_kinematics_directions(&cfg->kinematics) != cfg->size || !matrices_ok(cfg))
         return RTHYB_E_PLANT;
     *plant = (rthyb_coupled_plant){.cfg = *cfg};
     noise_seed(&plant->noise, cfg->seed);

@@ -8,7 +8,13 @@
  *   (diag(m) + J^-T M J^-1) v' + (diag(c) + J^-T C J^-1) v
  *     = push - J^-T (K q + elements) - friction.
  * Its mass and damping are implicit, as for a single axis. An actuator of another kind goes where
- * its command leads it, whatever the force; the others are affected by it. */
+ * its command leads it, whatever the force; the others are affected by it.
+ *
+ * Redundant actuators, more than the specimen has directions, are attached to it by springs of one
+ * stiffness k_a, far stiffer than the specimen: q is the least-squares pose of x, J^-1 the
+ * least-squares inverse, and what the axes deviate from a common pose loads them with
+ *   k_a (x - J q),
+ * forces in equilibrium with each other. */
 #include <string.h>
 
 #include "hydraulic.h"
@@ -24,23 +30,25 @@ enum { MOST = RTHYB_COUPLED_MAX };
 
 typedef rthyb_coupled_rig rig_t;
 
-/* ---- small matrices, rows of n ----------------------------------------------------------------- */
+/* ---- small matrices, stored row by row --------------------------------------------------------- */
 
-static void times(const double *matrix, const double *x, int n, double *out)
+/* rows x columns */
+static void times(const double *matrix, const double *x, int rows, int columns, double *out)
 {
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < rows; i++) {
         out[i] = 0.0;
-        for (int j = 0; j < n; j++)
-            out[i] += matrix[i * n + j] * x[j];
+        for (int j = 0; j < columns; j++)
+            out[i] += matrix[i * columns + j] * x[j];
     }
 }
 
-static void transposed_times(const double *matrix, const double *x, int n, double *out)
+static void transposed_times(const double *matrix, const double *x, int rows, int columns,
+                             double *out)
 {
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < columns; i++) {
         out[i] = 0.0;
-        for (int j = 0; j < n; j++)
-            out[i] += matrix[j * n + i] * x[j];
+        for (int j = 0; j < rows; j++)
+            out[i] += matrix[j * columns + i] * x[j];
     }
 }
 
@@ -51,14 +59,14 @@ static void add_product(const double matrix[][MOST], const double *x, int n, dou
             out[i] += matrix[i][j] * x[j];
 }
 
-/* back' matrix back: the matrix in axis coordinates. */
-static void along_axes(const double matrix[][MOST], const double *back, int n, double *out)
+/* back' matrix back: the matrix of m directions in coordinates of n axes. */
+static void along_axes(const double matrix[][MOST], const double *back, int n, int m, double *out)
 {
     for (int i = 0; i < n; i++)
         for (int j = 0; j < n; j++) {
             out[i * n + j] = 0.0;
-            for (int k = 0; k < n; k++)
-                for (int l = 0; l < n; l++)
+            for (int k = 0; k < m; k++)
+                for (int l = 0; l < m; l++)
                     out[i * n + j] += back[k * n + i] * matrix[k][l] * back[l * n + j];
         }
 }
@@ -129,7 +137,8 @@ static int elements_ok(const rthyb_coupled_rig_config *c)
     if (c->element_count > RTHYB_ELEMENTS_MAX)
         return 0;
     for (uint32_t i = 0; i < c->element_count; i++)
-        if (c->along[i] < 0 || c->along[i] >= c->size || c->elements[i].kind == RTHYB_INERTIA)
+        if (c->along[i] < 0 || c->along[i] >= rthyb_kinematics_directions(&c->kinematics) ||
+            c->elements[i].kind == RTHYB_INERTIA)
             return 0;
     return 1;
 }
@@ -139,6 +148,31 @@ static int hydraulic(const rig_t *r, int axis)
     return r->cfg.servo[axis].kind == RTHYB_SERVO_HYDRAULIC;
 }
 
+static int directions_of(const rig_t *r)
+{
+    return r->kinematics.cfg.directions;
+}
+
+/* Share of a motion of axis j that axis i does not make with it as one pose: 1 - J J^-1. */
+static double deviation(const rig_t *r, int i, int j)
+{
+    const int n = r->cfg.size, m = directions_of(r);
+    double share = i == j ? 1.0 : 0.0;
+    for (int k = 0; k < m; k++)
+        share -= r->jacobian[i * m + k] * r->back[k * n + j];
+    return share;
+}
+
+/* Forces by which redundant actuators oppose each other at their positions x, added to those of the
+ * axes. */
+static void add_opposing(const rig_t *r, const double *x, double *force)
+{
+    const int n = r->cfg.size;
+    for (int i = 0; i < n && directions_of(r) < n; i++)
+        for (int j = 0; j < n; j++)
+            force[i] += r->cfg.attachment_n_per_m * deviation(r, i, j) * x[j];
+}
+
 /* The fastest vibration of oil and specimen must have a period longer than pi substeps: h^2 times
  * the largest eigenvalue of M^-1 K below 4; the largest row sum is an upper bound of that
  * eigenvalue. Axes with a prescribed motion count as very heavy. */
@@ -146,9 +180,11 @@ static int resolved(const rig_t *r)
 {
     const int n = r->cfg.size;
     double m[RTHYB_COUPLED_SQUARE], k[RTHYB_COUPLED_SQUARE], per_m[RTHYB_COUPLED_SQUARE];
-    along_axes(r->cfg.mass, r->back, n, m);
-    along_axes(r->cfg.stiffness, r->back, n, k);
+    along_axes(r->cfg.mass, r->back, n, directions_of(r), m);
+    along_axes(r->cfg.stiffness, r->back, n, directions_of(r), k);
     for (int i = 0; i < n; i++) {
+        for (int j = 0; j < n && directions_of(r) < n; j++)
+            k[i * n + j] += r->cfg.attachment_n_per_m * deviation(r, i, j);
         k[i * n + i] += hydraulic(r, i) ? r->cfg.servo[i].oil_stiffness_n_per_m : 0.0;
         m[i * n + i] += hydraulic(r, i) ? r->cfg.servo[i].moving_mass_kg : 1e12;
     }
@@ -190,24 +226,38 @@ static int servos_init(rig_t *r)
     return r->substeps == 0 || resolved(r) ? 0 : RTHYB_E_SERVO;
 }
 
+/* The inverse of the Jacobian, directions x axes. A matrix with redundant axes is constant. */
+static int invert_jacobian(const rig_t *r, double *back)
+{
+    if (directions_of(r) == r->cfg.size)
+        return inverse(r->jacobian, r->cfg.size, back);
+    memcpy(back, r->kinematics.inverse, sizeof r->kinematics.inverse);
+    return 1;
+}
+
 int rthyb_coupled_rig_init(rthyb_coupled_rig *rig, const rthyb_coupled_rig_config *cfg)
 {
     if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0))
         return RTHYB_E_PERIOD;
-    if (cfg->size < 1 || cfg->size > MOST || cfg->kinematics.size != cfg->size ||
-        !plant_ok(&cfg->plant, cfg->size) || !symmetric(cfg->stiffness, cfg->size) ||
-        !symmetric(cfg->damping, cfg->size) || !symmetric(cfg->mass, cfg->size))
+    const int32_t m = rthyb_kinematics_directions(&cfg->kinematics);
+    if (cfg->size < 1 || cfg->size > MOST || cfg->kinematics.size != cfg->size || m < 1 ||
+        m > cfg->size || !plant_ok(&cfg->plant, cfg->size) || !symmetric(cfg->stiffness, m) ||
+        !symmetric(cfg->damping, m) || !symmetric(cfg->mass, m) ||
+        !(cfg->attachment_n_per_m >= 0.0 && cfg->attachment_n_per_m <= COEFFICIENT_MAX))
         return RTHYB_E_PLANT;
     if (!sensors_ok(cfg))
         return RTHYB_E_SENSOR;
     if (!elements_ok(cfg))
         return RTHYB_E_ELEMENT;
     *rig = (rthyb_coupled_rig){.cfg = *cfg};
-    const int error = rthyb_kinematics_init(&rig->kinematics, &cfg->kinematics);
+    /* Which sensors the controller uses for the pose does not change where the specimen is. */
+    rthyb_kinematics_config kinematics = cfg->kinematics;
+    kinematics.given &= ~RTHYB_GIVEN_DISPLACEMENTS;
+    const int error = rthyb_kinematics_init(&rig->kinematics, &kinematics);
     if (error)
         return error;
     rthyb_kinematics_jacobian(&rig->kinematics, rig->jacobian);
-    if (!inverse(rig->jacobian, cfg->size, rig->back))
+    if (!invert_jacobian(rig, rig->back))
         return RTHYB_E_KINEMATICS;
     rthyb_coupled_rig_reseed(rig);
     return cfg->plant.states > 0 ? 0 : servos_init(rig);
@@ -259,23 +309,23 @@ static int latch_servos(rig_t *r, const double *x_p_m)
  * sample. */
 static int latch_pose(rig_t *r)
 {
-    const int n = r->cfg.size;
+    const int n = r->cfg.size, m = directions_of(r);
     double before[RTHYB_COUPLED_SQUARE], turned[MOST] = {0.0}, found[RTHYB_COUPLED_SQUARE];
     int code = rthyb_kinematics_pose(&r->kinematics, r->x_true_m, r->pose);
     memcpy(before, r->jacobian, sizeof before);
     rthyb_kinematics_jacobian(&r->kinematics, r->jacobian);
-    if (inverse(r->jacobian, n, found))
+    if (invert_jacobian(r, found))
         memcpy(r->back, found, sizeof found);
     else
         code |= RTHYB_S_OUT_OF_RANGE;
-    times(r->back, r->v_true, n, r->pose_v);
+    times(r->back, r->v_true, m, n, r->pose_v);
     for (int i = 0; i < n; i++) {
         turned[i] = r->a_true[i];
-        for (int j = 0; j < n; j++)
+        for (int j = 0; j < m; j++)
             turned[i] -=
-                (r->jacobian[i * n + j] - before[i * n + j]) / r->cfg.period_s * r->pose_v[j];
+                (r->jacobian[i * m + j] - before[i * m + j]) / r->cfg.period_s * r->pose_v[j];
     }
-    times(r->back, turned, n, r->pose_a);
+    times(r->back, turned, m, n, r->pose_a);
     return code;
 }
 
@@ -284,7 +334,7 @@ static void resist(rig_t *r, const double *q, const double *v, const double *a, 
                    double *force)
 {
     memset(force, 0, MOST * sizeof *force);
-    add_product(r->cfg.stiffness, q, r->cfg.size, force);
+    add_product(r->cfg.stiffness, q, directions_of(r), force);
     for (uint32_t e = 0; e < r->cfg.element_count; e++) {
         const int j = r->cfg.along[e];
         force[j] += rthyb_element_force(&r->cfg.elements[e], q[j], v[j], a[j], dt);
@@ -292,16 +342,22 @@ static void resist(rig_t *r, const double *q, const double *v, const double *a, 
 }
 
 /* Load cells: at the actuator's end they measure the force of the oil column, otherwise the load of
- * the specimen on the axis. dt = 0, because the substeps have already advanced the elements to
+ * the specimen on the axis; where they are not in line with the axes, forces with the resultant of
+ * the specimen's, to which opposing actuators add nothing. dt = 0, because the substeps have already advanced the elements to
  * t_n. */
 static void latch_forces(rig_t *r)
 {
-    const int n = r->cfg.size;
+    const int n = r->cfg.size, m = directions_of(r);
     double force[MOST];
     resist(r, r->pose, r->pose_v, r->pose_a, r->substeps > 0 ? 0.0 : r->cfg.period_s, force);
-    add_product(r->cfg.damping, r->pose_v, n, force);
-    add_product(r->cfg.mass, r->pose_a, n, force);
-    transposed_times(r->back, force, n, r->f_true_n);
+    add_product(r->cfg.damping, r->pose_v, m, force);
+    add_product(r->cfg.mass, r->pose_a, m, force);
+    if (r->kinematics.cfg.given & RTHYB_GIVEN_FORCES) {
+        (void)rthyb_kinematics_pushes(&r->kinematics, force, r->f_true_n);
+        return;
+    }
+    transposed_times(r->back, force, m, n, r->f_true_n);
+    add_opposing(r, r->x_true_m, r->f_true_n);
     for (int i = 0; i < n; i++)
         if (r->cfg.plant.states == 0 && hydraulic(r, i) && r->cfg.load_cell == RTHYB_ACTUATOR_END)
             r->f_true_n[i] = r->servo[i].oil_force;
@@ -343,8 +399,8 @@ static int joint_begin(rig_t *r, joint_sample *s)
     double m[RTHYB_COUPLED_SQUARE], c[RTHYB_COUPLED_SQUARE], own[RTHYB_COUPLED_SQUARE] = {0.0};
     int code = RTHYB_OK;
     *s = (joint_sample){.h = r->cfg.period_s / r->substeps};
-    along_axes(r->cfg.mass, r->back, n, m);
-    along_axes(r->cfg.damping, r->back, n, c);
+    along_axes(r->cfg.mass, r->back, n, directions_of(r), m);
+    along_axes(r->cfg.damping, r->back, n, directions_of(r), c);
     for (int i = 0; i < n; i++) {
         const rthyb_servo_config *cfg = &r->cfg.servo[i];
         if (hydraulic(r, i)) {
@@ -368,21 +424,24 @@ static int joint_begin(rig_t *r, joint_sample *s)
 /* State of the specimen at the beginning of a substep, and its load on the axes. */
 static void asked_of_axes(rig_t *r, const joint_sample *s, int substep, double *asked)
 {
-    const int n = r->cfg.size;
+    const int n = r->cfg.size, m = directions_of(r);
     double moved[MOST], v[MOST], a[MOST], q[MOST], qv[MOST], qa[MOST], force[MOST];
+    double x[MOST] = {0.0};
     for (int i = 0; i < n; i++) {
         const int free = hydraulic(r, i);
         moved[i] = free ? r->servo[i].x - r->x_true_m[i] : s->h * substep * s->speed[i];
         v[i] = free ? r->servo[i].v : s->speed[i];
         a[i] = free ? r->servo[i].a : r->a_true[i];
+        x[i] = r->x_true_m[i] + moved[i];
     }
-    times(r->back, moved, n, q);
-    times(r->back, v, n, qv);
-    times(r->back, a, n, qa);
-    for (int j = 0; j < n; j++)
+    times(r->back, moved, m, n, q);
+    times(r->back, v, m, n, qv);
+    times(r->back, a, m, n, qa);
+    for (int j = 0; j < m; j++)
         q[j] += r->pose[j];
     resist(r, q, qv, qa, s->h, force);
-    transposed_times(r->back, force, n, asked);
+    transposed_times(r->back, force, m, n, asked);
+    add_opposing(r, x, asked);
 }
 
 static int advance_together(rig_t *r)
@@ -391,13 +450,13 @@ static int advance_together(rig_t *r)
     joint_sample s;
     int code = joint_begin(r, &s);
     const double per_h = 1.0 / s.h;
-    double before[MOST], asked[MOST], known[MOST], half[MOST];
+    double before[MOST], asked[MOST] = {0.0}, known[MOST], half[MOST];
     for (int step = 0; step < r->substeps; step++) {
         for (int i = 0; i < n; i++)
             before[i] =
                 hydraulic(r, i) ? r->servo[i].half_velocity : s.speed[i] - s.h * r->a_true[i];
         asked_of_axes(r, &s, step, asked);
-        times(s.right, before, n, known);
+        times(s.right, before, n, n, known);
         for (int i = 0; i < n; i++) {
             const rthyb_servo_config *c = &r->cfg.servo[i];
             if (!hydraulic(r, i)) {
@@ -409,7 +468,7 @@ static int advance_together(rig_t *r)
             const double sign = smooth_sign(r->servo[i].v / c->friction_width_m_per_s);
             known[i] += s.h * (push - asked[i] - c->friction_n * sign);
         }
-        times(s.left, known, n, half);
+        times(s.left, known, n, n, half);
         for (int i = 0; i < n; i++)
             if (hydraulic(r, i))
                 hydraulic_move(&r->servo[i], half[i], s.h, per_h);

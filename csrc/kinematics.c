@@ -6,7 +6,12 @@
  *   |r + d| - |r| = d (2 r + d) / (|r + d| + |r|),
  * which remains accurate however small d is. A far axis keeps its direction e: e d. The inverse is
  * found by Newton's method, with two steps from the last pose: within a sample, a specimen moves by
- * less than a millimetre, and each step squares the remaining error. */
+ * less than a millimetre, and each step squares the remaining error.
+ *
+ * A matrix T may have more rows (axes) than columns (coordinates). The pose then is D x, with
+ * D T = 1: the given D, or the least-squares inverse (T'T)^-1 T'. Interface forces are F f, with the
+ * given F, or T', for which the axes do the same virtual work as the interface: f'(T dq) =
+ * (T'f)'dq. The forces that correspond to a resultant are F'(F F')^-1 times it. */
 #include "numeric.h"
 #include "small_solve.h"
 
@@ -20,6 +25,9 @@
 #define CONVERGES 1e-2
 #define FOUND_M 1e-9    /* above rounding for bases 1e6 m away, below any sensor's noise */
 #define SEARCH_STEPS 16 /* from any pose to any other that a rig can have */
+/* Of T'T, with columns scaled to length 1: the square of PIVOT_MIN. */
+#define GRAM_PIVOT_MIN 1e-6
+#define IDENTITY_WITHIN 1e-6 /* of D T, relative: entries may be rounded to seven digits */
 
 enum { MOST = RTHYB_COUPLED_MAX };
 
@@ -68,12 +76,13 @@ static double reach(const rthyb_kinematics *s, const plane *at, int axis, double
     return sign * longer;
 }
 
-static void multiply(const double *matrix, const double *x, int n, double *out)
+/* rows x columns */
+static void multiply(const double *matrix, const double *x, int rows, int columns, double *out)
 {
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < rows; i++) {
         out[i] = 0.0;
-        for (int j = 0; j < n; j++)
-            out[i] += matrix[i * n + j] * x[j];
+        for (int j = 0; j < columns; j++)
+            out[i] += matrix[i * columns + j] * x[j];
     }
 }
 
@@ -110,8 +119,8 @@ void rthyb_kinematics_rates(const rthyb_kinematics *s, const double *pose, const
                             double *axis_acceleration)
 {
     if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX) {
-        multiply(s->cfg.matrix, velocity, s->cfg.size, axis_velocity);
-        multiply(s->cfg.matrix, acceleration, s->cfg.size, axis_acceleration);
+        multiply(s->cfg.matrix, velocity, s->cfg.size, s->cfg.directions, axis_velocity);
+        multiply(s->cfg.matrix, acceleration, s->cfg.size, s->cfg.directions, axis_acceleration);
         return;
     }
     const plane at = plane_of(s, pose), by = plane_of(s, velocity),
@@ -130,18 +139,104 @@ static int within(const double *values, int count, double most)
     return 1;
 }
 
-static int matrix_init(rthyb_kinematics *s)
+static int square_init(rthyb_kinematics *s)
 {
     const int n = s->cfg.size;
     double a[RTHYB_COUPLED_SQUARE] = {0.0}, norm = 0.0;
-    if (!within(s->cfg.matrix, n * n, 1e6))
-        return RTHYB_E_KINEMATICS;
     for (int i = 0; i < n * n; i++) {
         a[i] = s->cfg.matrix[i];
         norm = fmax(norm, fabs(a[i]));
         s->inverse[i] = i % (n + 1) == 0 ? 1.0 : 0.0;
     }
     return norm >= 1e-6 && small_solve(a, s->inverse, n, n, 1e-9 * norm) ? 0 : RTHYB_E_KINEMATICS;
+}
+
+/* Least-squares inverse (m x n) of a matrix t (n x m); 0 if its columns are not independent. */
+static int left_inverse(const double *t, int n, int m, double *out)
+{
+    double scale[MOST], gram[RTHYB_COUPLED_SQUARE] = {0.0};
+    for (int j = 0; j < m; j++) {
+        double sum = 0.0;
+        for (int i = 0; i < n; i++)
+            sum += t[i * m + j] * t[i * m + j];
+        scale[j] = sqrt(sum);
+        if (!(scale[j] >= 1e-6))
+            return 0;
+    }
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < n; i++) {
+            out[j * n + i] = t[i * m + j] / scale[j];
+            for (int k = 0; k < m; k++)
+                gram[j * m + k] += t[i * m + j] / scale[j] * t[i * m + k] / scale[k];
+        }
+    if (!small_solve(gram, out, m, n, GRAM_PIVOT_MIN))
+        return 0;
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < n; i++)
+            out[j * n + i] /= scale[j];
+    return 1;
+}
+
+/* Whether d (m x n) times t (n x m) is the identity. */
+static int inverts(const double *d, const double *t, int n, int m)
+{
+    for (int j = 0; j < m; j++)
+        for (int k = 0; k < m; k++) {
+            double sum = 0.0, size = 0.0;
+            for (int i = 0; i < n; i++) {
+                sum += d[j * n + i] * t[i * m + k];
+                size += fabs(d[j * n + i] * t[i * m + k]);
+            }
+            if (!(fabs(sum - (j == k ? 1.0 : 0.0)) <= IDENTITY_WITHIN * fmax(1.0, size)))
+                return 0;
+        }
+    return 1;
+}
+
+static int is_given(const rthyb_kinematics_config *cfg, int what)
+{
+    return (cfg->given & what) != 0;
+}
+
+/* The forces of the axes that have a given resultant. */
+static int pushes_init(rthyb_kinematics *s)
+{
+    const int n = s->cfg.size, m = s->cfg.directions;
+    double turned[RTHYB_COUPLED_SQUARE], back[RTHYB_COUPLED_SQUARE];
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < n; i++)
+            turned[i * m + j] = is_given(&s->cfg, RTHYB_GIVEN_FORCES) ? s->cfg.forces[j * n + i]
+                                                                      : s->cfg.matrix[i * m + j];
+    if (!left_inverse(turned, n, m, back))
+        return 0;
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < n; i++)
+            s->pushes[i * m + j] = back[j * n + i];
+    return 1;
+}
+
+static int matrix_init(rthyb_kinematics *s)
+{
+    const int n = s->cfg.size, m = s->cfg.directions;
+    const int forces = is_given(&s->cfg, RTHYB_GIVEN_FORCES);
+    const int displacements = is_given(&s->cfg, RTHYB_GIVEN_DISPLACEMENTS);
+    if (!within(s->cfg.matrix, n * m, 1e6) || (forces && !within(s->cfg.forces, n * m, 1e6)) ||
+        (displacements && !within(s->cfg.displacements, n * m, 1e6)))
+        return RTHYB_E_KINEMATICS;
+    if (n == m) {
+        const int error = square_init(s);
+        if (error)
+            return error;
+    } else if (!left_inverse(s->cfg.matrix, n, m, s->inverse)) {
+        return RTHYB_E_KINEMATICS;
+    }
+    if (displacements) {
+        if (!inverts(s->cfg.displacements, s->cfg.matrix, n, m))
+            return RTHYB_E_KINEMATICS;
+        for (int i = 0; i < n * m; i++)
+            s->inverse[i] = s->cfg.displacements[i];
+    }
+    return (n == m && !forces) || pushes_init(s) ? 0 : RTHYB_E_KINEMATICS;
 }
 
 static int coordinates_ok(const rthyb_kinematics_config *cfg)
@@ -173,7 +268,8 @@ static int pins_init(rthyb_kinematics *s)
 {
     const rthyb_kinematics_config *cfg = &s->cfg;
     const int n = cfg->size;
-    if (n > 3 || !coordinates_ok(cfg) || !within(cfg->pin_m[0], 2 * n, RTHYB_DISPLACEMENT_MAX_M) ||
+    if (n > 3 || cfg->directions != n || cfg->given || !coordinates_ok(cfg) ||
+        !within(cfg->pin_m[0], 2 * n, RTHYB_DISPLACEMENT_MAX_M) ||
         !within(cfg->base_m[0], 2 * n, 1e6))
         return RTHYB_E_KINEMATICS;
     double arm = 0.0;
@@ -198,12 +294,20 @@ static int pins_init(rthyb_kinematics *s)
     return solves(s, jacobian, b) ? 0 : RTHYB_E_KINEMATICS;
 }
 
+int32_t rthyb_kinematics_directions(const rthyb_kinematics_config *cfg)
+{
+    return cfg->directions == 0 ? cfg->size : cfg->directions;
+}
+
 int rthyb_kinematics_init(rthyb_kinematics *s, const rthyb_kinematics_config *cfg)
 {
-    if (cfg->size < 1 || cfg->size > MOST ||
+    const int32_t directions = rthyb_kinematics_directions(cfg);
+    if (cfg->size < 1 || cfg->size > MOST || directions < 1 || directions > cfg->size ||
+        cfg->given < 0 || cfg->given > (RTHYB_GIVEN_FORCES | RTHYB_GIVEN_DISPLACEMENTS) ||
         (cfg->kind != RTHYB_KINEMATICS_MATRIX && cfg->kind != RTHYB_KINEMATICS_PINS))
         return RTHYB_E_KINEMATICS;
     *s = (rthyb_kinematics){.cfg = *cfg};
+    s->cfg.directions = directions;
     return cfg->kind == RTHYB_KINEMATICS_MATRIX ? matrix_init(s) : pins_init(s);
 }
 
@@ -213,7 +317,7 @@ void rthyb_kinematics_jacobian(const rthyb_kinematics *s, double *jacobian)
 {
     const int n = s->cfg.size;
     if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX) {
-        for (int i = 0; i < n * n; i++)
+        for (int i = 0; i < n * s->cfg.directions; i++)
             jacobian[i] = s->cfg.matrix[i];
         return;
     }
@@ -225,11 +329,11 @@ void rthyb_kinematics_jacobian(const rthyb_kinematics *s, double *jacobian)
 int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_m)
 {
     int code = RTHYB_OK;
-    const int n = s->cfg.size;
-    for (int j = 0; j < n; j++)
+    const int n = s->cfg.size, m = s->cfg.directions;
+    for (int j = 0; j < m; j++)
         s->wanted[j] = accept(pose[j], limit_of(s, j), s->wanted[j], &code);
     if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX) {
-        multiply(s->cfg.matrix, s->wanted, n, axis_m);
+        multiply(s->cfg.matrix, s->wanted, n, m, axis_m);
         return code;
     }
     const plane at = plane_of(s, s->wanted);
@@ -322,14 +426,14 @@ int rthyb_kinematics_find(rthyb_kinematics *s, const double *axis_m, double *pos
 int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pose)
 {
     int code = RTHYB_OK;
-    const int n = s->cfg.size;
+    const int n = s->cfg.size, m = s->cfg.directions;
     for (int i = 0; i < n; i++)
         s->axis_m[i] = accept(axis_m[i], RTHYB_DISPLACEMENT_MAX_M, s->axis_m[i], &code);
     if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX)
-        multiply(s->inverse, s->axis_m, n, s->pose);
+        multiply(s->inverse, s->axis_m, m, n, s->pose);
     else
         code |= pose_by_newton(s);
-    for (int j = 0; j < n; j++)
+    for (int j = 0; j < m; j++)
         pose[j] = s->pose[j];
     return code;
 }
@@ -337,15 +441,19 @@ int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pos
 int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *force)
 {
     int code = RTHYB_OK;
-    const int n = s->cfg.size;
+    const int n = s->cfg.size, m = s->cfg.directions;
     double jacobian[RTHYB_COUPLED_SQUARE] = {0.0};
-    rthyb_kinematics_jacobian(s, jacobian);
     for (int i = 0; i < n; i++)
         s->axis_n[i] = accept(axis_n[i], RTHYB_FORCE_MAX_N, s->axis_n[i], &code);
-    for (int j = 0; j < n; j++) {
+    if (is_given(&s->cfg, RTHYB_GIVEN_FORCES)) {
+        multiply(s->cfg.forces, s->axis_n, m, n, force);
+        return code;
+    }
+    rthyb_kinematics_jacobian(s, jacobian);
+    for (int j = 0; j < m; j++) {
         force[j] = 0.0;
         for (int i = 0; i < n; i++)
-            force[j] += jacobian[i * n + j] * s->axis_n[i];
+            force[j] += jacobian[i * m + j] * s->axis_n[i];
     }
     return code;
 }
@@ -354,6 +462,10 @@ int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, doub
 {
     const int n = s->cfg.size;
     double jacobian[RTHYB_COUPLED_SQUARE] = {0.0}, turned[RTHYB_COUPLED_SQUARE] = {0.0};
+    if (s->cfg.directions < n || is_given(&s->cfg, RTHYB_GIVEN_FORCES)) {
+        multiply(s->pushes, force, n, s->cfg.directions, axis_n);
+        return RTHYB_OK;
+    }
     rthyb_kinematics_jacobian(s, jacobian);
     const int scaled = s->cfg.kind == RTHYB_KINEMATICS_PINS;
     for (int j = 0; j < n; j++) {
@@ -372,17 +484,17 @@ int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, doub
 int rthyb_kinematics_axes_run(rthyb_kinematics *s, const double *pose, double *axis_m, size_t n)
 {
     int code = RTHYB_OK;
-    const size_t width = (size_t)s->cfg.size;
+    const size_t width = (size_t)s->cfg.size, directions = (size_t)s->cfg.directions;
     for (size_t i = 0; i < n; i++)
-        code |= rthyb_kinematics_axes(s, pose + i * width, axis_m + i * width);
+        code |= rthyb_kinematics_axes(s, pose + i * directions, axis_m + i * width);
     return code;
 }
 
 int rthyb_kinematics_pose_run(rthyb_kinematics *s, const double *axis_m, double *pose, size_t n)
 {
     int code = RTHYB_OK;
-    const size_t width = (size_t)s->cfg.size;
+    const size_t width = (size_t)s->cfg.size, directions = (size_t)s->cfg.directions;
     for (size_t i = 0; i < n; i++)
-        code |= rthyb_kinematics_pose(s, axis_m + i * width, pose + i * width);
+        code |= rthyb_kinematics_pose(s, axis_m + i * width, pose + i * directions);
     return code;
 }

@@ -224,10 +224,10 @@ PER_COUNT int has_velocity(int n, const rthyb_controller *c)
 
 /* ---- along the interfaces -------------------------------------------------------------------------- */
 
-static int has_directions(int n, const rthyb_controller *c)
+static int has_directions(const rthyb_controller *c)
 {
     int any = 0;
-    for (int j = 0; j < n; j++)
+    for (int j = 0; j < c->cfg.interface_count; j++)
         any = any || c->cfg.direction_clamp[j] > 0.0;
     return any;
 }
@@ -239,7 +239,7 @@ static int pose_of(int n, const rthyb_controller *c, const double *x, double *po
     if (c->cfg.kinematics.size == 0)
         return 1;
     rthyb_kinematics trial = c->kinematics;
-    for (int j = 0; j < n; j++)
+    for (int j = 0; j < c->cfg.interface_count; j++)
         trial.pose[j] = c->interface[j].x_num;
     return rthyb_kinematics_pose(&trial, x, pose) == RTHYB_OK;
 }
@@ -279,9 +279,9 @@ static void brake_directions(int n, const rthyb_controller *c, double *step)
 {
     ways way;
     double least = 1.0;
-    if (!has_directions(n, c) || !find_ways(n, c, step, &way))
+    if (!has_directions(c) || !find_ways(n, c, step, &way))
         return;
-    for (int j = 0; j < n; j++) {
+    for (int j = 0; j < c->cfg.interface_count; j++) {
         const double limit = c->cfg.direction_clamp[j], along = way.to[j] - way.from[j];
         const double room = limit - copysign(way.from[j], way.from[j] * along);
         const double a_max = direction_acceleration(n, c, step, along);
@@ -308,7 +308,7 @@ static void keep_directions(int n, rthyb_controller *c, const double *wanted, do
 {
     double step[MOST] = {0.0}, beyond[MOST] = {0.0};
     c->at_direction = 0;
-    if (!has_directions(n, c))
+    if (!has_directions(c))
         return;
     const int known = pose_of(n, c, wanted, beyond);
     for (int look = 0; look < DIRECTION_LOOKS; look++) {
@@ -317,7 +317,7 @@ static void keep_directions(int n, rthyb_controller *c, const double *wanted, do
         for (int i = 0; i < n; i++)
             step[i] = command[i] - c->axis[i].limiter.x_lim;
         const int found = find_ways(n, c, step, &way);
-        for (int j = 0; j < n && found; j++) {
+        for (int j = 0; j < c->cfg.interface_count && found; j++) {
             const double limit = c->cfg.direction_clamp[j];
             if (limit > 0.0)
                 least = fmin(least, permitted_share(limit, way.from[j], way.to[j]));

@@ -25,7 +25,8 @@ typedef struct {
 } rthyb_axis_control;
 
 /* Axes that act on one specimen, and the interface coordinates that connect them to the numerical part:
- * commands in one direction, forces in the other. Both counts are 1 to RTHYB_COUPLED_MAX. */
+ * commands in one direction, forces in the other. Both counts are 1 to RTHYB_COUPLED_MAX, and there are no more
+ * interfaces than axes. */
 typedef struct {
     double period_s;
     int32_t axis_count, interface_count;
@@ -40,8 +41,9 @@ typedef struct {
     double direction_clamp[RTHYB_COUPLED_MAX];
     rthyb_rfc_config rfc[RTHYB_COUPLED_MAX]; /* for each interface */
     rthyb_kinematics_config kinematics;      /* size 0: axis i is interface i */
-    rthyb_matrix_lead_config matrix_lead;    /* replaces the laws; size 0: none */
-    rthyb_matrix_rfc_config matrix_rfc;      /* replaces rfc; size 0: none */
+    /* replaces the laws; size 0: none; only if there are as many interfaces as axes */
+    rthyb_matrix_lead_config matrix_lead;
+    rthyb_matrix_rfc_config matrix_rfc; /* replaces rfc; size 0: none */
 } rthyb_controller_config;
 
 /* State of the limiter for one axis (limiter.c). */
@@ -60,6 +62,7 @@ typedef struct {
     double x_plc, x_plc1;   /* the same after compensation */
     double x_cmd, x_cmd1;   /* the same after limiting: as sent */
     double x_m1, f1;        /* at t_{n-1}, measured or predicted */
+    double apart;           /* with redundant actuators: target minus that of the common pose */
     uint32_t missing;       /* consecutive samples in which this axis had no accepted pair */
     rthyb_limiter limiter;
     rthyb_law law;

@@ -37,6 +37,9 @@ typedef struct {
     double stiffness[RTHYB_COUPLED_MAX][RTHYB_COUPLED_MAX];
     double damping[RTHYB_COUPLED_MAX][RTHYB_COUPLED_MAX];
     double mass[RTHYB_COUPLED_MAX][RTHYB_COUPLED_MAX];
+    /* With more axes than interface coordinates: stiffness between each actuator and the specimen, with which redundant
+     * actuators that do not agree on a pose push against each other. */
+    double attachment_n_per_m;
     uint32_t element_count;
     rthyb_element elements[RTHYB_ELEMENTS_MAX]; /* no inertia elements: mass is given above */
     int32_t along[RTHYB_ELEMENTS_MAX]; /* interface coordinate in which each element acts */
@@ -58,7 +61,7 @@ typedef struct {
     /* Interface coordinates at the last latch. */
     double pose[RTHYB_COUPLED_MAX], pose_v[RTHYB_COUPLED_MAX], pose_a[RTHYB_COUPLED_MAX];
     double jacobian[RTHYB_COUPLED_SQUARE]; /* d axis / d pose, */
-    double back[RTHYB_COUPLED_SQUARE];     /* and its inverse */
+    double back[RTHYB_COUPLED_SQUARE];     /* and its inverse, or least-squares inverse */
     int32_t substeps;                      /* per sample; 0: no axis has substeps */
 } rthyb_coupled_rig;
 

@@ -22,12 +22,22 @@ enum rthyb_coordinate {
     RTHYB_COORDINATE_THETA /* rad, from x towards y */
 };
 
-/* Only the first `size` entries of an array of axes are used; square matrices are stored row by row, `size` values
- * per row. There are as many interface coordinates as axes. */
+enum rthyb_kinematics_given {
+    RTHYB_GIVEN_FORCES = 1,       /* `forces` is used; otherwise the transposed Jacobian */
+    RTHYB_GIVEN_DISPLACEMENTS = 2 /* `displacements` is used; otherwise the least-squares inverse */
+};
+
+/* Only the first `size` entries of an array of axes are used; matrices are stored row by row. With a matrix there may
+ * be fewer interface coordinates than axes, because the actuators are redundant; with pins there are as many. */
 typedef struct {
-    int32_t kind; /* enum rthyb_kinematics_kind */
-    int32_t size; /* axes; pins: 1 to 3 */
-    double matrix[RTHYB_COUPLED_SQUARE];
+    int32_t kind;                        /* enum rthyb_kinematics_kind */
+    int32_t size;                        /* axes; pins: 1 to 3 */
+    int32_t directions;                  /* interface coordinates; 0: as many as axes */
+    int32_t given;                       /* enum rthyb_kinematics_given, bits; 0 with pins */
+    double matrix[RTHYB_COUPLED_SQUARE]; /* size rows of `directions` values */
+    /* `directions` rows of `size` values. forces: interface forces = forces times load cells; displacements: pose =
+     * displacements times sensors; displacements times matrix must be the identity. */
+    double forces[RTHYB_COUPLED_SQUARE], displacements[RTHYB_COUPLED_SQUARE];
     /* The rest applies to pins only. Coordinates that are not listed remain 0. */
     int32_t coordinate[RTHYB_COUPLED_MAX]; /* enum rthyb_coordinate, each at most once */
     /* x and y of each axis at rest, relative to the point whose motion is the pose. */
@@ -43,7 +53,8 @@ typedef struct {
     rthyb_kinematics_config cfg;
     double reach[RTHYB_COUPLED_MAX][2];   /* from base to pin at rest; far: the unit direction */
     double rest_m[RTHYB_COUPLED_MAX];     /* length at rest */
-    double inverse[RTHYB_COUPLED_SQUARE]; /* of the matrix */
+    double inverse[RTHYB_COUPLED_SQUARE]; /* of the matrix: rows of `size` */
+    double pushes[RTHYB_COUPLED_SQUARE]; /* of forces: rows of `directions`; unless cfg is square */
     double scale[RTHYB_COUPLED_MAX]; /* of each coordinate, m: 1, or the pins' distance for theta */
     double pose[RTHYB_COUPLED_MAX];  /* last result of rthyb_kinematics_pose */
     double wanted[RTHYB_COUPLED_MAX]; /* last valid inputs: pose, */
@@ -51,9 +62,11 @@ typedef struct {
     double axis_n[RTHYB_COUPLED_MAX]; /* forces */
 } rthyb_kinematics;
 
-/* RTHYB_E_KINEMATICS: sizes, a coordinate listed twice, a pin that coincides with its base, or axes that do not
- * determine every coordinate. */
+/* RTHYB_E_KINEMATICS: sizes, a coordinate listed twice, a pin that coincides with its base, or axes, displacements or
+ * forces that do not determine every coordinate. Afterwards s->cfg.directions is not 0. */
 int rthyb_kinematics_init(rthyb_kinematics *s, const rthyb_kinematics_config *cfg);
+/* Number of interface coordinates, before or after _init. */
+int32_t rthyb_kinematics_directions(const rthyb_kinematics_config *cfg);
 /* Pose -> displacement of each axis. Status bits. */
 int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_m);
 /* Displacement of each axis -> pose, by two Newton steps from the previous pose. If they do not converge, returns
@@ -64,11 +77,12 @@ int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pos
  * RTHYB_S_OUT_OF_RANGE. */
 int rthyb_kinematics_find(rthyb_kinematics *s, const double *axis_m, double *pose);
 /* Forces of the axes, positive in the positive direction of each axis -> forces and moments in interface
- * coordinates, by the transposed Jacobian at the last pose found. */
+ * coordinates, by the transposed Jacobian at the last pose found, or by the given matrix. */
 int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *force);
-/* The inverse: forces and moments in interface coordinates -> force of each axis. */
+/* The inverse: forces and moments in interface coordinates -> force of each axis; with redundant axes, the smallest
+ * forces (root sum square) that have this resultant. */
 int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, double *axis_n);
-/* d axis / d pose at the last pose found, rows of `size`. */
+/* d axis / d pose at the last pose found, rows of `directions`. */
 void rthyb_kinematics_jacobian(const rthyb_kinematics *s, double *jacobian);
 /* Velocity and acceleration of each axis for a pose with given velocity and acceleration; exact, including the
  * acceleration due to rotation of the coupler and the axes. HUGE_VAL for a pin that coincides with its base. */

@@ -233,6 +233,10 @@ MEANINGS: dict[str, str] = {
     "MatrixKinematics.matrix": "displacement of each axis per unit displacement of the interface: "
     "rows are axes",
     "MatrixKinematics.rotations": "directions that are angles, in rad",
+    "MatrixKinematics.forces": "force along each direction per unit force of each load cell: rows "
+    "are directions; absent: the transposed matrix, for load cells in line with the axes",
+    "MatrixKinematics.displacements": "displacement along each direction per unit displacement of "
+    "each axis: rows are directions; absent: the (least-squares) inverse of the matrix",
     "PinKinematics.interface": "coordinates of the coupler in its plane; the others stay 0",
     "PinKinematics.pins_m": "pin of each axis at rest, relative to the point that the "
     "interface moves",
@@ -242,6 +246,8 @@ MEANINGS: dict[str, str] = {
     "JointSpecimen.stiffness": "elastic force per unit displacement of the interface",
     "JointSpecimen.damping": "force per unit velocity; absent: none",
     "JointSpecimen.mass": "force per unit acceleration; absent: none",
+    "JointSpecimen.attachment_stiffness_n_per_m": "required if there are more axes than "
+    "directions, and only then: stiffness of each actuator's attachment to the specimen",
     "Plant.file": ".npz or .mat with a, b and c; a relative path is relative to the folder of the "
     "rig file",
     "Plant.a": "instead of the file: s' = a s + b u, time in s",

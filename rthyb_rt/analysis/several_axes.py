@@ -46,6 +46,8 @@ class AxisRows:
         tracking_peak_m: greatest of these differences.
         peak_command_m, peak_measured_m, peak_force_n: greatest magnitudes.
         delay_samples: last value reported by its control law; None: a law without, or matrices.
+        peak_opposing_n: greatest magnitude of the part of its force that balances those of other
+            redundant actuators, and does not act on the specimen; None: no redundant actuators.
     """
 
     name: str
@@ -55,6 +57,7 @@ class AxisRows:
     peak_measured_m: float
     peak_force_n: float
     delay_samples: float | None
+    peak_opposing_n: float | None = None
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,9 @@ class Signals:
     Attributes:
         time_s: (n,).
         wanted_m, command_m, measured_m, force_n: of the axes, (n, axes) each.
-        x_num, x_meas: along the interface, (n, axes) each.
+        opposing_n: the part of ``force_n`` without resultant, (n, axes); None: no redundant
+            actuators.
+        x_num, x_meas: along the interface, (n, directions) each.
         reference: at the same rows.
     """
 
@@ -98,6 +103,7 @@ class Signals:
     x_num: Floats
     x_meas: Floats
     reference: AxesReference
+    opposing_n: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +252,7 @@ def _signals(rec: Recording, rig: AxesRig, whole: AxesReference) -> Signals:
     parts = {key: getattr(whole, key)[:n] for key in AxesReference.__dataclass_fields__}
     samples = rec.samples[running]
     x_num = np.column_stack(
-        [samples["x_num_m"], *(samples[f"x_num_m_{j}"] for j in range(1, len(rig.axis)))]
+        [samples["x_num_m"], *(samples[f"x_num_m_{j}"] for j in range(1, len(rig.directions)))]
     )
     columns = {
         key: np.column_stack([rec.axis(i)[key][running] for i in range(len(rig.axis))])
@@ -264,7 +270,14 @@ def _signals(rec: Recording, rig: AxesRig, whole: AxesReference) -> Signals:
         x_num,
         pose,
         AxesReference(**parts),
+        _opposing(rig, columns["f_meas_n"]) if rig.is_redundant else None,
     )
+
+
+def _opposing(rig: AxesRig, force_n: Floats) -> Floats:
+    """Return forces less the smallest ones that have the same resultant, (n, axes)."""
+    tie = rig.core_kinematics()
+    return force_n - tie.pushes(tie.resultants(force_n))
 
 
 def _peak(values: Floats) -> float:
@@ -285,6 +298,7 @@ def _of_axis(rec: Recording, signals: Signals, i: int, name: str, by_law: bool) 
         _peak(measured),
         _peak(signals.force_n[:, i]),
         last if by_law and np.isfinite(last) else None,
+        None if signals.opposing_n is None else _peak(signals.opposing_n[:, i]),
     )
 
 
@@ -335,6 +349,12 @@ def table(s: AxesSummary) -> list[SummaryRow]:
             SummaryRow(f"Axis {axis.name}: peak of the force",
                 quantity(axis.peak_force_n, "kN", 1e-3), "at its load cell"),
         ]  # fmt: skip
+        if axis.peak_opposing_n is not None:
+            opposing = quantity(axis.peak_opposing_n, "kN", 1e-3)
+            rows.append(
+                SummaryRow(f"Axis {axis.name}: peak of the opposing force", opposing,
+                    "balanced by other axes, not acting on the specimen")
+            )  # fmt: skip
         if axis.delay_samples is not None:
             delay = axis.delay_samples
             rows.append(

@@ -73,12 +73,13 @@ def of_axes(rec: Recording, structure: SparseStructure) -> EnergyBalance | None:
     assert isinstance(rig, config.AxesRig)
     count, tie = len(rig.axis), rig.core_kinematics()
     s = rec.samples[rows]
-    x_num = np.column_stack([s["x_num_m"], *(s[f"x_num_m_{j}"] for j in range(1, count))])
+    directions = range(1, tie.directions)
+    x_num = np.column_stack([s["x_num_m"], *(s[f"x_num_m_{j}"] for j in directions)])
     x_axes, f_axes = (
         np.column_stack([rec.axis(i)[key][rows] for i in range(count)])
         for key in ("x_meas_m", "f_meas_n")
     )
-    x_meas, f_meas = np.empty_like(x_axes), np.empty_like(f_axes)
+    x_meas, f_meas = np.empty_like(x_num), np.empty_like(x_num)
     for n, (at, force) in enumerate(zip(x_axes, f_axes, strict=True)):
         # Pins rotate with the pose: forces are those of the latest pose.
         x_meas[n], _ = tie.pose(at)

@@ -38,12 +38,15 @@ def opened_link(
     separate process is at the other end, sampled at ``rate``; None: at that of the rig file.
 
     Raises:
-        InputError: what prevents opening it.
+        InputError: what prevents opening it; redundant actuators.
         RthybError: the virtual rig's process did not start.
     """
+    from rthyb_rt.config import AxesRig
     from rthyb_rt.rig import virtual_rig
     from rthyb_rt.rig.links import opening
 
+    if isinstance(rig, AxesRig):
+        rig.refuse_redundant("real time", "run tests in virtual time: rthyb run TEST.toml")
     if rig.link is not None:
         with _reached(rig, rig.link) as opened:
             for key, notes in opened.facts.items():

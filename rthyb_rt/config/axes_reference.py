@@ -25,9 +25,9 @@ class AxesReference:
     """Response of the complete structure.
 
     Attributes:
-        x, v, force: displacement, velocity and the specimen's force along the interface, (n, axes)
-            each.
-        axis_m, axis_n: displacements of the axes, and the specimen's forces on them, (n, axes).
+        x, v, force: displacement, velocity and the specimen's force along the interface, (n,
+            directions) each.
+        axis_m, axis_n: displacements of the axes, and the forces of their load cells, (n, axes).
         responses: responses of the structure by name, (n, responses).
     """
 
@@ -52,7 +52,10 @@ def reference_of(
     x, v, force, responses = joint_reference(structure, joint_model(test, rig), ag_mps2)
     tie = rig.core_kinematics()
     axis_m, _ = tie.axes(x)
-    pushed = np.asarray(np.linalg.solve(tie.jacobian().T, force.T).T, dtype=np.float64)
+    if rig.is_redundant or tie.has_forces:
+        pushed = tie.pushes(force)
+    else:
+        pushed = np.asarray(np.linalg.solve(tie.jacobian().T, force.T).T, dtype=np.float64)
     return AxesReference(x, v, force, axis_m, pushed, responses)
 
 
@@ -62,7 +65,7 @@ def joint_model(test: TestFile, rig: AxesRig) -> JointModel:
     With ``reference.table_forces``, it includes the masses and viscous forces of the tables, which
     load cells at the actuators' ends also measure, but not their dry friction.
     """
-    n, given = len(rig.axis), rig.specimen
+    n, given = len(rig.directions), rig.specimen
     stiffness, damping, mass = (
         np.zeros((n, n)) if rows is None else np.array(rows, dtype=np.float64)
         for rows in (given.stiffness, given.damping, given.mass)

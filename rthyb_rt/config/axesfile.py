@@ -260,12 +260,20 @@ class MatrixKinematics(Table):
     """Displacements of the axes = ``matrix`` times those of the interface: rows are axes.
 
     ``interface`` names the columns; those of ``rotations`` are angles in rad, the others in m.
+    There may be more axes than directions: the actuators are then redundant.
+
+    ``forces`` times the forces of the load cells are those along the interface; by default it is
+    the transposed matrix, which holds for load cells in line with the axes. ``displacements`` times
+    the measured displacements of the axes are those of the interface; by default it is the inverse
+    of the matrix, or its least-squares inverse. Rows of both are directions, columns are axes.
     """
 
     kind: Literal["matrix"]
     interface: Annotated[list[str], Different(DIRECTION, 1)]
-    matrix: Annotated[Rows, MatrixOf("the matrix", size=1e6)]
+    matrix: Annotated[Rows, MatrixOf("the matrix", square=False, size=1e6)]
     rotations: Annotated[list[str], Different(DIRECTION)] = Field(default_factory=list)
+    forces: Annotated[Rows, MatrixOf("forces", square=False, size=1e6)] | None = None
+    displacements: Annotated[Rows, MatrixOf("displacements", square=False, size=1e6)] | None = None
 
     def turns(self) -> list[bool]:
         """Return which directions are angles."""
@@ -314,7 +322,7 @@ def core_kinematics(given: Kinematics, axes: Sequence[str]) -> CoreKinematics:
     from rthyb_rt.core.kinematics import Pin
 
     if isinstance(given, MatrixKinematics):
-        return CoreKinematics(given.matrix)
+        return CoreKinematics(given.matrix, forces=given.forces, displacements=given.displacements)
     pins = []
     for name in axes:
         far = name in given.directions
@@ -327,14 +335,20 @@ def core_kinematics(given: Kinematics, axes: Sequence[str]) -> CoreKinematics:
 def _kinematics_fault(axes: list[Axis], given: Kinematics) -> str | None:
     names, n = [axis.name for axis in axes], len(axes)
     shown = ", ".join(names)
-    if len(given.interface) != n:
-        return (
-            f"found {len(given.interface)} directions ({', '.join(given.interface)}) and {n} axes "
-            f"({shown}); the number of directions must equal the number of axes"
+    m = len(given.interface)
+    by_matrix = isinstance(given, MatrixKinematics)
+    if m > n or (m < n and not by_matrix):
+        rule = (
+            "there must be at least as many axes as directions"
+            if by_matrix
+            else "with pins, the number of directions must equal the number of axes; redundant "
+            'actuators, more than there are directions, need kind = "matrix"'
         )
+        return f"found {m} directions ({', '.join(given.interface)}) and {n} axes ({shown}); {rule}"
     if isinstance(given, MatrixKinematics):
-        if len(given.matrix) != n:
-            return f"found {len(given.matrix)} rows; must be {n}, one for each axis ({shown})"
+        fault = _matrix_fault(given, names)
+        if fault:
+            return fault
         strange = [one for one in given.rotations if one not in given.interface]
         if strange:
             return f"found the rotation {written(strange[0])}; it must be one of interface"
@@ -348,6 +362,26 @@ def _kinematics_fault(axes: list[Axis], given: Kinematics) -> str | None:
         core_kinematics(given, names)
     except CoreError:
         return _left_free(given, names)
+    return None
+
+
+def _matrix_fault(given: MatrixKinematics, names: list[str]) -> str | None:
+    axes, along = ", ".join(names), ", ".join(given.interface)
+    n, m = len(names), len(given.interface)
+    if len(given.matrix) != n:
+        return f"found {len(given.matrix)} rows; must be {n}, one for each axis ({axes})"
+    if len(given.matrix[0]) != m:
+        return (
+            f"found rows of {len(given.matrix[0])} numbers; each must have {m}, one for each "
+            f"direction ({along})"
+        )
+    for key in ("forces", "displacements"):
+        rows = getattr(given, key)
+        if rows is not None and (len(rows), len(rows[0])) != (m, n):
+            return (
+                f"{key}: found {len(rows)} rows of {len(rows[0])} numbers; must be {m} rows, one "
+                f"for each direction ({along}), of {n} numbers, one for each axis ({axes})"
+            )
     return None
 
 
@@ -379,14 +413,52 @@ def _apart(a: Sequence[float], b: Sequence[float]) -> float:
     return float(((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) ** 0.5)
 
 
+def _singular(given: MatrixKinematics) -> str:
+    from rthyb_rt.core.kinematics import Kinematics as CoreKinematics
+    from rthyb_rt.core.library import CoreError
+
+    along = ", ".join(given.interface)
+    try:
+        CoreKinematics(given.matrix)
+    except CoreError:
+        what = (
+            "one of which is a combination of the others"
+            if len(given.matrix) == len(given.interface)
+            else "one of whose columns is a combination of the others"
+        )
+        return (
+            f"found the rows {_shown(given.matrix)}, {what}, so some motion of the interface moves "
+            "no axis; the matrix must not be singular"
+        )
+    if given.displacements is not None:
+        try:
+            CoreKinematics(given.matrix, displacements=given.displacements)
+        except CoreError:
+            found = [
+                [sum(d * row[k] for d, row in zip(own, given.matrix, strict=True))
+                 for k in range(len(given.interface))]
+                for own in given.displacements
+            ]  # fmt: skip
+            return (
+                f"displacements: found rows that times matrix give {_shown(found)}; must be the "
+                f"identity, so that every motion along {along} is measured as it is, and no other"
+            )
+    assert given.forces is not None
+    return (
+        f"forces: found the rows {_shown(given.forces)}, one of which is zero or a combination of "
+        f"the others; the load cells must determine the force along each direction ({along}) by "
+        "itself"
+    )
+
+
+def _shown(rows: Rows) -> str:
+    return "; ".join(f"[{', '.join(f'{v:.6g}' for v in row)}]" for row in rows)
+
+
 def _left_free(given: Kinematics, names: list[str]) -> str:
     """Return why the axes do not restrain the interface."""
     if isinstance(given, MatrixKinematics):
-        rows = "; ".join(f"[{', '.join(f'{v:g}' for v in row)}]" for row in given.matrix)
-        return (
-            f"found the rows {rows}, one of which is a combination of the others, so some motion "
-            "of the interface moves no axis; the matrix must not be singular"
-        )
+        return _singular(given)
     for i, one in enumerate(names):
         for other in names[:i]:
             if _apart(given.pins_m[one], given.pins_m[other]) <= 1e-6:
@@ -468,7 +540,9 @@ class JointSpecimen(Table):
 
     They relate the force in one direction to displacement, velocity and acceleration in another:
     N/m, or N m/rad if both are rotations. ``stiffness`` is the elastic stiffness, which bounds the
-    tangent stiffness.
+    tangent stiffness. ``attachment_stiffness_n_per_m`` is given if, and only if, there are more
+    axes than directions: that of each actuator's attachment to the specimen, by which redundant
+    actuators that disagree push against each other.
     """
 
     checks: ClassVar[tuple[Condition, ...]] = (
@@ -482,6 +556,9 @@ class JointSpecimen(Table):
     stiffness: Annotated[Rows, MatrixOf("the stiffness", symmetric=True)]
     damping: Annotated[Rows, MatrixOf("the damping", symmetric=True)] | None = None
     mass: Annotated[Rows, MatrixOf("the mass", symmetric=True)] | None = None
+    attachment_stiffness_n_per_m: (
+        Annotated[float, Range("N/m", 1, 1e12, "the stiffness of the attachments")] | None
+    ) = None
     element: list[Along] = Field(default_factory=list, max_length=MAX_ELEMENTS)
 
 
@@ -607,11 +684,23 @@ def _driven(axes: list[Axis], plant: Plant | None) -> str | None:
 
 
 def _specimen_fits(axes: list[Axis], kinematics: Kinematics, specimen: JointSpecimen) -> str | None:
-    n = len(axes)
-    if len(specimen.stiffness) != n:
+    n, m = len(axes), len(kinematics.interface)
+    if len(specimen.stiffness) != m:
         return (
-            f"found a stiffness of {len(specimen.stiffness)} directions; kinematics has {n}: "
+            f"found a stiffness of {len(specimen.stiffness)} directions; kinematics has {m}: "
             f"{', '.join(kinematics.interface)}"
+        )
+    attached = specimen.attachment_stiffness_n_per_m
+    if n > m and attached is None:
+        return (
+            f"attachment_stiffness_n_per_m is missing; with {n} axes for {m} directions the "
+            "actuators push against each other where they disagree, by the stiffness of each "
+            "actuator's attachment to the specimen: give it in N/m"
+        )
+    if n <= m and attached is not None:
+        return (
+            f"found attachment_stiffness_n_per_m = {attached:g} with {n} axes for {m} directions; "
+            "it applies only if there are more axes than directions: remove it"
         )
     for i, one in enumerate(specimen.element):
         if one.along not in kinematics.interface:
@@ -666,6 +755,28 @@ def _one_clock(axes: list[Axis]) -> str | None:
     return None
 
 
+def _in_virtual_time(axes: list[Axis], kinematics: Kinematics) -> str | None:
+    linked = [axis.name for axis in axes if axis.link is not None]
+    if not linked or len(axes) <= len(kinematics.interface):
+        return None
+    return (
+        f"axis {linked[0]} has a link, and there are {len(axes)} axes for "
+        f"{len(kinematics.interface)} directions; redundant actuators are supported in virtual "
+        "time only: remove [axis.link] of every axis"
+    )
+
+
+def _cells_fit(rig: AxesInfo, kinematics: Kinematics) -> str | None:
+    own = isinstance(kinematics, MatrixKinematics) and kinematics.forces is not None
+    if not own or rig.load_cell == "specimen":
+        return None
+    return (
+        f"forces: found a matrix, with rig.load_cell = {written(rig.load_cell)}; load cells at the "
+        "actuators' ends are in line with the axes, whose matrix of forces is known: remove "
+        'forces, or give rig.load_cell = "specimen"'
+    )
+
+
 def _identified_fits(axes: list[Axis], identified: JointIdentified | None) -> str | None:
     if identified is None or len(identified.real[0]) == len(axes):
         return None
@@ -680,6 +791,8 @@ class AxesRig(WholeFile):
         Condition("axis", ("axis", "plant"), _driven),
         Condition("axis", ("axis",), _one_clock),
         Condition("kinematics", ("axis", "kinematics"), _kinematics_fault),
+        Condition("axis", ("axis", "kinematics"), _in_virtual_time),
+        Condition("kinematics", ("rig", "kinematics"), _cells_fit),
         Condition("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
         Condition("rig", ("rig", "specimen"), _elastic_fits),
         Condition("plant", ("axis", "plant"), _plant_fits),
@@ -718,6 +831,29 @@ class AxesRig(WholeFile):
         return tuple(self.kinematics.interface)
 
     @property
+    def is_redundant(self) -> bool:
+        """Whether there are more axes than directions."""
+        return len(self.axis) > len(self.directions)
+
+    def refuse_redundant(self, what: str, instead: str) -> None:
+        """Refuse what is not supported with more axes than directions.
+
+        Args:
+            what: what is asked for, as the subject of a sentence.
+            instead: what the user can do.
+
+        Raises:
+            InputError: there are more axes than directions.
+        """
+        if self.is_redundant:
+            raise InputError(
+                f'rig "{self.rig.name}" has {len(self.axis)} axes ({", ".join(self.names)}) for '
+                f"{len(self.directions)} directions ({', '.join(self.directions)}); {what} is not "
+                f"supported with redundant actuators; {instead}",
+                "kinematics",
+            )
+
+    @property
     def link(self) -> Link | None:
         """The link of the first axis: all axes have a link or none, and all use one clock."""
         return self.axis[0].link
@@ -739,7 +875,8 @@ class AxesRig(WholeFile):
     def of_axis(self, name: str) -> RigFile:
         """Return one axis as a rig with one axis, with the other axes at rest.
 
-        Its specimen has the elastic stiffness of the whole specimen as seen by this axis.
+        Its specimen has the elastic stiffness of the whole specimen as seen by this axis. Of
+        redundant axes it is the axis' share, without the forces by which they oppose each other.
 
         Raises:
             InputError: there is no axis of that name.
@@ -779,19 +916,19 @@ class AxesRig(WholeFile):
         )
 
     def along_axes(self, given: Rows | None = None) -> Rows:
-        """Return a matrix of the interface in the coordinates of the axes at rest, (n, n).
+        """Return a matrix of the interface in the coordinates of the axes at rest, (axes, axes).
 
         Args:
-            given: stiffness, damping or mass along the directions, (n, n); None: the specimen's
-                elastic stiffness, N/m.
+            given: stiffness, damping or mass along the directions, (directions, directions); None:
+                the specimen's elastic stiffness, N/m.
         """
         import numpy as np
 
-        back = np.linalg.inv(self.core_kinematics().jacobian())
+        back = self.core_kinematics().back()
         found: Rows = (back.T @ np.array(self.k_e if given is None else given) @ back).tolist()
         return found
 
     @property
     def k_e(self) -> Rows:
-        """The specimen's elastic stiffness along the interface, (n, n)."""
+        """The specimen's elastic stiffness along the interface, (directions, directions)."""
         return self.rig.elastic_stiffness or self.specimen.stiffness

@@ -33,7 +33,7 @@ class AxesDerived:
         structure: the numerical part, its interfaces in the order of the rig's directions.
         axis: the figures of each axis with the others at rest: control law, noise, limits, force
             compensation; its period is that of the structure.
-        k_e: elastic stiffness of the specimen along the interface, (axes, axes).
+        k_e: elastic stiffness of the specimen along the interface, (directions, directions).
         notes: information for the user that requires no action.
     """
 
@@ -157,6 +157,17 @@ def _check_laws(test: TestFile, rig: AxesRig, problems: list[Problem]) -> None:
                 )
             )
     matrix = test.controller.matrix
+    if test.controller.type == MATRIX and rig.is_redundant:
+        problems.append(
+            Problem(
+                "controller.type",
+                f'found "{MATRIX}"; rig "{rig.rig.name}" has {len(names)} axes for '
+                f"{len(rig.directions)} directions, and the axes of redundant actuators do not "
+                "move independently, which leaves the matrices undetermined; use a law for each "
+                'axis, such as "paper"',
+            )
+        )
+        return
     if test.controller.type == MATRIX and rig.identified is None:
         wants = "an inverse" if matrix is None or matrix.inverse else "a beginning"
         problems.append(

@@ -104,8 +104,12 @@ class CoupledRigConfig:
 
     Attributes:
         kinematics: kinematics of the axes; the settings are copied.
-        stiffness, damping, mass: of the specimen along the interface, symmetric, (axes, axes); in
-            N/m, N s/m and kg for directions in m, with moments and angles for rotations.
+        stiffness, damping, mass: of the specimen along the interface, symmetric, (directions,
+            directions); in N/m, N s/m and kg for directions in m, with moments and angles for
+            rotations.
+        attachment_n_per_m: with more axes than directions: stiffness of each actuator's attachment
+            to the specimen, N/m; what an axis deviates from the common pose, times this, is the
+            force by which it opposes the others.
         servos: one per axis, of any kind but servo-valve; none if there is a plant.
         plant: replaces the servos.
         elements: elements of the specimen, each with the number of its direction.
@@ -127,6 +131,7 @@ class CoupledRigConfig:
     load_cell: LoadCell = "actuator-end"
     seed: int = 0
     period_s: float = PERIOD_S
+    attachment_n_per_m: float = 0.0
 
     @property
     def axes(self) -> int:
@@ -139,6 +144,7 @@ class CoupledRigConfig:
         self._check_counts()
         struct = ffi.new("rthyb_coupled_rig_config *")
         struct.size, struct.period_s, struct.seed = n, self.period_s, self.seed
+        struct.attachment_n_per_m = self.attachment_n_per_m
         struct.load_cell = {"actuator-end": lib.RTHYB_ACTUATOR_END}.get(
             self.load_cell, lib.RTHYB_SPECIMEN_END
         )
@@ -159,12 +165,12 @@ class CoupledRigConfig:
         return struct
 
     def _check_counts(self) -> None:
-        n = self.axes
+        n, m = self.axes, self.kinematics.directions
         for name in ("stiffness", "damping", "mass"):
-            if np.shape(getattr(self, name)) != (n, n):
+            if np.shape(getattr(self, name)) != (m, m):
                 raise CoreError(
-                    f"{name}: found shape {np.shape(getattr(self, name))}; for a specimen at {n} "
-                    f"axes it must be {(n, n)}"
+                    f"{name}: found shape {np.shape(getattr(self, name))}; for a specimen with {m} "
+                    f"directions it must be {(m, m)}"
                 )
         sensors = {len(self.displacement), len(self.force)} - {0, n}
         driven = len(self.servos) if self.plant is None else len(self.plant.stroke_m)
@@ -223,5 +229,5 @@ class CoupledRig:
 
     @property
     def pose(self) -> FloatArray:
-        """Interface coordinates at the last latch, (axes,)."""
-        return np.array(list(self._c.pose[0 : self.axes]))
+        """Interface coordinates at the last latch, (directions,)."""
+        return np.array(list(self._c.pose[0 : self.config.kinematics.directions]))

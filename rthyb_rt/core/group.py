@@ -123,18 +123,26 @@ def controller_mapping(config: ControllerConfig) -> dict[str, Any]:
 
 
 def _require_counts(config: ControllerConfig, axes: int, interfaces: int) -> None:
+    tie = config.kinematics
+    directions = tie.directions if tie else axes
     parts = {
-        "interfaces": interfaces,
-        "kinematics": config.kinematics.size if config.kinematics else axes,
-        "matrix lead": config.matrix_lead.size if config.matrix_lead else axes,
-        "matrix RFC": config.matrix_rfc.size if config.matrix_rfc else axes,
+        "interfaces": (interfaces, directions),
+        "kinematics": (tie.size if tie else axes, axes),
+        "matrix lead": (config.matrix_lead.size if config.matrix_lead else axes, axes),
+        "matrix RFC": (config.matrix_rfc.size if config.matrix_rfc else directions, directions),
     }
-    wrong = [f"{name} for {count}" for name, count in parts.items() if count != axes]
+    wrong = [f"{name} for {count}" for name, (count, asked) in parts.items() if count != asked]
     if wrong or axes > AXES_MAX:
         raise CoreError(
             f"found {axes} axes, {', '.join(wrong) or 'too many'}; 1 to {AXES_MAX} axes are "
-            "allowed, with one interface for each, and everything that they share must have the "
-            "same size"
+            "allowed, with one interface for each column of the kinematics' matrix (otherwise for "
+            "each axis), and everything that they share must have the same size"
+        )
+    if config.matrix_lead is not None and directions < axes:
+        raise CoreError(
+            f"found a matrix lead for {axes} axes that hold {directions} directions; the axes of "
+            "redundant actuators do not move independently, which leaves its matrices "
+            "undetermined: give each axis a law of its own"
         )
     doubled = [
         name

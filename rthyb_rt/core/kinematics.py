@@ -1,7 +1,8 @@
 """Displacements of several actuators from those of the interface, and back.
 
-Up to `AXES_MAX` axes act on one specimen, whose motion is described by as many interface
-coordinates. A constant matrix relates them, or, exactly, pins on a rigid coupler and its bases.
+Up to `AXES_MAX` axes act on one specimen, whose motion is described by interface coordinates. A
+constant matrix relates them, or, exactly, pins on a rigid coupler and its bases. With a matrix
+there may be fewer coordinates than axes.
 """
 
 from __future__ import annotations
@@ -54,13 +55,19 @@ class Kinematics:
     """Interface coordinates and axes of one specimen; each pose is found from the previous one.
 
     Args:
-        matrix: axes = matrix times pose, square, one row per axis.
+        matrix: axes = matrix times pose, (axes, directions): one row per axis, no more columns than
+            rows.
         pins: alternative to ``matrix``, one per axis.
-        coordinates: with pins, the coordinates of the interface; all others stay 0.
+        coordinates: with pins, the coordinates of the interface, as many as axes; all others stay
+            0.
+        forces: with a matrix: interface forces = forces times those of the load cells, (directions,
+            axes); None: the transposed matrix, for load cells in line with the axes.
+        displacements: with a matrix: pose = displacements times those of the axes, (directions,
+            axes), with displacements times matrix = identity; None: the least-squares inverse.
 
     Raises:
         CoreError: the axes leave a coordinate undetermined, a pin is at its own base, a coordinate
-            is repeated, or there are not as many coordinates as axes, or more than `AXES_MAX`.
+            is repeated, a shape or a number is wrong, or there are more than `AXES_MAX` axes.
     """
 
     def __init__(
@@ -69,16 +76,29 @@ class Kinematics:
         *,
         pins: Sequence[Pin] = (),
         coordinates: Sequence[Coordinate] = (),
+        forces: npt.ArrayLike | None = None,
+        displacements: npt.ArrayLike | None = None,
     ) -> None:
         if (matrix is None) == (not pins):
             raise CoreError("kinematics need either a matrix or pins, not both")
-        settings = _of_pins(pins, coordinates) if matrix is None else _of_matrix(matrix)
+        if matrix is None:
+            if forces is not None or displacements is not None:
+                raise CoreError(
+                    "found forces or displacements together with pins; they go with a matrix only"
+                )
+            settings = _of_pins(pins, coordinates)
+        else:
+            settings = _of_matrix(matrix, forces, displacements)
         self._given_as = {
             "matrix": None if matrix is None else np.asarray(matrix, np.float64).tolist(),
             "pins": [asdict(pin) for pin in pins],
             "coordinates": list(coordinates),
         }
+        for name, given in (("forces", forces), ("displacements", displacements)):
+            if given is not None:
+                self._given_as[name] = np.asarray(given, np.float64).tolist()
         self.size: int = settings["size"]
+        self.directions: int = settings.get("directions", self.size)
         self._c = ffi.new("rthyb_kinematics *")
         check(lib.rthyb_kinematics_init(self._c, ffi.new("rthyb_kinematics_config *", settings)))
 
@@ -93,7 +113,13 @@ class Kinematics:
             Pin(tuple(pin["pin_m"]), tuple(pin["base_m"]), bool(pin["far"]), bool(pin["pulls"]))
             for pin in plain["pins"]
         ]
-        return cls(plain["matrix"], pins=pins, coordinates=plain["coordinates"])
+        return cls(
+            plain["matrix"],
+            pins=pins,
+            coordinates=plain["coordinates"],
+            forces=plain.get("forces"),
+            displacements=plain.get("displacements"),
+        )
 
     @property
     def struct(self) -> Any:
@@ -101,26 +127,27 @@ class Kinematics:
         return self._c
 
     def axes(self, pose: npt.ArrayLike) -> tuple[FloatArray, int]:
-        """Return axis displacements, m, with the shape of ``pose``, (size,) or (n, size).
+        """Return axis displacements, m, (size,) or (n, size), for poses, (directions,) or (n, ...).
 
         The second value is the status bits: a value that is not a number or implausible is replaced
         by the last good one.
         """
-        return self._run(lib.rthyb_kinematics_axes_run, pose)
+        return self._run(lib.rthyb_kinematics_axes_run, pose, self.directions, self.size)
 
     def pose(self, axis_m: npt.ArrayLike) -> tuple[FloatArray, int]:
-        """Return interface coordinates with the shape of ``axis_m``, (size,) or (n, size); status.
+        """Return poses, (directions,) or (n, directions), for axes, (size,) or (n, size); status.
 
-        Two Newton steps per row, each starting at the pose of the previous row.
+        With pins, two Newton steps per row, each starting at the pose of the previous row.
         """
-        return self._run(lib.rthyb_kinematics_pose_run, axis_m)
+        return self._run(lib.rthyb_kinematics_pose_run, axis_m, self.size, self.directions)
 
     def forces(self, axis_n: npt.ArrayLike) -> tuple[FloatArray, int]:
-        """Return forces, N, and moments, N m, along the coordinates, (size,); status bits.
+        """Return forces, N, and moments, N m, along the coordinates, (directions,); status bits.
 
-        Uses the transposed Jacobian at the last pose and the forces of the axes, (size,).
+        Uses the given matrix, or the transposed Jacobian at the last pose, and the forces of the
+        axes, (size,).
         """
-        force, out = self._given(axis_n), np.empty(self.size)
+        force, out = self._given(axis_n, self.size), np.empty(self.directions)
         if force.shape != (self.size,):
             raise CoreError(
                 f"found forces of shape {force.shape}; there must be one for each of the "
@@ -129,44 +156,104 @@ class Kinematics:
         code = lib.rthyb_kinematics_forces(self._c, reading(force), writing(out))
         return out, int(code)
 
-    def jacobian(self) -> FloatArray:
-        """Return d axis / d pose at the last pose, (size, size)."""
-        out = np.empty(self.size**2)
-        lib.rthyb_kinematics_jacobian(self._c, writing(out))
-        return out.reshape(self.size, self.size)
+    @property
+    def has_forces(self) -> bool:
+        """Whether the interface forces follow from a matrix of their own."""
+        return "forces" in self._given_as
 
-    def _given(self, values: npt.ArrayLike) -> FloatArray:
+    def weights(self) -> FloatArray:
+        """Return d pose / d measured axes at the last pose, (directions, size)."""
+        if self.size == self.directions and "displacements" not in self._given_as:
+            return self.back()
+        # Constant: the poses of unit displacements are its columns.
+        return self.pose(np.eye(self.size))[0].T
+
+    def resultants(self, axis_n: npt.ArrayLike) -> FloatArray:
+        """Return forces along the coordinates, N or N m, (n, directions), at the last pose.
+
+        Args:
+            axis_n: forces of the axes, N, (n, size).
+        """
+        each = np.array([self.forces(unit)[0] for unit in np.eye(self.size)])
+        return np.asarray(self._given(axis_n, self.size) @ each)
+
+    def pushes(self, force: npt.ArrayLike) -> FloatArray:
+        """Return forces of the axes with given interface forces, at the last pose.
+
+        With redundant axes these are the smallest ones, by the sum of their squares.
+
+        Args:
+            force: N or N m, (directions,) or (n, directions).
+
+        Returns:
+            N, (size,) or (n, size).
+        """
+        given, each = self._given(force, self.directions), np.empty((self.directions, self.size))
+        for unit, of_unit in zip(np.eye(self.directions), each, strict=True):
+            lib.rthyb_kinematics_pushes(self._c, reading(unit), writing(of_unit))
+        return np.asarray(given @ each)
+
+    def jacobian(self) -> FloatArray:
+        """Return d axis / d pose at the last pose, (size, directions)."""
+        out = np.empty(self.size * self.directions)
+        lib.rthyb_kinematics_jacobian(self._c, writing(out))
+        return out.reshape(self.size, self.directions)
+
+    def back(self) -> FloatArray:
+        """Return the inverse of `jacobian`, or its least-squares inverse, (directions, size)."""
+        jacobian = self.jacobian()
+        square = self.size == self.directions
+        found = np.linalg.inv(jacobian) if square else np.linalg.pinv(jacobian)
+        return np.asarray(found, dtype=np.float64)
+
+    def _given(self, values: npt.ArrayLike, width: int) -> FloatArray:
         given = doubles(values)
-        if given.ndim > 2 or given.shape[-1] != self.size:
+        if given.ndim > 2 or given.shape[-1] != width:
             raise CoreError(
-                f"found an array of shape {given.shape}; each row must have {self.size} numbers"
+                f"found an array of shape {given.shape}; each row must have {width} numbers"
             )
         return given
 
-    def _run(self, run: Any, values: npt.ArrayLike) -> tuple[FloatArray, int]:
-        given = self._given(values)
-        out = np.empty_like(given)
+    def _run(self, run: Any, values: npt.ArrayLike, width: int, to: int) -> tuple[FloatArray, int]:
+        given = self._given(values, width)
+        out = np.empty((*given.shape[:-1], to))
         code = run(
-            self._c,
-            reading(given.reshape(-1)),
-            writing(out.reshape(-1)),
-            given.size // self.size,
+            self._c, reading(given.reshape(-1)), writing(out.reshape(-1)), given.size // width
         )
         return out, int(code)
 
 
-def _of_matrix(matrix: npt.ArrayLike) -> dict[str, Any]:
+def _of_matrix(
+    matrix: npt.ArrayLike, forces: npt.ArrayLike | None, displacements: npt.ArrayLike | None
+) -> dict[str, Any]:
     given = np.asarray(matrix, dtype=np.float64)
-    if given.ndim != 2 or given.shape[0] != given.shape[1] or not 1 <= len(given) <= AXES_MAX:
+    if given.ndim != 2 or not 1 <= given.shape[1] <= given.shape[0] <= AXES_MAX:
         raise CoreError(
-            f"found a matrix of shape {given.shape}; it must be square, with one row for each of "
-            f"1 to {AXES_MAX} axes"
+            f"found a matrix of shape {given.shape}; it must have one row for each of 1 to "
+            f"{AXES_MAX} axes and no more columns than rows"
         )
-    return {
+    settings: dict[str, Any] = {
         "kind": lib.RTHYB_KINEMATICS_MATRIX,
-        "size": len(given),
+        "size": given.shape[0],
+        "directions": given.shape[1],
+        "given": 0,
         "matrix": given.reshape(-1).tolist(),
     }
+    for name, rows, bit in (
+        ("forces", forces, lib.RTHYB_GIVEN_FORCES),
+        ("displacements", displacements, lib.RTHYB_GIVEN_DISPLACEMENTS),
+    ):
+        if rows is None:
+            continue
+        own = np.asarray(rows, dtype=np.float64)
+        if own.shape != given.shape[::-1]:
+            raise CoreError(
+                f"{name}: found shape {own.shape}; with a matrix of shape {given.shape} it must be "
+                f"{given.shape[::-1]}"
+            )
+        settings["given"] |= bit
+        settings[name] = own.reshape(-1).tolist()
+    return settings
 
 
 def _of_pins(pins: Sequence[Pin], coordinates: Sequence[Coordinate]) -> dict[str, Any]:

@@ -19,10 +19,10 @@ def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
     Raises:
         CoreError: the kinematics leave a direction undetermined, which files are checked for.
     """
-    rate, n = Rate(fs_hz), len(rig.axis)
+    rate, n, m = Rate(fs_hz), len(rig.axis), len(rig.directions)
     given = rig.specimen
     stiffness, damping, mass = (
-        np.zeros((n, n)) if rows is None else np.array(rows, dtype=np.float64)
+        np.zeros((m, m)) if rows is None else np.array(rows, dtype=np.float64)
         for rows in (given.stiffness, given.damping, given.mass)
     )
     sensors = [experiment.sensor_configs(axis.sensors) for axis in rig.axis]
@@ -42,6 +42,7 @@ def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
         rig.rig.load_cell,
         rig.rig.seed,
         rate.period_s,
+        given.attachment_stiffness_n_per_m or 0.0,
     )
 
 

@@ -65,6 +65,7 @@ def prepare(
     """
     _refuse_what_is_of_one(test)
     if real_time:
+        rig.refuse_redundant("a test in real time", "run it in virtual time, without --realtime")
         experiment.refuse_other_rate(test, rig)
         experiment.refuse_python(test, [own.law for own in rig.specimen.element])
 
@@ -217,8 +218,9 @@ def at_rest(rig: AxesRig) -> Setup:
     stiffness, is never used.
 
     Raises:
-        InputError: the values of the rig file are inconsistent.
+        InputError: the values of the rig file are inconsistent, or the actuators are redundant.
     """
+    rig.refuse_redundant("real time", "only tests in virtual time are: rthyb run TEST.toml")
     storeys = range(1, len(rig.directions) + 1)
     masses = np.diag(rig.k_e) / (2.0 * np.pi) ** 2
     text = _AT_REST.format(
@@ -298,10 +300,10 @@ def _matrix_rfc(test: TestFile, rig: AxesRig, derived: AxesDerived, k_e: Floats)
     own = derived.axis[0]
     enabled = test.controller.rfc.enabled and test.controller.type != "none"
     noise_m = np.array([axis.rest_noise_displacement_m for axis in derived.axis])
-    back = np.linalg.inv(rig.core_kinematics().jacobian())
+    weights = rig.core_kinematics().weights()
     return MatrixRfcConfig(
         k_e,
-        tuple(float(v) for v in np.sqrt(back**2 @ noise_m**2)),
+        tuple(float(v) for v in np.sqrt(weights**2 @ noise_m**2)),
         memory_s=max(own.window_samples, 2) * derived.rate.period_s,
         cutoff_hz=own.rfc_cutoff_hz,
         lateness_s=own.force_lateness_s,

@@ -82,8 +82,9 @@ def _of_axes(
         name = f"{field}{mark}{k}" if k else field
         return samples[name] if name in names else nothing
 
-    asked = np.column_stack([numbered("x_num_m", j, "_") for j in range(axes)])
-    wanted = np.full(asked.shape, np.nan)
+    directions = axes if tie is None else tie.directions
+    asked = np.column_stack([numbered("x_num_m", j, "_") for j in range(directions)])
+    wanted = np.full((samples.size, axes), np.nan)
     known = np.isfinite(asked).all(axis=1)
     if tie is not None and tie.size == axes and known.any():
         wanted[known] = tie.axes(asked[known])[0]

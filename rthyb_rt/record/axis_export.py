@@ -26,6 +26,13 @@ Golay 1964): 3 and 2 per cent short at 20 Hz of 1024, and a tenth and a fortieth
 differences of neighbours have."""
 
 
+NOT_ALONE: Final = (
+    "the model of an axis by itself, as for a diagnosis or CSV,",
+    "rthyb export RECORDING --mat (or --csv --full) writes the signals of all axes",
+)
+"""The load cell of a redundant axis also measures by how much the actuators oppose each other."""
+
+
 def axis_signals(rec: Recording, name: str, rig: AxesRig | None = None) -> dict[str, Floats]:
     """Return the signals of an axis in the rows of the test proper, SI units, (n,) each.
 
@@ -44,6 +51,7 @@ def axis_signals(rec: Recording, name: str, rig: AxesRig | None = None) -> dict[
         InputError: there is no such axis, or the recording has only one axis.
     """
     rig = rig or _without_elements(rig_of(rec))
+    rig.refuse_redundant(*NOT_ALONE)
     own, k = rec.axis(name), rec.axis_names.index(name)
     rows = rec.running()
     measured = np.column_stack([rec.axis(one)["x_meas_m"][rows] for one in rec.axis_names])
@@ -96,6 +104,7 @@ def alone(rig: AxesRig, name: str) -> RigFile:
     Raises:
         InputError: there is no axis of that name.
     """
+    rig.refuse_redundant(*NOT_ALONE)
     found, k = rig.of_axis(name), rig.names.index(name)
 
     def felt(rows: Rows | None) -> float:

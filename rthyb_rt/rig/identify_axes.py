@@ -94,6 +94,12 @@ class SweepRun:
     read: NDArray[np.bool_]
 
 
+NOT_SWEPT: Final = (
+    "identification",
+    "an axis that sweeps while the others hold still would work against them: identify each "
+    "actuator before it is attached, and enter the values in [axis.identified]",
+)
+
 SLOW_HZ: Final = LOW_FREQUENCY_HZ
 
 
@@ -110,6 +116,7 @@ def identify_rig(
     Raises:
         InputError: invalid sweep, a limit or range was reached, or an axis did not follow.
     """
+    rig.refuse_redundant(*NOT_SWEPT)
     sweep = sweep or sweep_of()
     check(sweep)
     command, parts = command_of(sweep)

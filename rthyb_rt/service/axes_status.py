@@ -45,10 +45,10 @@ def of_axes(engine: Engine) -> dict[str, dict[str, Any]]:
 
 def _wanted(rig: AxesRig, row: np.void | None) -> list[float | None]:
     """Return the command of the numerical part for each axis, m."""
-    pose = [_value(row, f"x_num_m_{j}" if j else "x_num_m") for j in range(len(rig.axis))]
+    pose = [_value(row, f"x_num_m_{j}" if j else "x_num_m") for j in range(len(rig.directions))]
     given = [value for value in pose if value is not None and np.isfinite(value)]
     if len(given) < len(pose):
-        return [None] * len(pose)
+        return [None] * len(rig.axis)
     found: list[float | None] = rig.core_kinematics().axes(given)[0].tolist()
     return found
 

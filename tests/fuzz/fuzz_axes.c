@@ -87,7 +87,7 @@ typedef struct {
 
 typedef struct {
     uint64_t seed, tick;
-    int over, n;
+    int over, n, m; /* n axes, m directions */
     dice d;
     scale size;
     rthyb_station_config cfg;
@@ -121,7 +121,7 @@ typedef struct {
 
 static axes_episode one;
 static uint64_t packed[ROWS][RTHYB_RECORD_WORDS], again[ROWS][RTHYB_RECORD_WORDS];
-static uint64_t all_ticks, tests, trips, held;
+static uint64_t all_ticks, tests, trips, held, redundant;
 static int shown; /* prints what happens in an episode */
 
 static void axes_must(axes_episode *e, int rule, int holds, double value, double bound)
@@ -178,6 +178,27 @@ static void some_pins(dice *d, rthyb_kinematics_config *k)
     k->kind = RTHYB_KINEMATICS_PINS;
 }
 
+/* Matrices for redundant actuators, and sometimes given ones for the way back: each direction has
+ * an axis of its own, which others join. */
+static void some_redundant(dice *d, rthyb_kinematics_config *k)
+{
+    const int n = k->size, m = k->directions = 1 + (int)below(d, (uint32_t)n - 1);
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < m; j++)
+            k->matrix[i * m + j] = (i % m == j ? 1.0 : 0.0) + between(d, -0.25, 0.25) / m;
+    if (one_in(d, 3)) {
+        k->given |= RTHYB_GIVEN_FORCES;
+        for (int i = 0; i < n; i++)
+            for (int j = 0; j < m; j++)
+                k->forces[j * n + i] = k->matrix[i * m + j] + between(d, -0.05, 0.05);
+    }
+    rthyb_kinematics found;
+    if (one_in(d, 3) && !rthyb_kinematics_init(&found, k)) {
+        k->given |= RTHYB_GIVEN_DISPLACEMENTS;
+        memcpy(k->displacements, found.inverse, sizeof found.inverse);
+    }
+}
+
 static void some_kinematics(dice *d, int n, rthyb_kinematics_config *k)
 {
     *k = (rthyb_kinematics_config){.size = one_in(d, 3) ? 0 : n};
@@ -226,15 +247,15 @@ static void some_model(dice *d, axes_episode *e)
     rthyb_kinematics kinematics;
     double jacobian[RTHYB_COUPLED_SQUARE] = {0.0};
     for (int i = 0; i < e->n; i++)
-        jacobian[i * e->n + i] = 1.0;
+        jacobian[i * e->n + i] = 1.0; /* without kinematics */
     if (e->cfg.controller.kinematics.size > 0 &&
         !rthyb_kinematics_init(&kinematics, &e->cfg.controller.kinematics))
         rthyb_kinematics_jacobian(&kinematics, jacobian);
-    e->model.n = e->n;
-    for (int j = 0; j < e->n; j++) {
+    e->model.n = e->m;
+    for (int j = 0; j < e->m; j++) {
         double k = 0.0;
         for (int i = 0; i < e->n; i++)
-            k += jacobian[i * e->n + j] * jacobian[i * e->n + j] * e->k[i];
+            k += jacobian[i * e->m + j] * jacobian[i * e->m + j] * e->k[i];
         e->model.per_mass[j] = e->size.omega_per_s * e->size.omega_per_s / k;
         e->model.damping[j] = between(d, 0.0, 0.4) * e->size.omega_per_s;
         e->model.share[j] = between(d, -1.0, 1.0);
@@ -247,14 +268,22 @@ static int set_up_axes(axes_episode *e)
     e->size = some_scale(d);
     e->n = 2 + (int)below(d, MOST - 1);
     e->cfg = some_station(d, &e->size);
-    e->cfg.controller.axis_count = e->cfg.controller.interface_count = e->n;
     e->cfg.controller.motion.integrator = RTHYB_CENTRAL_DIFFERENCE;
     e->cfg.law_channel_count = 0;
     for (int i = 0; i < e->n; i++) {
         some_axis(d, e, i);
         some_drive(d, e, i);
     }
-    some_kinematics(d, e->n, &e->cfg.controller.kinematics);
+    rthyb_kinematics_config *k = &e->cfg.controller.kinematics;
+    some_kinematics(d, e->n, k);
+    /* With dice of its own, so that episodes without redundant actuators stay what they were. */
+    dice own = {e->seed ^ 0x5deece66dULL};
+    if (k->size > 0 && k->kind == RTHYB_KINEMATICS_MATRIX && one_in(&own, 2))
+        some_redundant(&own, k);
+    e->m = k->size > 0 ? rthyb_kinematics_directions(k) : e->n;
+    e->cfg.controller.axis_count = e->n;
+    e->cfg.controller.interface_count = e->m;
+    redundant += e->m < e->n;
     some_model(d, e);
     if (e->cfg.controller.kinematics.size > 0 &&
         rthyb_kinematics_init(&e->kinematics, &e->cfg.controller.kinematics))
@@ -266,7 +295,7 @@ static int set_up_axes(axes_episode *e)
     e->part = (rthyb_library_config){.calls = {.init = part_init, .answer = part_answer},
                                      .setup = {.period_s = PERIOD_S},
                                      .state_bytes = sizeof(side_by_side),
-                                     .interfaces = e->n};
+                                     .interfaces = e->m};
     e->cfg.controller.numerical = (rthyb_numerical){RTHYB_NUMERICAL_LIBRARY, &e->part, e->state};
     e->ag_count = (size_t)ticks(d, 32.0, AG_MAX);
     const double size = 0.4 * e->size.peak_m * e->size.omega_per_s * e->size.omega_per_s;
@@ -405,7 +434,7 @@ static uint32_t judge_directions(axes_episode *e, const double *x)
     if (e->cfg.controller.kinematics.size > 0 &&
         rthyb_kinematics_find(&e->kinematics, axis, pose) != RTHYB_OK)
         return 0;
-    for (int j = 0; j < e->n; j++) {
+    for (int j = 0; j < e->m; j++) {
         const rthyb_watch *w = &e->cfg.interface[j].position;
         const double limit =
             w->reaction >= RTHYB_REACT_HOLD && w->value > 0.0 ? w->value : INFINITY;
@@ -603,7 +632,7 @@ static void tick_axes(axes_episode *e)
     suffer_axes(e, &in, &unsent);
     const int was = s->state, cause = s->cause, leg = s->leg;
     const uint64_t apart = s->apart;
-    for (int j = 0; j < e->n; j++)
+    for (int j = 0; j < e->m; j++)
         asked[j] = s->controller.interface[j].x_num;
     rthyb_station_tick(s, &in, e->ag, e->ag_count, rows, &out);
     const uint32_t sent = send_axes(e, &out, unsent);
@@ -619,7 +648,7 @@ static void tick_axes(axes_episode *e)
         axes_must(e, AXES_ARMED, apart < LOST_TICKS && in.apart != RTHYB_APART_UNKNOWN,
                   (double)apart, in.apart);
     for (int j = 0;
-         j < e->n && was == RTHYB_HOLD && leg == 1 && s->state == RTHYB_HOLD && s->leg == 1; j++)
+         j < e->m && was == RTHYB_HOLD && leg == 1 && s->state == RTHYB_HOLD && s->leg == 1; j++)
         axes_must(e, AXES_HELD, s->controller.interface[j].x_num == asked[j],
                   s->controller.interface[j].x_num, asked[j]);
     held += was == RTHYB_HOLD && leg == 1;
@@ -698,8 +727,8 @@ static int report_axes(uint64_t episodes, double seconds)
                t->broken, t->seed, t->tick, t->value, t->bound);
     }
     printf("%" PRIu64 " episodes, %" PRIu64 " ticks, %" PRIu64 " tests, %" PRIu64 " trips, %" PRIu64
-           " held, %.0f ticks/s: %s\n",
-           episodes, all_ticks, tests, trips, held, (double)all_ticks / seconds,
+           " held, %" PRIu64 " with redundant actuators, %.0f ticks/s: %s\n",
+           episodes, all_ticks, tests, trips, held, redundant, (double)all_ticks / seconds,
            broken ? "BROKEN" : "nothing broken");
     return broken;
 }

@@ -118,8 +118,10 @@ def drives_of(
 
     Raises:
         CoreError: the rig, the drift or a fault is invalid.
-        InputError: values that pass the checks of the files but not those of the core.
+        InputError: values that pass the checks of the files but not those of the core, or redundant
+            actuators.
     """
+    rig.refuse_redundant("a rig on a link", "run tests in virtual time: rthyb run TEST.toml")
     seed = rig.rig.seed if plan.seed is None else plan.seed
     given = rig.model_copy(update={"rig": rig.rig.model_copy(update={"seed": seed})})
     plant: CoupledRig = axes_rig.virtual_rig(given, rate_of(rig, plan).hz)
