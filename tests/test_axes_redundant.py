@@ -654,3 +654,21 @@ def test_two_actuators_in_parallel_move_one_storey() -> None:
     assert left is not None
     assert left > 100.0
     assert replaying.replay(rec).identical
+
+
+def test_check_says_why_the_roots_of_the_loop_are_not_computed(
+    tmp_path: Path, rthyb: Rthyb
+) -> None:
+    """Nor is the model of the loop, which knows nothing of attachments, asked."""
+    text = RIG + (
+        "[identified]\nfrequency_hz = [1, 2, 3, 4, 5, 6, 8, 10]\n"
+        f"real = {[np.eye(3).tolist()] * 8}\nimaginary = {[(-0.01 * np.eye(3)).tolist()] * 8}\n"
+        "rest_noise_displacement_m = [5e-6, 5e-6, 5e-6]\n"
+    )
+    (tmp_path / "floor.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "test.toml").write_text(TEST, encoding="utf-8")
+    done = rthyb("check", str(tmp_path / "test.toml"))
+    assert done.code == 0, done.err
+    shown = " ".join(done.out.split())
+    assert "Largest root not computed the actuators are redundant" in shown
+    assert "Axis middle" in shown

@@ -391,11 +391,16 @@ def loop_of(config: ControllerConfig, axes: Axes, law: System, jacobian: Floats)
 def judge(setup: Setup) -> LoopVerdict | None:
     """Return the stability of the loop of a test; None if the axes' response is not known.
 
+    None for redundant actuators: the forces by which they oppose each other are no part of the
+    model of the loop.
+
     The worse of the laws' initial settings and those to which the response leads them.
     """
     assert setup.group is not None
     rig, config = setup.group.rig, setup.controller
-    if rig.identified is None or not isinstance(config.numerical, SparseConfig):
+    if rig.identified is None or rig.is_redundant:
+        return None
+    if not isinstance(config.numerical, SparseConfig):
         return None
     found = response_of_rig(rig, rig.identified, setup.rate)
     axes = fitted_axes(rig, found, config.period_s)

@@ -46,14 +46,14 @@ class ExaminedAxes:
 
     def tables(self) -> list[Rows]:
         """Return rows for structure, axes, directions, loop: quantity, value, explanation."""
-        known = self.group.rig.identified is not None
         axes = [self._axis(i) for i in range(len(self.group.rig.axis))]
-        return [
-            self._structure(),
-            *axes,
-            self._directions(),
-            loop_rows(self.loop, identified=known),
-        ]
+        return [self._structure(), *axes, self._directions(), self._loop()]
+
+    def _loop(self) -> Rows:
+        rig = self.group.rig
+        if rig.is_redundant:
+            return [("Largest root", "not computed", "the actuators are redundant")]
+        return loop_rows(self.loop, identified=rig.identified is not None)
 
     def _structure(self) -> Rows:
         structure = self.group.derived.structure
