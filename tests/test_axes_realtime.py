@@ -161,7 +161,7 @@ def test_frames_of_each_axis_have_their_own_calibration_and_signs() -> None:
 def test_fault_on_one_axis_ends_the_test_for_all_and_is_told_with_its_name(
     fault: str, cause: str, state: str, axis: str
 ) -> None:
-    stuck = SHORT + '[limits]\nsensor_stuck_samples = { value = 40, action = "trip" }\n'
+    stuck = SHORT + '[limits]\nsensor_stuck_s = { value = 0.04, action = "trip" }\n'
     rec = faulty([f"{axis}.{fault}"], stuck)
     station = rec.meta["station"]
     assert (station["cause"], station["state"]) == (cause, state)

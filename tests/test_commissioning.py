@@ -453,7 +453,7 @@ EVERY_LIMIT = {
     "limits.tracking_indicator_slope_m2_per_s": '{ value = 1e-3, action = "indicate" }',
     "limits.energy_error_j": '{ value = 5, action = "hold" }',
     "limits.sensor_jump_m": '{ value = "2 mm", action = "ramp-out" }',
-    "limits.sensor_stuck_samples": '{ value = 50, action = "ramp-out" }',
+    "limits.sensor_stuck_s": '{ value = 0.05, action = "ramp-out" }',
 }
 
 
@@ -471,7 +471,7 @@ def test_every_limit_is_provoked_and_does_what_the_rig_file_says() -> None:
         assert np.abs(there.drive.log["target_m"]).max() < 1.05e-3
     found = {check.key: check for check in checks}
     assert set(found) == {key.removeprefix("limits.") for key in EVERY_LIMIT}
-    stuck = found.pop("sensor_stuck_samples")
+    stuck = found.pop("sensor_stuck_s")
     assert (stuck.value, stuck.fault) == (None, "")
     assert "sensor that freezes" in stuck.reason
     for check in found.values():

@@ -216,11 +216,15 @@ def test_the_share_of_lost_pairs_is_of_the_last_second(rate_hz: float) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", RATES)
-def test_limits_that_count_samples_count_those_of_1024_hz(rate_hz: float) -> None:
-    table = (
-        f"{QUICK}command_increment_m = 1e-4\nsensor_stuck_samples = 64\n"
-        "force_stuck_samples = 128\nsensor_jump_m = 1e-3\nforce_jump_n = 500\n"
-    )
+@pytest.mark.parametrize(
+    "stuck",
+    [
+        "sensor_stuck_s = 0.0625\nforce_stuck_s = 0.125\n",
+        "sensor_stuck_samples = 64\nforce_stuck_samples = 128\n",
+    ],
+)
+def test_limits_mean_the_same_times_at_every_rate(rate_hz: float, stuck: str) -> None:
+    table = f"{QUICK}command_increment_m = 1e-4\n{stuck}sensor_jump_m = 1e-3\nforce_jump_n = 500\n"
     watches = experiment.station_config(prepared(rate_hz, table)).watches
     pace = rate_hz / 1024
     assert watches["increment"].value * rate_hz == pytest.approx(1e-4 * 1024)

@@ -19,6 +19,7 @@ from rthyb_rt.core.group import Reaction
 from rthyb_rt.core.station import Command
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime, virtual_time
+from rthyb_rt.rig.commissioning import certificate
 
 TEST = """schema = "rthyb-test/1"
 [test]
@@ -92,7 +93,7 @@ def test_slips_of_the_pen_are_named_all_at_once_with_line_value_and_range() -> N
         force_n='{ value = "15 kN", action = "tripp" }',
         energy_error_j='"3 mm"',
         tracking_indicator_slope_m2_per_s='{ value = "1 mm^2/s", enabled = true }',
-        sensor_stuck_samples=1,
+        sensor_stuck_s=0,
         command_increment_m=0,
         ramp_in_s=0,
     )
@@ -107,8 +108,7 @@ def test_slips_of_the_pen_are_named_all_at_once_with_line_value_and_range() -> N
         "from 1e-9 to 1e12 J",
         "limits.tracking_indicator_slope_m2_per_s.enabled": 'unknown key (did you mean "enable"?); '
         "allowed here: value, enable, action",
-        "limits.sensor_stuck_samples": "found 1; the number of samples must be a whole number "
-        "from 2 to 61440",
+        "limits.sensor_stuck_s": "found 0; the limit must be from 0.001 to 60 s",
         "limits.command_increment_m": "found 0; the limit must be from 1e-9 to 100 m",
         "limits.ramp_in_s": "found 0; the duration of the ramp-in must be from 0.01 to 600 s",
     }
@@ -148,14 +148,14 @@ def test_limit_that_the_test_leaves_out_is_the_rigs() -> None:
 
 def test_limit_above_the_rigs_is_refused_naming_both() -> None:
     found = refused(
-        limits(force_n=30000, command_acceleration_m_per_s2=20, sensor_stuck_samples=100),
-        limits(force_n=25000, command_acceleration_m_per_s2=10, sensor_stuck_samples=50),
+        limits(force_n=30000, command_acceleration_m_per_s2=20, sensor_stuck_samples=128),
+        limits(force_n=25000, command_acceleration_m_per_s2=10, sensor_stuck_s=0.05),
     )
     assert found == {
         "limits.force_n": 'found 30000 N; rig "spring" has limits.force_n = 25000 N, action '
         '"trip", and a test may not allow more; remove the key from the test to use the rig\'s',
-        "limits.sensor_stuck_samples": 'found 100 samples; rig "spring" has '
-        'limits.sensor_stuck_samples = 50 samples, action "trip", and a test may not allow more; '
+        "limits.sensor_stuck_samples": 'found 0.125 s; rig "spring" has '
+        'limits.sensor_stuck_s = 0.05 s, action "trip", and a test may not allow more; '
         "remove the key from the test to use the rig's",
         "limits.command_acceleration_m_per_s2": 'found 20 m/s^2; rig "spring" has '
         "limits.command_acceleration_m_per_s2 = 10 m/s^2, at most; remove the key from the test "
@@ -253,7 +253,8 @@ def test_limit_of_the_rig_ends_a_virtual_test_and_is_in_its_recording() -> None:
 def test_every_limit_has_its_watch_with_value_and_action() -> None:
     actions = ("indicate", "hold", "ramp-out", "trip", "trip", "hold", "hold", "ramp-out", "none",
                "trip", "hold", "trip", "none", "trip", "indicate")  # fmt: skip
-    values = (0.04, 0.4, 0.001, 9000, 0.004, 0.002, 1.5, 50, 0.005, 40, 700, 0.2, 0.1, 0.3, 0.02)
+    values = (0.04, 0.4, 0.001, 9000, 0.004, 0.002, 1.5, 50 / 1024, 0.005, 40 / 1024, 700, 0.2, 0.1,
+              0.3, 0.02)  # fmt: skip
     given = {
         key: f'{{ value = {value}, action = "{action}" }}'
         for key, value, action in zip(WATCHED, values, actions, strict=True)
@@ -383,9 +384,9 @@ SMALL = {
     "tracking_error_m": '"10 um"',
     "tracking_indicator_slope_m2_per_s": "1e-9",
     "energy_error_j": "1e-4",
-    "sensor_stuck_samples": "50",
+    "sensor_stuck_s": "0.05",
     "sensor_jump_m": '"1 mm"',
-    "force_stuck_samples": "50",
+    "force_stuck_s": "0.05",
     "force_jump_n": "1000",
 }
 CAUSES = ("position", "velocity", "increment", "force", "tracking", "indicator", "energy",
@@ -394,11 +395,11 @@ CAUSES = ("position", "velocity", "increment", "force", "tracking", "indicator",
 
 def faulty(key: str) -> Reading:
     """Readings of a rig one of whose sensors sticks or jumps after a while."""
-    if key == "force_stuck_samples":
+    if key == "force_stuck_s":
         return lambda n, x, f: (x, 1.0 if n > 500 else f)
     if key == "force_jump_n":
         return lambda n, x, f: (x, f + (2000.0 if n > 500 else 0.0))
-    if key == "sensor_stuck_samples":
+    if key == "sensor_stuck_s":
         return lambda n, x, f: (1e-6 if n > 500 else x, f)
     if key == "sensor_jump_m":
         return lambda n, x, f: (x + (0.002 if n > 500 else 0.0), f)
@@ -547,6 +548,27 @@ def test_check_warns_of_sensor_limits_that_good_readings_exceed(rthyb: Rthyb, fi
     )
     assert found is not None
     assert 0.16 < float(found[1]) < 0.4
+
+
+def test_a_time_in_samples_is_told_to_be_deprecated_and_means_the_same() -> None:
+    old = prepared(limits(sensor_stuck_samples=50), limits(force_stuck_samples=64))
+    new = prepared(limits(sensor_stuck_s=50 / 1024), limits(force_stuck_s=0.0625))
+    told = [note for note in old.notes if "deprecated" in note]
+    assert told == [
+        f"{where}: limits.{key}_samples is deprecated: write {key}_s = {value}, in s"
+        for where, key, value in (
+            ("test", "sensor_stuck", "0.048828125"),
+            ('rig "spring"', "force_stuck", "0.0625"),
+        )
+    ]
+    assert not [note for note in new.notes if "deprecated" in note]
+    assert old.test.limits == new.test.limits
+    assert "samples" not in config.dump(old.test).partition("[limits]")[2]
+    assert experiment.station_config(old) == experiment.station_config(new)
+    assert certificate.rig_hash(old.rig) == certificate.rig_hash(new.rig)
+    assert not config.Limits.model_construct(**dict(new.test.limits)).deprecated()
+    found = refused(limits(sensor_stuck_samples=50, sensor_stuck_s=0.05), "")
+    assert "only one of" in next(iter(found.values()))
 
 
 def test_type_checker_and_header_know_the_same_commands_and_reactions() -> None:

@@ -314,10 +314,10 @@ def test_a_frozen_load_cell_ends_the_test_before_the_force_exceeds_the_tests_pea
 
 
 def test_a_cell_without_noise_that_stands_on_its_step_is_none_that_is_stuck() -> None:
-    assert derived(noise_n=0.0, step_n=1.0).get("force_stuck_samples") is None
-    assert derived(noise_n=0.2, step_n=1.0).get("force_stuck_samples") is None
-    assert derived(noise_n=0.5, step_n=1.0)["force_stuck_samples"].value == 73
-    assert derived(noise_n=5.0, step_n=1.0)["force_stuck_samples"].value == 20
+    assert derived(noise_n=0.0, step_n=1.0).get("force_stuck_s") is None
+    assert derived(noise_n=0.2, step_n=1.0).get("force_stuck_s") is None
+    assert derived(noise_n=0.5, step_n=1.0)["force_stuck_s"].value * 1024 == 73
+    assert derived(noise_n=5.0, step_n=1.0)["force_stuck_s"].value * 1024 == 20
 
 
 def derived(noise_n: float, step_n: float) -> Any:

@@ -79,13 +79,12 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     jump, spread = limits.sensor_jump_m, limits.rest_spread_m
     derived = setup.derived.limits.derived
     watched = [
-        getattr(limits, key) or derived.get(key)
-        for key in ("sensor_stuck_samples", "sensor_jump_m")
+        getattr(limits, key) or derived.get(key) for key in ("sensor_stuck_s", "sensor_jump_m")
     ]
     if not any(limit is not None and limit.ends for limit in watched):
         notes.append(
             "nothing ends a test whose displacement sensor freezes or jumps: set "
-            "limits.sensor_stuck_samples and limits.sensor_jump_m"
+            "limits.sensor_stuck_s and limits.sensor_jump_m"
         )
     # Two samples, each off by four standard deviations.
     step = f.reference_peak_m_per_s / setup.derived.fs_hz + 8 * noise

@@ -13,9 +13,9 @@ from rthyb_rt.config.limits import (
     Limit,
     Limits,
     Resolved,
-    SampleLimit,
     ShareLimit,
     StepLimit,
+    TimeLimit,
 )
 from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import RigFile, ServoHydraulic
@@ -64,8 +64,8 @@ def derived_limits(
     sigma_m = displacement.noise_std_m if noise_m is None else noise_m
     sigma_n = force.noise_std_n if noise_n is None else noise_n
     found: dict[str, Limit | None] = {
-        "sensor_stuck_samples": _stuck(sigma_m, displacement.lsb_m, rate),
-        "force_stuck_samples": _stuck(sigma_n, force.lsb_n, rate),
+        "sensor_stuck_s": _stuck(sigma_m, displacement.lsb_m, rate),
+        "force_stuck_s": _stuck(sigma_n, force.lsb_n, rate),
         "sensor_jump_m": _jump_m(_velocity(limits), sigma_m, peak_velocity_m_per_s, rate),
         "force_jump_n": _jump_n(rig, limits.limits, sigma_n, force_step_n),
         "lost_pairs_share": ShareLimit(value=LOST, action="ramp-out"),
@@ -81,12 +81,13 @@ def repeat_odds(sigma: float, step: float) -> float:
     return math.erf(step / (2.0 * math.sqrt(2.0) * sigma)) if sigma > 0 else 1.0
 
 
-def _stuck(sigma: float, step: float, rate: Rate) -> SampleLimit | None:
+def _stuck(sigma: float, step: float, rate: Rate) -> TimeLimit | None:
     odds = repeat_odds(sigma, step)
     if odds > MOST_LIKELY:
         return None
     samples = math.ceil(math.log(STUCK_ODDS) / math.log(odds)) if odds > 0 else 0
-    return SampleLimit(value=max(samples, rate.ticks(LEAST_STUCK_S), 2), action="ramp-out")
+    ticks = max(samples, rate.ticks(LEAST_STUCK_S), 2)
+    return TimeLimit(value=ticks / rate.hz, action="ramp-out")
 
 
 def _velocity(limits: Resolved) -> Limit | None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
-from pydantic import GetJsonSchemaHandler, StrictBool
+from pydantic import GetJsonSchemaHandler, PrivateAttr, StrictBool
 from pydantic_core import CoreSchema
 
-from rthyb_rt.config.fields import Count, Range, Table
+from rthyb_rt.config.fields import Alternatives, Count, Range, Table
 from rthyb_rt.config.rate import STANDARD_HZ
 from rthyb_rt.errors import Problem
 
@@ -123,10 +123,21 @@ class EnergyLimit(Limit):
     value: Annotated[float, Range("J", 1e-9, 1e12, "the limit")]
 
 
+class TimeLimit(Limit):
+    """A limit on a time."""
+
+    value: Annotated[float, Range("s", 1e-3, 60, "the limit")]
+
+
 class SampleLimit(Limit):
-    """A limit on a number of samples of 1/1024 s."""
+    """A time as a number of samples of 1/1024 s."""
 
     value: Annotated[int, Count(2, 1024 * 60, "the number of samples")]
+
+    def in_seconds(self) -> TimeLimit:
+        """Return the same limit in seconds."""
+        seconds = self.value / STANDARD_HZ
+        return TimeLimit(value=seconds, action=self.action, enable=self.enable)
 
 
 class StepLimit(Limit):
@@ -149,12 +160,23 @@ class WarningLimit(ShareLimit):
     plain: ClassVar[Action] = "indicate"
 
 
+IN_SAMPLES: Final = {
+    "sensor_stuck_s": "sensor_stuck_samples",
+    "force_stuck_s": "force_stuck_samples",
+}
+"""Limits on a time, with the deprecated keys that count it in samples of 1/1024 s."""
+
+
 class Limits(Table):
     """Limits of a test; in a rig file: limits that every test on the rig must keep.
 
     The command is limited to its velocity and acceleration limits. The keys below them are plain
     figures of ramps, HOLD and zeroing.
     """
+
+    choices: ClassVar[tuple[Alternatives, ...]] = tuple(
+        Alternatives((key, old), required=False) for key, old in IN_SAMPLES.items()
+    )
 
     command_position_m: DisplacementLimit | None = None
     command_velocity_m_per_s: VelocityLimit | None = None
@@ -166,8 +188,10 @@ class Limits(Table):
     tracking_error_m: DisplacementLimit | None = None
     tracking_indicator_slope_m2_per_s: SlopeLimit | None = None
     energy_error_j: EnergyLimit | None = None
+    sensor_stuck_s: TimeLimit | None = None
     sensor_stuck_samples: SampleLimit | None = None
     sensor_jump_m: IncrementLimit | None = None
+    force_stuck_s: TimeLimit | None = None
     force_stuck_samples: SampleLimit | None = None
     force_jump_n: StepLimit | None = None
     lost_pairs_share: ShareLimit | None = None
@@ -193,6 +217,29 @@ class Limits(Table):
         Annotated[float, Range("", 1e-3, 1, "the tare as a share of the rig's limit")] | None
     ) = None
 
+    _counted: set[str] = PrivateAttr(default_factory=set)
+    """Keys whose time the file counts in samples."""
+
+    def settle(self) -> None:
+        """Write times that the file counts in samples in seconds."""
+        for key, old in IN_SAMPLES.items():
+            given: SampleLimit | None = getattr(self, old)
+            if given is not None:
+                self.__dict__.update({key: given.in_seconds(), old: None})
+                self._counted.add(key)
+
+    def as_written(self, key: str) -> str:
+        """Return the key under which the file gives a limit."""
+        return IN_SAMPLES[key] if key in self._counted else key
+
+    def deprecated(self) -> list[str]:
+        """Return a note on each deprecated key of the file, with its replacement."""
+        return [
+            f"limits.{old} is deprecated: write {key} = {getattr(self, key).value:.10g}, in s"
+            for key, old in IN_SAMPLES.items()
+            if self.as_written(key) == old
+        ]
+
 
 WATCHED: tuple[str, ...] = (
     "command_position_m",
@@ -202,9 +249,9 @@ WATCHED: tuple[str, ...] = (
     "tracking_error_m",
     "tracking_indicator_slope_m2_per_s",
     "energy_error_j",
-    "sensor_stuck_samples",
+    "sensor_stuck_s",
     "sensor_jump_m",
-    "force_stuck_samples",
+    "force_stuck_s",
     "force_jump_n",
     "lost_pairs_share",
     "lost_pairs_warning_share",
@@ -261,7 +308,6 @@ _UNITS = {
     "_m2_per_s": "m^2/s",
     "_m_per_s2": "m/s^2",
     "_m_per_s": "m/s",
-    "_samples": "samples",
     "_m": "m",
     "_n": "N",
     "_j": "J",
@@ -288,7 +334,8 @@ def resolve(
             # A limit of the test that repeats the rig's belongs to the rig, as in a resolved test.
             repeated = key in BEFORE_TARE and own == bound
             merged[key], sources[key] = own, "rig" if repeated else "test"
-            problems += _weaker(key, own, bound, rig_name)
+            where = f"limits.{test.as_written(key)}"
+            problems += [replace(one, where=where) for one in _weaker(key, own, bound, rig_name)]
         elif bound is not None:
             merged[key], sources[key] = bound, "rig"
     limits = Limits.model_construct(**merged)

@@ -591,9 +591,9 @@ WATCHES: Final[dict[str, str]] = {
     "tracking_error_m": "tracking",
     "tracking_indicator_slope_m2_per_s": "indicator",
     "energy_error_j": "energy",
-    "sensor_stuck_samples": "sensor_stuck",
+    "sensor_stuck_s": "sensor_stuck",
     "sensor_jump_m": "sensor_jump",
-    "force_stuck_samples": "force_stuck",
+    "force_stuck_s": "force_stuck",
     "force_jump_n": "force_jump",
     "lost_pairs_share": "lost_pairs",
     "lost_pairs_warning_share": "lost_warning",
@@ -603,14 +603,21 @@ WATCHES: Final[dict[str, str]] = {
 """Names in the station of the limits of the files."""
 RIG_WATCHES: Final = {key: f"rig_{WATCHES[key]}" for key in limits_file.BEFORE_TARE}
 """The same for the limits of the rig file that act before the tare."""
+
+
+def _stuck_ticks(rate: Rate, seconds: float) -> float:
+    """Return the ticks after which an equal reading counts as stuck: at least one repetition."""
+    return float(max(2, rate.ticks(seconds)))
+
+
 _TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
     "command_increment_m": Rate.increment,
-    "sensor_stuck_samples": Rate.samples,
-    "force_stuck_samples": Rate.samples,
+    "sensor_stuck_s": _stuck_ticks,
+    "force_stuck_s": _stuck_ticks,
     "sensor_jump_m": Rate.leap,
     "force_jump_n": Rate.leap,
 }
-"""Limits that a file counts in samples of 1/1024 s, with their conversion to another rate."""
+"""Limits that depend on the rate: times, and changes in 1/1024 s, with their conversion."""
 
 
 def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
@@ -663,8 +670,12 @@ def axis_station_config(setup: Setup, *, real: bool = False) -> core.StationConf
     """Return the settings of the station of one axis; arguments as for `station_config`."""
     limits, resolved, rate = setup.test.limits, setup.derived.limits, setup.rate
     given = {cause: _watched(limits, resolved, key, real) for key, cause in WATCHES.items()}
-    # Derived limits are already in samples of the test.
-    stated = {WATCHES[key] for key in _TIMED if getattr(limits, key) is not None}
+    # Derived changes per sample are already for the rate of the test; times never are.
+    stated = {
+        WATCHES[key]
+        for key in _TIMED
+        if getattr(limits, key) is not None or key in limits_file.IN_SAMPLES
+    }
     keys = {cause: key for key, cause in WATCHES.items()}
     for key, cause in RIG_WATCHES.items():
         given[cause] = getattr(setup.rig.limits, key)
@@ -716,8 +727,7 @@ def _law_channel_count(setup: Setup) -> int:
 def at_rate(key: str, value: float, rate: Rate) -> float:
     """Return a file's limit in samples of a rate."""
     timed = _TIMED.get(key)
-    value = float(value) if timed is None else timed(rate, float(value))
-    return float(max(2, round(value))) if key.endswith("_samples") else value
+    return float(value) if timed is None else timed(rate, float(value))
 
 
 def _tare_most(setup: Setup, key: str) -> float:

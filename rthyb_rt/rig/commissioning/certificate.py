@@ -17,6 +17,8 @@ from typing import Any, Final
 
 from rthyb_rt import __version__, config
 from rthyb_rt.config import AxesRig, RigFile
+from rthyb_rt.config.limits import IN_SAMPLES
+from rthyb_rt.config.rate import STANDARD_HZ
 from rthyb_rt.config.rigfile import TOLERANCES
 from rthyb_rt.core.sizes import STANDARD_RATE_HZ
 from rthyb_rt.errors import InputError, RthybError
@@ -140,6 +142,12 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
         # A key of a later version must not change the hash of a file that does not set it.
         for key in [key for key in given if key not in first and given[key] in (None, [], ())]:
             del given[key]
+    # Times that were counted in samples when the rig was commissioned keep their hash.
+    given = content["limits"] or {}
+    for key, old in IN_SAMPLES.items():
+        limit = given.get(key)
+        if limit is not None and (limit["value"] * STANDARD_HZ).is_integer():
+            given[old] = {**given.pop(key), "value": int(limit["value"] * STANDARD_HZ)}
     # Rigs commissioned before other rates existed keep their hash.
     if rig.link is not None and rig.link.sample_rate_hz == STANDARD_RATE_HZ:
         del content["link"]["sample_rate_hz"]

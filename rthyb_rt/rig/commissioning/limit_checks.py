@@ -30,12 +30,12 @@ from rthyb_rt.rig.commissioning.guided_motion import (
 )
 
 ACCELERATION: Final = "command_acceleration_m_per_s2"
-STUCK: Final = "sensor_stuck_samples"
+STUCK: Final = "sensor_stuck_s"
 
 _NOT_PROVOKED: Final = {
     STUCK: "needs a sensor that freezes while the actuator moves; unplug it during a jog, with "
     "nobody near the rig",
-    "force_stuck_samples": "needs a load cell that freezes while the actuator moves",
+    "force_stuck_s": "needs a load cell that freezes while the actuator moves",
     "force_jump_n": "needs a load cell that jumps",
     "lost_pairs_share": "needs a link that loses pairs",
     "lost_pairs_warning_share": "needs a link that loses pairs",
