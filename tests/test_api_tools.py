@@ -87,6 +87,19 @@ def test_diagnosis_names_the_friction_that_a_rig_has_and_its_model_has_not(tmp_p
     assert again.effects == found.effects
 
 
+@pytest.mark.parametrize("hidden", [True, False])
+def test_a_recording_of_another_control_law_is_diagnosed_as_one_of_ours(hidden: bool) -> None:
+    model = rt.Rig("delay-10-elastic")
+    friction = {"element": "coulomb", "fc_n": "400 N"}
+    real = model.with_({"specimen": [*model["specimen"], friction]}) if hidden else model
+    test = rt.Test("section5-T0.5", rig=real).with_({"controller.type": "ats"})
+    rec = rt.run(test.with_(limits={"force_n": "60 kN"}))
+    assert np.ptp(rec["alpha"][rec.running]) > 0.01  # it adapts
+    found = rt.diagnose(rec, model)
+    assert found.verdict == ("explained" if hidden else "none")
+    assert found.effects == (["coulomb"] if hidden else [])
+
+
 def test_the_room_of_the_diagnosis_is_the_public_function_however_it_was_imported() -> None:
     code = (
         "import rthyb_rt as rt; first = rt.diagnose; import rthyb_rt.diagnose.policy; "
