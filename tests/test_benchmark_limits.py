@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
+from pathlib import Path
+
 import pytest
 from bench import benchmark_limits as limits
 
@@ -76,3 +79,10 @@ def test_the_exit_code_says_whether_every_goal_is_met(monkeypatch: pytest.Monkey
         found = outcomes(4096, 1, GOOD | {"J2": j2})
         monkeypatch.setattr(benchmark_runs, "measured", lambda wanted, jobs, found=found: found)
         assert limits.main() == code
+
+
+def test_the_page_shows_the_goals_that_are_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "docs" / "tools"))
+    page = importlib.import_module("benchmark_page")
+    assert page.OURS == limits.LAW
+    assert {key: goals | limits.EVERYWHERE for key, goals in limits.GOALS.items()} == page.GOALS

@@ -33,6 +33,17 @@ PAGE = ROOT / "docs" / "benchmark.md"
 PICTURE = ROOT / "docs" / "images" / "benchmark-rths.svg"
 KEPT = ROOT / "build" / "benchmark-rths.json"
 SHORT = ("J2", "J4", "J6", "J8", "true")
+OURS = "inverse"
+RIVALS = (OURS, "ats+rfc", "amb+rfc")
+"""Our law, and the two published ones with the same force compensation."""
+GOALS = {
+    (4096, 1): {"J2": 2.57, "J4": 2.60, "J6": 0.20, "J8": 0.15, "true": 0.15, "high": 2.0},
+    (4096, 4): {"J2": 2.02, "J4": 2.05, "J6": 0.20, "J8": 0.15, "true": 0.15, "high": 2.0},
+    (1024, 1): {"J2": 1.30, "J4": 1.32, "J6": 0.20, "J8": 0.15, "true": 0.15, "high": 2.0},
+    (1024, 4): {"J2": 1.02, "J4": 1.05, "J6": 0.20, "J8": 0.15, "true": 0.15, "high": 2.0},
+}
+"""Goals of `OURS`: largest means over the plants, by rate in Hz and case; a test compares them with
+those of ``tests/bench/benchmark_limits.py``."""
 
 
 def plan() -> dict[str, list[BenchmarkRun]]:
@@ -49,6 +60,7 @@ def plan() -> dict[str, list[BenchmarkRun]]:
         "motions": benchmark_runs.planned(
             names, rates, [1, 4], ["kobe", "morgan"], benchmark_runs.seeds_of(4)
         ),
+        "limit": benchmark_runs.planned(RIVALS, rates, [3], ["kobe"], benchmark_runs.seeds_of(20)),
         "wide": benchmark_runs.planned(
             names, rates, [1, 4], ["elcentro"], benchmark_runs.seeds_of(20), width=3.0
         ),
@@ -108,6 +120,38 @@ def short_table(
     return markdown(heads, rows, 1)
 
 
+def paired_table(outcomes: Sequence[RunOutcome], rate_hz: int) -> str:
+    """Return our law beside its rivals and its goals, and on how many plants it is better.
+
+    Every law meets the same plants, with the same noise, so that each plant is a pair.
+    """
+    keys = list(GOALS[rate_hz, 1])
+    rows = []
+    for case in (1, 4):
+        by_law = {
+            name: {
+                one.run.plant: one.figures
+                for one in outcomes
+                if (one.run.entrant, one.run.rate_hz, one.run.case) == (name, rate_hz, case)
+                and one.completed
+            }
+            for name in RIVALS
+        }
+        ours = by_law[OURS]
+        for name, theirs in by_law.items():
+            row = [str(case), f"`{name}`"]
+            both = ours.keys() & theirs.keys()
+            for key in keys:
+                mean = benchmark_table.short(float(np.mean([f[key] for f in theirs.values()])))
+                better = sum(ours[plant][key] < theirs[plant][key] for plant in both)
+                row.append(mean if name == OURS else f"{mean} ({better} of {len(both)})")
+            rows.append(row)
+        goal = GOALS[rate_hz, case]
+        rows.append([str(case), "goal", *(f"{goal[key]:.2f}" for key in keys)])
+    units = {"high": "> 100 Hz µm"}
+    return markdown(["case", "law", *(units.get(key, f"{key} %") for key in keys)], rows, 2)
+
+
 def _case(line: EntrantLine) -> str:
     return f"case {line.case}"
 
@@ -126,6 +170,7 @@ def parts(found: dict[str, list[RunOutcome]], facts: dict[str, Any]) -> dict[str
     lines = benchmark_table.lines(found["elcentro"])
     for rate in cases.RATES:
         made[f"elcentro-{rate}"] = whole_table(lines, rate)
+        made[f"paired-{rate}"] = paired_table(found["elcentro"], rate)
     for part in [name for name in plan() if name in found and name != "elcentro"]:
         lines, kind = benchmark_table.lines(found[part]), _case if part == "between" else _motion
         for rate in cases.RATES:

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ import structures
 from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import config, core
+from rthyb_rt.benchmark import benchmark_runs
 from rthyb_rt.lab import experiment, virtual_time
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -202,6 +204,31 @@ def virtual_time_figures() -> list[Figure]:
         )
     )
     return figures
+
+
+BENCHMARK_TARGETS = {1024: 1000.0, 4096: 250.0}
+"""Seconds of the RTHS benchmark per second of computing time on one processor, by rate in Hz."""
+
+
+def benchmark_figures() -> list[Figure]:
+    """Time one run of the RTHS benchmark with its plant, and no reference simulation."""
+    figures = []
+    for rate_hz, target in BENCHMARK_TARGETS.items():
+        run = benchmark_runs.BenchmarkRun("inverse", rate_hz, 1, "elcentro")
+        setup = benchmark_runs.prepared(run)
+        taken = min(processor_s(lambda setup=setup: virtual_time.run(setup)) for _ in range(5))
+        faster = setup.ticks / rate_hz / taken
+        name = f"RTHS benchmark with its plant, {rate_hz} Hz"
+        note = "times real time on one processor"
+        figures.append(Figure(name, faster, "x", target, True, note))
+    return figures
+
+
+def processor_s(work: Callable[[], object]) -> float:
+    """Return the processor time of a call, s, which depends little on what else is running."""
+    begun = time.process_time()
+    work()
+    return time.process_time() - begun
 
 
 def loop_figures() -> list[Figure]:
@@ -458,6 +485,7 @@ def main() -> None:
         *c_figures(rows),
         call_figure(),
         *virtual_time_figures(),
+        *benchmark_figures(),
         Figure("GIL: a thread counts during a test", ratio, "x", 0.5, True, "of its speed alone"),
         *loop_figures(),
         *timing_figures(),
