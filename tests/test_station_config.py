@@ -7,15 +7,19 @@ import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
+from typing import Literal, get_args, get_origin
 
 import numpy as np
 import pytest
 from command_line import Rthyb
+from pydantic import BaseModel
 
 from rthyb_rt import config, core
+from rthyb_rt.config import axesfile, baselinefile, numerical, rigfile, testfile
+from rthyb_rt.config import limits as config_limits
 from rthyb_rt.config.limits import WATCHED
 from rthyb_rt.core.group import Reaction
+from rthyb_rt.core.library import options
 from rthyb_rt.core.station import Command
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime, virtual_time
@@ -574,3 +578,56 @@ def test_a_time_in_samples_is_told_to_be_deprecated_and_means_the_same() -> None
 def test_type_checker_and_header_know_the_same_commands_and_reactions() -> None:
     assert get_args(Command) == core.COMMANDS
     assert get_args(Reaction) == core.REACTIONS
+    assert config_limits.ACTIONS == core.REACTIONS
+
+
+def names_of(table: type[BaseModel], key: str) -> set[str]:
+    """The names that a key of a file accepts."""
+    found = table.model_fields[key].annotation
+    inner = [one for one in get_args(found) if get_origin(one) is Literal]
+    return set(get_args(inner[0] if inner else found))
+
+
+def tables_with(key: str) -> list[type[BaseModel]]:
+    """The tables of all files that have a key whose value is one of several names."""
+    every = [rigfile, axesfile, testfile, baselinefile, numerical]
+    tables = {one for module in every for one in vars(module).values() if isinstance(one, type)}
+    given = (one for one in tables if issubclass(one, BaseModel) and key in one.model_fields)
+    return sorted((one for one in given if names_of(one, key)), key=lambda one: one.__name__)
+
+
+@pytest.mark.parametrize(
+    ("key", "enum", "prefix"),
+    [
+        ("command_hold", "rthyb_hold", "RTHYB_"),
+        ("tangent", "rthyb_tangent", "RTHYB_TANGENT_"),
+        ("divisor", "rthyb_divisor", "RTHYB_DIVISOR_"),
+        ("measures", "rthyb_extra_kind", "RTHYB_EXTRA_"),
+        ("clock", "rthyb_clock", "RTHYB_CLOCK_"),
+    ],
+)
+def test_files_accept_the_names_of_the_header(key: str, enum: str, prefix: str) -> None:
+    tables = tables_with(key)
+    assert tables
+    for table in tables:
+        assert names_of(table, key) == set(options(enum, prefix)), table
+
+
+def test_files_name_no_integrator_that_the_header_lacks() -> None:
+    known = set(options("rthyb_integrator", "RTHYB_"))
+    named = {name for table in tables_with("integrator") for name in names_of(table, "integrator")}
+    assert known - named == {"prescribed"}
+    assert named <= known
+
+
+def test_every_element_and_actuator_of_the_header_has_its_table() -> None:
+    for key, enum, prefix in (
+        ("element", "rthyb_element_kind", "RTHYB_"),
+        ("kind", "rthyb_servo_kind", "RTHYB_"),
+    ):
+        tables = (one for one in vars(rigfile).values() if isinstance(one, type))
+        given = [one for one in tables if issubclass(one, BaseModel) and key in one.model_fields]
+        named = {name for table in given for name in names_of(table, key)}
+        header = {name.replace("-", "_") for name in options(enum, prefix)}
+        header -= {"element_kinds", "servo_kinds", "own"}  # counts, and the user's own element
+        assert header <= {name.replace("-", "_") for name in named}, enum
