@@ -225,6 +225,26 @@ def test_what_no_file_can_hold_is_refused_where_it_is_given() -> None:
         SHORT.with_(controller=own_parts.Inverse(object()))  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("tables", "form"),
+    [
+        ({"controller": {"type": "python", "python": own_parts.Inverse(0.01)}}, "controller=Inv"),
+        ({"controller": {"python": {"class": own_parts.Inverse(0.01)}}}, "controller=Inverse(...)"),
+        ({"numerical": {"python": own_parts.Oscillator(4220.0)}}, "numerical=Oscillator(...)"),
+        (
+            {"rig": {"specimen": [{"element": "python", "class": own_parts.Spring(6e5)}]}},
+            "specimen=[Spring(...)]",
+        ),
+    ],
+)
+def test_object_in_place_of_one_of_its_keys_is_told_with_its_table(
+    tables: dict[str, Any], form: str
+) -> None:
+    with pytest.raises(rt.InputError, match="it stands for its whole table") as caught:
+        SHORT.with_(**tables)
+    assert form in str(caught.value)
+
+
 def test_a_period_that_is_not_the_parts_own_is_noted() -> None:
     part = own_parts.Oscillator(4.0 * SHORT["numerical.mass_kg"])
     notes = rt.check(SHORT.with_(numerical=part)).notes

@@ -71,10 +71,28 @@ def plain(value: Any) -> Any:
     if isinstance(value, os.PathLike):
         return os.fspath(value)
     if isinstance(value, Mapping):
+        for key, inner in value.items():
+            if key in (PYTHON, "class") and hasattr(type(inner), "_made_of_own"):
+                raise _own_too_deep(inner, str(key))
         return {str(key): plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(inner) for inner in value]
     return value
+
+
+def _own_too_deep(made: Own, key: str) -> InputError:
+    """Return the error for an object that is given as a key of the table that it stands for."""
+    from rthyb_rt.core.own import ControlLaw, Element
+
+    name = type(made).__name__
+    form = f"numerical={name}(...)"
+    if isinstance(made, (ControlLaw, Element)):
+        law = isinstance(made, ControlLaw)
+        form = f"controller={name}(...)" if law else f"specimen=[{name}(...)]"
+    return InputError(
+        f"found an object of {name} below the key {key}; it stands for its whole table: {form}",
+        name,
+    )
 
 
 def _of_own(made: Own) -> dict[str, Any]:
