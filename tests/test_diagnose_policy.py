@@ -33,6 +33,7 @@ INLINE = {
     "estimate.py white_noise": "rows that a median is taken of",
     "freebody.py _least": "where a fit ends",
     "lateness.py settled": "where a fit ends",
+    "laws.py force_unit": "the unit in which an axis is labelled",
     "mapping.py _missing": "length of a list",
     "moving.py sensor_colour": "lines that a level is taken of",
     "noise.py __init__": "rows that a spectrum is taken of",
