@@ -21,6 +21,7 @@ from rthyb_rt.diagnose.verdict import (
     Verdict,
     judge,
     lost_in_form,
+    needs_nothing,
     understood,
     within_rounding,
 )
@@ -122,6 +123,15 @@ def test_better_noise_never_makes_it_unknown() -> None:
             for part in (1.0, 0.3, 0.1, 0.03, 0.01, 0.0)
         ]
         assert known == sorted(known)
+
+
+def test_a_doubtful_set_is_no_law_missing_from_a_model_that_leaves_only_noise() -> None:
+    small = replace(FRICTION, before=0.05)
+    for answers in ({"changes": {"fast motion": 6.0}}, {"varying": 60.0}):
+        assert said(Seen(FRICTION), **answers).said == "unknown"
+        assert said(Seen(small), **answers).said == "none"
+        for change in ({"loud": True}, {"bent": 5.0}):
+            assert said(Seen(replace(small, **change)), **answers).said == "unknown"
 
 
 # ---- rules that turn it -------------------------------------------------------------------------
@@ -299,7 +309,7 @@ def test_what_is_named_or_called_nothing_is_understood(left: Left, answers: dict
     found = said(Seen(left), **answers)
     turned = {r.rule for r in found.ledger}
     known = answers["sheet"] or understood(left, POLICY, lambda: answers["sheet"])
-    known = not (turned & {"steady", "varying", "stroke"}) and (
-        known or bool(turned & {"motion", "steps"})
-    )
+    if turned & {"steady", "varying", "stroke"}:
+        known = needs_nothing(left, POLICY)
+    known = known or bool(turned & {"motion", "steps"})
     assert (found.said == "unknown") == (not known)

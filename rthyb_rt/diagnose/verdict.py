@@ -251,6 +251,15 @@ def understood(left: Left, policy: Policy, sheet: Callable[[], bool]) -> bool:
     return small(left, left.part_after, policy) or share < allowed(left, policy)
 
 
+def needs_nothing(left: Left, policy: Policy) -> bool:
+    """Return whether the model alone leaves no more than noise, within its tolerances.
+
+    What a set then explains beside it may be doubtful, but no law is missing for that reason.
+    """
+    alone = left.before < policy.excess_as_noise and not left.loud
+    return alone and within(left.bent, policy)
+
+
 def simulates(made: Simulated | None, policy: Policy) -> bool:
     """Return whether the model alone, adjusted within tolerance, reproduces the motion.
 
@@ -310,6 +319,7 @@ def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     """A law has the same parameters in every part of a recording; a substitute does not.
 
+    A substitute stands for a law that is not known, unless the model alone leaves only noise.
     Not for a naive model, whose laws are all approximate, nor for a simulated motion, which is
     fitted as a whole.
     """
@@ -320,7 +330,7 @@ def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     if not part or changes[part] <= court.policy.changed_numbers:
         return named, known
     court.rules("steady", left.names, changes[part], court.policy.changed_numbers, part)
-    return False, False
+    return False, needs_nothing(left, court.policy)
 
 
 def beside_nameless(
@@ -340,7 +350,7 @@ def beside_nameless(
         if gain <= court.policy.same_evidence:
             return named, known
         court.rules(what, left.names, gain, court.policy.same_evidence)
-        return False, False
+        return False, needs_nothing(left, court.policy)
 
     return rule
 
