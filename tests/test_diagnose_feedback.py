@@ -16,7 +16,7 @@ from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import Gathered
 from rthyb_rt.diagnose.feedback import Driven
-from rthyb_rt.diagnose.select import Member, Problem, price, solve
+from rthyb_rt.diagnose.select import Fit, Member, Problem, price, solve
 
 FS_HZ, K, C, M = 512.0, 4e5, 1000.0, 300.0
 F_HZ, ZETA, LATE = 30.0, 0.8, 2
@@ -145,6 +145,17 @@ def test_dashpot_earns_by_the_motion_of_the_test_what_it_earns_in_all():
     everywhere, driven, wanted = earned(problem_of(0.0, 300.0), "viscous")
     assert driven > 10.0 * wanted
     assert driven == pytest.approx(everywhere, rel=0.1)
+
+
+@pytest.mark.parametrize(("added", "possible"), [(-0.5, True), (-1.5, False)])
+def test_relaxation_beside_a_dashpot_that_drives_the_motion_is_no_physical_law(added, possible):
+    problem, known = problem_of(0.0, 0.0), effects.catalogue()
+    members = (Member(known["viscous"], Trial()), Member(known["maxwell"], Trial((0.05,))))
+    betas = (np.array([added * C]), np.array([1e5]))
+    unmoved = np.zeros(len(problem.nuisances))
+    assert problem.sensible(Fit(members, betas, 0.0, 3, unmoved)) == possible
+    # Alone it says that the model's dashpot is wrong, however far.
+    assert problem.sensible(Fit(members[:1], betas[:1], 0.0, 1, unmoved))
 
 
 def pushed(seed: int = 5) -> Problem:

@@ -302,6 +302,7 @@ class Problem:
             )
             and not self._gives_way(fit)
             and not self._pushes(fit)
+            and not self._undoes_a_push(fit)
             and not self._weighs_nothing(fit)
             and not any(m.effect.borders(m.trial) in fit.names for m in fit.members)
         )
@@ -327,6 +328,21 @@ class Problem:
             m.effect.dissipates and min(b) < 0.0
             for m, b in zip(fit.members, fit.betas, strict=True)
         )
+
+    def _undoes_a_push(self, fit: Fit) -> bool:
+        """Return whether relaxation stands beside a dashpot that, with the model's, is negative.
+
+        Faster motion than its own leaves relaxation no damping: the two together would then drive
+        the motion, which no passive specimen does. Within a band they can cancel and imitate
+        anything.
+        """
+        if not any(m.effect.relaxes for m in fit.members):
+            return False
+        pairs = list(zip(fit.members, fit.betas, strict=True))
+        added = [float(b[0]) for m, b in pairs if m.effect.number == "c" and not m.effect.late]
+        held = zip(fit.nuisance, self.nuisances, strict=True)
+        whole = self.case.model.c + sum(float(b) for b, n in held if n.number == "c") + sum(added)
+        return bool(added) and whole < 0.0
 
     def _gives_way(self, fit: Fit) -> bool:
         """Return whether, with a yielding law in a naive model, an elastic spring pushes outwards.
