@@ -46,7 +46,9 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
     return Evidence(Setting(LAWS, ROWS, **setting), of(chi2=null), sets)
 
 
-ANSWERS = {"held_out": 0.9, "size": 0.5, "driven": (60.0, 60.0, 60.0)}
+ANSWERS = {
+    "held_out": 0.9, "size": 0.5, "driven": (60.0, 60.0, 60.0), "driven_together": 180.0,
+}  # fmt: skip
 
 
 def decided(
@@ -316,6 +318,18 @@ def test_a_late_cell_has_to_show_in_the_motion_of_the_test_in_any_recording() ->
         assert decided(other, driven=(-2.0, 60.0)).best.names == ("time_skew", "viscous")
 
 
+def test_two_effects_that_cancel_have_to_show_together_in_the_motion_of_the_test() -> None:
+    """Each undoes the other, and what is left of both filters the noise of the load cell."""
+    seen = evidence(
+        of("maxwell", chi2=2000.0), of("time_skew", chi2=2000.0),
+        of("maxwell", "time_skew", chi2=1000.0), null=1100.0, returns=True,
+    )  # fmt: skip
+    found = decided(seen, driven_together=10.0)
+    assert found.best.names == ()
+    assert "driven together" in fired(found)
+    assert decided(seen, driven_together=90.0).best.names == ("maxwell", "time_skew")
+
+
 def test_a_drift_that_moves_a_body_no_farther_than_its_zero_is_not_named() -> None:
     """Slow noise of the displacement moves its zero by as much during the recording."""
     seen = evidence(of("drift", chi2=1000.0), null=2000.0, judged="motion")
@@ -327,8 +341,18 @@ def test_a_drift_that_moves_a_body_no_farther_than_its_zero_is_not_named() -> No
 
 def test_a_weight_that_moves_a_body_far_off_its_zero_is_named() -> None:
     assert decided(a_zero(), zero=20.0).best.names == ("bias",)
-    held = evidence(of("bias", chi2=1000.0), null=2000.0)
-    assert decided(held, zero=1.0).best.names == ("bias",)
+
+
+def test_zero_error_of_the_displacement_passes_for_no_law_on_a_load_cell_either() -> None:
+    """Through the spring it is a constant force; a law has to explain more than that."""
+    both = evidence(of("bias", chi2=1000.0), of("cubic", chi2=990.0), null=2000.0)
+    found = decided(both, zero=1.0)
+    assert found.best.names == ()
+    assert fired(found) == {"off zero", "beside zero"}
+    assert decided(both, zero=20.0).best.names == ("cubic",)
+    better = evidence(of("bias", chi2=1000.0), of("cubic", chi2=900.0), null=2000.0)
+    assert decided(better, zero=1.0).best.names == ("cubic",)
+    assert decided(replace(both, setting=replace(both.setting, naive=True)), zero=1.0).best.parts
 
 
 # ---- any evidence ------------------------------------------------------------------------------
@@ -362,7 +386,7 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
 
 
 FREE = {"part": None, "yielding": None, "drift": Drift(1.0, 0.9, 0.01), "beyond_forms": 50.0,
-        "driven": (60.0, 60.0, 60.0), "zero": 100.0}  # fmt: skip
+        "driven": (60.0, 60.0, 60.0), "driven_together": 180.0, "zero": 100.0}  # fmt: skip
 
 
 @hypothesis.given(any_evidence(), st.randoms())

@@ -147,6 +147,18 @@ def test_dashpot_earns_by_the_motion_of_the_test_what_it_earns_in_all():
     assert driven == pytest.approx(everywhere, rel=0.1)
 
 
+@pytest.mark.parametrize(("zero", "named"), [(1.0, ()), (-1.0, ()), (20.0, ("bias",))])
+def test_zero_error_of_the_displacement_is_no_offset_of_the_load_cell(zero, named):
+    """Through the spring it is the same force; one of twenty times the sensor's noise is none."""
+    problem, x_std = problem_of(0.0, 0.0), 10.0 * X_STD
+    offset = zero * K * x_std
+    found = replace(problem.estimate, force=problem.estimate.force + offset)
+    assert (offset / F_STD) ** 2 * problem.y.size > 100.0  # plain to see in the force
+    case = problem.case.with_model(replace(problem.case.model, x_std=x_std))
+    judged = Problem(case, problem.ctx, found, effects.catalogue().values())
+    assert force.search(judged).best.names == named
+
+
 @pytest.mark.parametrize(("added", "possible"), [(-0.5, True), (-1.5, False)])
 def test_relaxation_beside_a_dashpot_that_drives_the_motion_is_no_physical_law(added, possible):
     problem, known = problem_of(0.0, 0.0), effects.catalogue()
@@ -156,6 +168,19 @@ def test_relaxation_beside_a_dashpot_that_drives_the_motion_is_no_physical_law(a
     assert problem.sensible(Fit(members, betas, 0.0, 3, unmoved)) == possible
     # Alone it says that the model's dashpot is wrong, however far.
     assert problem.sensible(Fit(members[:1], betas[:1], 0.0, 1, unmoved))
+
+
+def test_together_effects_earn_no_less_than_one_of_them_beside_the_others():
+    """Of a single effect it is what that one earns; of a dashpot with a needless spring as well."""
+    problem = problem_of(0.0, 300.0)
+    members = [Member(effects.catalogue()[n], Trial()) for n in ("viscous", "cubic")]
+    both, driven = solve(problem, members, problem.blocks(members)), Driven.of(problem)
+    assert both is not None
+    assert driven is not None
+    alone = driven.gains(both)
+    assert driven.together(both, (0,)) == pytest.approx(alone[0])
+    assert driven.together(both, (0, 1)) == pytest.approx(alone[0], rel=0.1)
+    assert driven.together(both, (0, 1)) >= max(alone)
 
 
 def pushed(seed: int = 5) -> Problem:

@@ -21,7 +21,8 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 CLOSER = 3
 """Number of sets, best first, for which yielding is tried in place of bristles."""
 What = Literal[
-    "part", "yielding", "beyond forms", "drift", "driven", "size", "held out", "zero"
+    "part", "yielding", "beyond forms", "drift", "driven", "driven together", "size", "held out",
+    "zero",
 ]  # fmt: skip
 
 
@@ -197,9 +198,10 @@ class Need:
             (likewise); "beyond forms", what an effect of the load cell earns if its other laws
             may take any smooth form (chi-squared); "drift", its drift by halves (`Drift`);
             "driven", what each effect earns by the motion that the test imposes (chi-squared, a
-            number for each; empty if nothing moves); "size", its force relative to the recorded
+            number for each; empty if nothing moves); "driven together", what those of ``which``
+            earn together (likewise, one number); "size", its force relative to the recorded
             force; "held out", the fraction of its gain that is confirmed on rows to which it was
-            not fitted; "zero", how far a constant force or a drift moves a free body, in
+            not fitted; "zero", how far a constant force or a drift deflects the spring, in
             standard deviations of the displacement noise in its data sheet.
         of: the set.
         which: indices of the effects concerned.
@@ -450,22 +452,31 @@ def goes_on(court: Court, of: Hypothesis) -> bool:
 
 
 def off_zero(court: Court, of: Hypothesis) -> bool:
-    """A constant force or a drift on a free body must move it by more than its sensor's zero error.
+    """A constant force must be larger than the zero error of the displacement sensor makes it.
 
     A displacement is zeroed by a reading at rest, which contains the sensor's noise, and slow noise
-    moves the zero by as much during the recording.
+    moves the zero by as much during the recording: through the spring a constant force, along a
+    measured motion as on a free body. So does a drift move a free body. Nor is another law a
+    finding for explaining what such a constant explains.
     """
-    setting = court.setting
-    if setting.naive or setting.judged != "motion":
+    setting, zeros = court.setting, court.laws.zeros
+    if setting.naive or setting.judged == "rig":
         return True
+    constant = zeros | court.laws.wanders if setting.judged == "motion" else zeros
     times = court.times(of)
     for i, part in enumerate(of.parts):
-        if part.name not in court.laws.zeros | court.laws.wanders:
+        if part.name not in constant:
             continue
         found, wanted = court.ask("zero", of, (i,)) ** 2, times * part.price
         if found < wanted:
             return court.refuse("off zero", of, part=part.name, found=found, wanted=wanted)
-    return True
+    alone = next((h for n in sorted(zeros) if (h := court.by_names.get((n,))) is not None), None)
+    if alone is None or setting.judged != "force" or not zeros.isdisjoint(of.names):
+        return True
+    if court.ask("zero", alone, (0,)) ** 2 >= alone.price:
+        return True
+    own, wanted = alone.chi2 - of.chi2, times * of.price
+    return own >= wanted or court.refuse("beside zero", of, found=own, wanted=wanted)
 
 
 # ---- rules that compare sets --------------------------------------------------------------------
@@ -608,20 +619,31 @@ def driven(court: Court, of: Hypothesis) -> bool:
     it, see `feedback`. A delayed load cell must do so in any
     recording: together with an offset of its channel it filters that noise, moved or not. However,
     if an accelerometer shows its delay, that is evidence of its own.
+
+    They must also earn it together: of two that cancel, each is needed beside the other, and what
+    is left of them filters the noise.
     """
     setting = court.setting
     alone = setting.judged == "force" and not setting.naive and not setting.witnessed
     late = alone and any(p.carries for p in of.parts)
     if not setting.returns and not late:
         return True
-    times = court.times(of)
-    for part, own in zip(of.parts, court.ask("driven", of), strict=False):
-        # Disturbances of the load cell itself, such as hum, are no function of the motion.
-        follows = part.carries or (setting.returns and not part.sensor)
-        wanted = times * part.price
-        if follows and own < wanted:
-            return court.refuse("driven", of, part=part.name, found=own, wanted=wanted)
-    return True
+    times, earned = court.times(of), court.ask("driven", of)
+    # Disturbances of the load cell itself, such as hum, are no function of the motion.
+    follows = tuple(
+        i for i, p in enumerate(of.parts) if p.carries or (setting.returns and not p.sensor)
+    )
+    if not earned or not follows:
+        return True
+    for i in follows:
+        wanted = times * of.parts[i].price
+        if earned[i] < wanted:
+            return court.refuse("driven", of, part=of.parts[i].name, found=earned[i], wanted=wanted)
+    if len(follows) == 1:
+        return True
+    wanted = times * sum(of.parts[i].price for i in follows)
+    found = court.ask("driven together", of, follows)
+    return found >= wanted or court.refuse("driven together", of, found=found, wanted=wanted)
 
 
 def each(rule: Callable[[Court, Hypothesis], bool]) -> Callable[[Court, Sets], Sets]:

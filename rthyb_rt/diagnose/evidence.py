@@ -161,12 +161,16 @@ class Gathered:
             return beyond_forms(problem, fit, need.which[0])
         if need.what == "driven":
             return () if self.driven is None else self.driven.gains(fit)
+        if need.what == "driven together":
+            return np.inf if self.driven is None else self.driven.together(fit, need.which)
         if need.what == "drift":
             return drift(problem, fit, self.laws)
         if need.what == "zero":
             model = problem.case.model
+            if not model.k or not model.x_std or "x_meas" not in problem.case.channels:
+                return np.inf
             force_n = float(np.max(np.abs(contribution(problem, fit, need.which[0]))))
-            return force_n / abs(model.k) / model.x_std if model.x_std else np.inf
+            return force_n / abs(model.k) / model.x_std
         return size(problem, fit) if need.what == "size" else self.held_out(fit)
 
     def _refined(self, members: list[Member]) -> Hypothesis | None:

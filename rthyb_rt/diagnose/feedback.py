@@ -57,22 +57,29 @@ class Driven:
 
         As a reduction of chi-squared; negative if the set is not a physical law there.
         """
-        whole, members = self.problem, fit.members
+        ways = self._ways(fit)
+        return tuple(_gain(ways, fit.members, (i,)) for i in range(len(fit.members)))
+
+    def together(self, fit: Fit, which: Sequence[int]) -> float:
+        """Return what several effects of a set earn together beside the rest of it, likewise."""
+        return _gain(self._ways(fit), fit.members, which)
+
+    def _ways(self, fit: Fit) -> list[tuple[Problem, list[Floats]]]:
+        """Return both problems, each with the columns of every effect, each (rows, columns)."""
+        seen = self.problem.seen
         along = [
-            np.column_stack([whole.seen(c) for c in own]) for own in columns_of(self.slow, members)
+            np.column_stack([seen(c) for c in own]) for own in columns_of(self.slow, fit.members)
         ]
-        harmonics = _gains(whole, members, along)
-        in_band = _gains(self.below, members, self.below.blocks(members))
-        return tuple(np.maximum(harmonics, in_band).tolist())
+        return [(self.problem, along), (self.below, self.below.blocks(fit.members))]
 
 
-def _gains(problem: Problem, members: Sequence[Member], blocks: list[Floats]) -> Floats:
-    every = solve(problem, members, blocks)
-    out = np.full(len(members), -np.inf)
-    if every is None:
-        return out
-    for i in range(len(members)):
-        rest = [*members[:i], *members[i + 1 :]]
-        less = solve(problem, rest, [*blocks[:i], *blocks[i + 1 :]])
-        out[i] = np.inf if less is None else less.chi2 - every.chi2
-    return out
+def _gain(
+    ways: Sequence[tuple[Problem, list[Floats]]], members: Sequence[Member], which: Sequence[int]
+) -> float:
+    rest, found = [i for i in range(len(members)) if i not in which], [-np.inf]
+    for problem, blocks in ways:
+        every = solve(problem, members, blocks)
+        if every is not None:
+            less = solve(problem, [members[i] for i in rest], [blocks[i] for i in rest])
+            found.append(np.inf if less is None else less.chi2 - every.chi2)
+    return float(max(found))

@@ -270,9 +270,15 @@ DROPPED = {
     "by {wanted}",
     "share": "{part}, added to the others, improves chi-squared by {found}; up to {wanted} may "
     "be due to the form of the laws",
-    "off zero": "moves the body by no more than the possible zero error of the displacement sensor",
+    "off zero": "deflects the spring by no more than the possible zero error of the displacement "
+    "sensor",
+    "beside zero": "improves chi-squared by {found} more than the possible zero error of the "
+    "displacement sensor does, but must improve it by {wanted} more",
     "driven": "{part} improves chi-squared by {found} through the motion that the test imposes, "
     "without the noise that is in force and motion alike, but must improve it by {wanted}",
+    "driven together": "its effects together improve chi-squared by {found} through the motion "
+    "that the test imposes, without the noise that is in force and motion alike, but must improve "
+    "it by {wanted}",
     "drift goes on": "the drift is smaller within each half of the recording",
     "more laws": "improves chi-squared by {found} more than the best set with fewer laws, but must "
     "improve it by {wanted} more",
