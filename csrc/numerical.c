@@ -27,11 +27,10 @@ size_t rthyb_numerical_size(const rthyb_numerical *part)
 
 int32_t rthyb_numerical_interfaces(const rthyb_numerical *part)
 {
-    if (part->kind == RTHYB_NUMERICAL_LIBRARY)
-        return ((const rthyb_library_config *)part->cfg)->interfaces;
-    if (part->kind != RTHYB_NUMERICAL_SPARSE)
-        return 1;
-    return ((const rthyb_sparse_config *)part->cfg)->interfaces;
+    const rthyb_numerical_ops *ops = rthyb_numerical_find(part->kind);
+    if (!ops)
+        return 0;
+    return ops->interfaces ? ops->interfaces(part->cfg) : 1;
 }
 
 int rthyb_numerical_init(const rthyb_numerical *part, double x0_m)

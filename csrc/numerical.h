@@ -8,7 +8,8 @@
  * reading and its command; whatever can wait until the command was sent is in `advance`, which must be called before
  * the next answer, freeze or look. */
 typedef struct {
-    size_t (*size)(const void *cfg); /* of a state; 0 for invalid settings */
+    size_t (*size)(const void *cfg);        /* of a state; 0 for invalid settings */
+    int32_t (*interfaces)(const void *cfg); /* forces in, displacements out. NULL: one */
     int (*init)(const rthyb_numerical *part, double x0_m);
     /* Excitation and forces at t_n -> x_c[n+1], one value per interface; status bits. */
     int (*answer)(const rthyb_numerical *part, double excitation, const double *force_n,

@@ -148,8 +148,14 @@ static void after_restore(const rthyb_numerical *part)
         c->calls.restore(state_of(part));
 }
 
+static int32_t interfaces(const void *cfg)
+{
+    return ((const rthyb_library_config *)cfg)->interfaces;
+}
+
 const rthyb_numerical_ops rthyb_library_ops = {
     .size = size,
+    .interfaces = interfaces,
     .init = init,
     .answer = answer,
     .advance = advance,

@@ -514,8 +514,14 @@ static size_t size(const void *cfg)
     return cfg ? rthyb_sparse_bytes(cfg) : 0;
 }
 
+static int32_t interfaces(const void *cfg)
+{
+    return ((const rthyb_sparse_config *)cfg)->interfaces;
+}
+
 const rthyb_numerical_ops rthyb_sparse_ops = {
     .size = size,
+    .interfaces = interfaces,
     .init = init,
     .answer = answer,
     .advance = advance,

@@ -18,6 +18,16 @@ enum rthyb_law_size {
 
 enum rthyb_open { RTHYB_OPEN_LOW = 1, RTHYB_OPEN_HIGH = 2 };
 
+/* Initial values of a law in the benchmark: its own derivation from the rig file, the defaults in its table, or
+ * the inverse a0 + a1 s + a2 s^2 ... of this order, fitted to the rig's sweep, for its parameters a0, a1_s, and
+ * a2_share = a2 / a1^2, a3_share = a3 / a1^3. */
+enum rthyb_benchmark_start {
+    RTHYB_START_RIG = 0,
+    RTHYB_START_SECOND_ORDER = 2,
+    RTHYB_START_THIRD_ORDER = 3,
+    RTHYB_START_TABLE = 4
+};
+
 typedef struct {
     const char *key;  /* in a test file, below [controller] */
     const char *unit; /* "" for a dimensionless number */
@@ -45,6 +55,12 @@ typedef struct {
     int32_t uses_rest_noise; /* not 0: needs rest_noise_m */
     /* not 0: designed for use with the restoring-force compensator (laws taken from other publications are not) */
     int32_t with_rfc;
+    int32_t passes; /* not 0: the command is x_c itself, and force compensation is off */
+    /* not 0: settings that are left open keep the constants printed in the paper, whatever the rig; so do those
+     * of force compensation, and its tangent is the mean of ratios */
+    int32_t as_printed;
+    int32_t learns_curvature; /* not 0: a phase lead that adapts beta as well as alpha */
+    int32_t benchmark_start;  /* enum rthyb_benchmark_start */
 } rthyb_law_description;
 
 /* Why settings that are each within their range are invalid in combination. The text has {} for each

@@ -116,7 +116,7 @@ typedef struct {
 
 /* Size of a state in bytes; 0 for an unknown kind or implausible settings. */
 size_t rthyb_numerical_size(const rthyb_numerical *part);
-/* Number of interfaces (forces in, displacements out); for settings that init accepted. */
+/* Number of interfaces (forces in, displacements out), for settings that init accepted; 0: unknown kind. */
 int32_t rthyb_numerical_interfaces(const rthyb_numerical *part);
 /* Initialises the part at rest at x0. A sparse part starts as its settings specify and a library at 0; for both, x0
  * must be 0. All functions below require an initialised part. */

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from pathlib import Path
@@ -12,9 +13,10 @@ import pytest
 from kernels import FS_HZ, Floats, H, smooth_motion, time_s
 from rthyb_rt._core import ffi, lib
 
+import rthyb_rt
 from rthyb_rt import config, core, units
 from rthyb_rt.config import lawtables
-from rthyb_rt.core.laws import LAWS, LawDescription, parameters
+from rthyb_rt.core.laws import LAWS, PASSING, LawDescription, parameters
 from rthyb_rt.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -54,6 +56,32 @@ def test_every_file_of_a_law_is_one_that_the_program_has() -> None:
     files = {path.stem.removeprefix("law_") for path in (ROOT / "csrc").glob("law_*.c")}
     assert files == {name.replace("-", "_") for name in LAWS}
     assert {"none", "paper", "robust", "alpha-beta"} <= set(LAWS)
+
+
+def test_no_module_asks_for_a_law_by_its_name() -> None:
+    """What a law needs is in its own table. Old recordings and the paper's studies name some.
+
+    In the diagnosis the same words may mean something else: a slope is one of a force there.
+    """
+    package = Path(rthyb_rt.__file__).parent
+    named = {package / "core" / "station.py", *package.glob("studies/*.py")}
+    named |= set(package.glob("diagnose/**/*.py"))
+    asked = [
+        f"{path.relative_to(package)}:{node.lineno}: {constant.value}"
+        for path in sorted(package.rglob("*.py"))
+        if path not in named
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Compare)
+        for side in (node.left, *node.comparators)
+        for constant in ast.walk(side)
+        if isinstance(constant, ast.Constant) and constant.value in set(LAWS) - {"none"}
+    ]
+    assert asked == []
+
+
+def test_one_law_alone_compensates_nothing() -> None:
+    assert [law.name for law in LAWS.values() if law.passes] == [PASSING.name]
+    assert PASSING.parameters == ()
 
 
 def test_laws_are_found_by_name_and_by_no_other() -> None:

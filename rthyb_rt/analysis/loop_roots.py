@@ -29,6 +29,7 @@ from rthyb_rt.core.sparse import SparseConfig
 from rthyb_rt.numbers import delay
 
 if TYPE_CHECKING:
+    from rthyb_rt.core.laws import LawDescription
     from rthyb_rt.lab.experiment import Setup
 
 Floats = NDArray[np.float64]
@@ -219,7 +220,7 @@ def laws(
         z = np.exp(2j * np.pi * f * h)
         g = rig(model, h, hold).response(z)[:, 0]
         held = (0.0, first.alpha, first.beta)
-        fitted = response.fitted_terms(f, g, h, first.w1, first.w2, _learnt(law.name), held)
+        fitted = response.fitted_terms(f, g, h, first.w1, first.w2, _learnt(law.law), held)
         found.append(_lead(list(fitted), first.w1, first.w2))
     return found
 
@@ -227,9 +228,9 @@ def laws(
 _SLOW_HZ: Final = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0)
 
 
-def _learnt(name: str) -> tuple[int, ...]:
+def _learnt(law: LawDescription) -> tuple[int, ...]:
     """Return which of gain, delay and curvature a phase lead adapts."""
-    return (1, 2) if name == "alpha-beta" else (1,)
+    return (1, 2) if law.learns_curvature else (1,)
 
 
 def _lead(terms: list[float], w1: float, w2: float) -> Block:

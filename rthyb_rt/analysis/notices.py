@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from rthyb_rt.core.laws import LAWS
+from rthyb_rt.core.laws import LAWS, passes
 from rthyb_rt.numbers import count, delay, number, percent
 
 if TYPE_CHECKING:
@@ -109,7 +109,7 @@ def axis_attention_in_words(axis: str, one: Finding, controller: str) -> str:
         controller: ``controller.type`` of the test.
     """
     remedy = "identify the rig again, and examine the tracking error of each axis"
-    if controller == "none":
+    if passes(controller):
         remedy = 'nothing compensates the delay: set controller.type = "matrix"'
     return f"{_departed(f'Axis {axis}', one)}; {remedy}."
 

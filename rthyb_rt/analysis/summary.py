@@ -25,7 +25,7 @@ from rthyb_rt.config.rate import Rate
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.core import FLAGS, RUNNING, STATES, Integrator, MotionConfig
-from rthyb_rt.core.laws import LAWS, LawDescription
+from rthyb_rt.core.laws import LAWS, LawDescription, passes
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import trips
 from rthyb_rt.lab.trips import Met
@@ -112,7 +112,7 @@ def setup(rec: Recording) -> SummarySettings:
     test, rig = _parse(rec.test_toml), _parse(rec.rig_toml)
     name = _get(test, "controller", "type")
     controller = name if isinstance(name, str) else None
-    compensated = controller != "none"
+    compensated = not passes(controller)
     k_e = _positive(_get(rig, "rig", "elastic_stiffness_n_per_m"))
     mass = _positive(_get(test, "numerical", "mass_kg"))
     period = _positive(_get(test, "numerical", "period_s"))

@@ -13,7 +13,7 @@ from rthyb_rt import config, ground_motion
 from rthyb_rt.benchmark import plants
 from rthyb_rt.config import RigFile, TestFile
 from rthyb_rt.config.rigfile import ServoValve
-from rthyb_rt.core.laws import LAWS
+from rthyb_rt.core.laws import LAWS, LawDescription
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 
@@ -64,11 +64,12 @@ WITH_FORCE: Final = "+rfc"
 FORCE_CUTOFF_HZ: Final = 60.0
 """Cut-off of its low-pass on x_c - x_m: slightly below the plant's first resonance, 67 Hz."""
 
-QUICK: Final = {"inverse.memory_s": 0.6}
+QUICK: Final[Mapping[str, dict[str, float]]] = {"inverse": {"inverse.memory_s": 0.6}}
 QUICK_CUTOFF_HZ: Final = 30.0
-"""A shorter memory than the default of 1 s, and a lower cut-off than its 60 Hz: one setting for all
-runs, at either rate. A yielding specimen is followed faster (J4 at 1024 Hz, case 1, from 2.72 to
-2.64 %), and with the elastic one, for which estimates scatter more, J4 changes by at most .01."""
+"""By law, a shorter memory than the default of 1 s, and a lower cut-off than its 60 Hz: one setting
+for all runs, at either rate. A yielding specimen is followed faster (J4 at 1024 Hz, case 1, from
+2.72 to 2.64 %), and with the elastic one, for which estimates scatter more, J4 changes by at most
+.01."""
 
 BASELINE: Final = "pi-lead"
 
@@ -119,20 +120,27 @@ def entrant(name: str) -> Entrant:
             f"followed by {WITH_FORCE}",
             "--law",
         )
-    settings: dict[str, float] = {}
-    if law == "ats":
-        _, a1, a2 = swept_inverse(plants.nominal(), 2)
-        settings = {"ats.a1_s": a1, "ats.a2_share": a2 / a1**2}
-    elif law == "amb":
-        settings = {"amb.a1_s": 0.01986}
-    elif law == "inverse":
-        settings = dict(QUICK)
-    elif law == "third-order":
-        a0, a1, a2, a3 = swept_inverse(plants.nominal(), 3)
-        found = {"a0": a0, "a1_s": a1, "a2_share": a2 / a1**2, "a3_share": a3 / a1**3}
-        settings = {f"third_order.{key}": value for key, value in found.items()}
-    cutoff_hz = FORCE_CUTOFF_HZ if force else QUICK_CUTOFF_HZ if law == "inverse" else None
+    settings = started(LAWS[law]) | QUICK.get(law, {})
+    cutoff_hz = FORCE_CUTOFF_HZ if force else QUICK_CUTOFF_HZ if law in QUICK else None
     return Entrant(name, law, settings, rfc=force or with_rfc, cutoff_hz=cutoff_hz)
+
+
+ORDERS: Final = {"second-order": 2, "third-order": 3}
+"""Orders of the inverse with which a law may ask to be started."""
+
+
+def started(law: LawDescription) -> dict[str, float]:
+    """Return the initial values with which a law asks to be started in the benchmark."""
+    if law.benchmark_start == "table":
+        from_rig = [p for p in law.parameters if p.rig_key]
+        return {p.key: p.default for p in from_rig if p.default is not None}
+    if law.benchmark_start not in ORDERS:
+        return {}
+    a0, a1, *more = swept_inverse(plants.nominal(), ORDERS[law.benchmark_start])
+    found = {"a0": a0, "a1_s": a1}
+    found |= {f"a{n}_share": a / a1**n for n, a in enumerate(more, 2)}
+    lasts = {p.key: p.key.rpartition(".")[2] for p in law.parameters}
+    return {key: found[last] for key, last in lasts.items() if last in found}
 
 
 def entrants() -> tuple[Entrant, ...]:

@@ -61,7 +61,7 @@ class Figures:
 
 def figures_of(setup: Setup) -> Figures:
     """Return the figures of a test that is ready to run."""
-    derived, wanted = setup.derived, setup.test.controller
+    derived = setup.derived
     lead = margins.lead_of(setup.controller.law, derived.rate.period_s)
     leads, settings, rate = derived.plc_enabled, derived.law_settings, derived.rate
     reference = setup.reference
@@ -74,7 +74,7 @@ def figures_of(setup: Setup) -> Figures:
             margins.peak_excitation(x, lead, unit_m)
             for x in (reference["x_ref_m"], survives.elastic_m)
         )
-        if wanted.type == "paper" and derived.estimator_enabled:
+        if GAIN in settings and derived.estimator_enabled:
             delay = lead.alpha if identified is None else identified
             loop_gain = margins.estimator_loop_gain(settings[GAIN] / rate.pace, delay, phi)
     return Figures(

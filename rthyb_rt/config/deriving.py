@@ -159,8 +159,8 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     cutoff_hz = rfc_cutoff(test, by_rig_hz, rate, problems)
     if problems:
         raise InputError(problems)
-    active = controller.type != "none"
-    default_tangent = "mean-of-ratios" if controller.type == "paper" else "least-squares"
+    active = controller.compensates
+    default_tangent = "mean-of-ratios" if controller.as_printed else "least-squares"
     return Derived(
         fs_hz=rate.hz,
         k_e_n_per_m=k_e,

@@ -14,6 +14,7 @@ from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.placing import placing
 from rthyb_rt.config.rate import Rate
 from rthyb_rt.config.testfile import MATRIX, AxisLaw, Controller, Numerical, TestFile
+from rthyb_rt.core.laws import PASSING
 from rthyb_rt.core.library import CoreError
 from rthyb_rt.errors import InputError, Problem
 
@@ -188,7 +189,7 @@ def law_of_axis(test: TestFile, name: str) -> Controller:
             return controller.model_copy(update={**values, "axis": []})
     update: dict[str, Any] = {"axis": [], "matrix": None}
     if controller.type == MATRIX:
-        update["type"] = "none"
+        update["type"] = PASSING.name
     return controller.model_copy(update=update)
 
 

@@ -21,7 +21,7 @@ RESPONSE: Final = "identified.frequency_hz"
 _WEIGHTS: Final = ("w1", "w2")
 _PAIR: Final = "delay_estimator.cutoff_hz"
 _CURVATURE: Final = "beta0"
-_COEFFICIENTS: Final = tuple(f"inverse.b{j}" for j in range(6))
+_COEFFICIENTS: Final = tuple(f"b{j}" for j in range(6))
 _SWEEP: Final = '`rthyb identify RIG --max-frequency "80 Hz"` looks for a resonance'
 
 
@@ -54,8 +54,7 @@ def law_settings_of_rig(
     found = dict[str, float]()
     for p in open_keys:
         if p.rig_key == ROLL_OFF:
-            # The paper's law keeps the paper's weights.
-            value = None if controller.type == "paper" else _of_roll_off(p, test, rig, rate)
+            value = None if controller.as_printed else _of_roll_off(p, test, rig, rate)
         else:
             value = _plain(p, rig)
         if value is not None:
@@ -64,8 +63,9 @@ def law_settings_of_rig(
     if fitted and controller.plc_enabled:
         table, start = fitted[0].partition(".")[0], dict[str, float]()
         try:
-            if table == "inverse":
-                start = _inverse(controller.setting("inverse.fit_roll_off_hz") or 0.0, rig, rate)
+            if f"{table}.{_COEFFICIENTS[0]}" in fitted:
+                roll_off = controller.setting(f"{table}.fit_roll_off_hz")
+                start = _inverse(roll_off or 0.0, rig, rate)
             else:
                 roll_off = found.get(f"{table}.roll_off_hz") or controller.setting(
                     f"{table}.roll_off_hz"
@@ -119,7 +119,8 @@ def rfc_of_rig(test: TestFile, rig: RigFile) -> tuple[float, float]:
     0; so does the paper's controller.
     """
     roll_off = roll_off_hz(rig)
-    if roll_off is None or test.controller.type in ("paper", "none"):
+    controller = test.controller
+    if roll_off is None or controller.as_printed or not controller.compensates:
         return 0.0, 0.0
     matrices, rate = test.numerical.matrices, Rate(test.test.sample_rate_hz)
     late = 0.0
@@ -133,7 +134,7 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
     controller = test.controller
     keys = [p.key for p in controller.law.parameters if p.rig_key == ROLL_OFF]
     left = [key for key in keys if not _said(controller, key)]
-    known = roll_off_hz(rig) is not None or controller.type == "paper"
+    known = roll_off_hz(rig) is not None or controller.as_printed
     if not left or known or not controller.plc_enabled:
         return
     found = rig.identified
@@ -153,8 +154,9 @@ def _said(controller: Controller, key: str) -> bool:
     coefficients of an inverse.
     """
     together: tuple[str, ...] = _WEIGHTS if key in (*_WEIGHTS, _PAIR, _CURVATURE) else ()
-    if key in _COEFFICIENTS:
-        together = _COEFFICIENTS
+    table, _, last = key.rpartition(".")
+    if last in _COEFFICIENTS:
+        together = tuple(f"{table}.{one}" for one in _COEFFICIENTS)
     return any(_is_in(controller, one) for one in (key, *together))
 
 

@@ -45,7 +45,7 @@ from rthyb_rt.config.structures import (
     Nonlinear,
     Storeys,
 )
-from rthyb_rt.core.laws import LAWS, LawDescription
+from rthyb_rt.core.laws import LAWS, PASSING, LawDescription, passes
 from rthyb_rt.core.sizes import COUPLED_MAX
 
 MATRIX: Final = "matrix"
@@ -313,8 +313,20 @@ class _Law(Table):
 
     @property
     def law(self) -> LawDescription:
-        """The control law; for compensation by matrices, which has none, the law ``none``."""
-        return LAWS[self.type] if self.type in LAWS else LAWS["none"]
+        """The control law; for compensation by matrices, which has none, the one that
+        compensates nothing.
+        """
+        return LAWS.get(self.type, PASSING)
+
+    @property
+    def compensates(self) -> bool:
+        """Whether the command is anything but x_c itself."""
+        return not passes(self.type)
+
+    @property
+    def as_printed(self) -> bool:
+        """Whether settings left open keep the constants printed in the paper, whatever the rig."""
+        return self.law.as_printed
 
     def setting(self, key: str) -> float | None:
         """Return the file's value for a law's parameter, else its default, else None."""
@@ -511,7 +523,7 @@ class TestFile(WholeFile):
             return data
         controller = data.get("controller")
         if controller is None or (isinstance(controller, dict) and "type" not in controller):
-            controller = {**(controller or {}), "type": "none"}
+            controller = {**(controller or {}), "type": PASSING.name}
         data = {**data, "controller": controller}
         if "numerical" not in data:
             data["numerical"] = _NO_STRUCTURE

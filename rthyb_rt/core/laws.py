@@ -62,6 +62,11 @@ class LawDescription:
         uses_rest_noise: whether it needs the noise at rest.
         with_rfc: whether it is designed for use with the restoring-force compensator; other laws
             were published without one.
+        passes: whether the command is x_c itself; force compensation is then off.
+        as_printed: whether settings left open keep the paper's constants, whatever the rig.
+        learns_curvature: whether a phase lead adapts beta as well as alpha.
+        benchmark_start: initial values in the benchmark: ``rig``, ``second-order``,
+            ``third-order`` (an inverse fitted to the rig's sweep), or ``table``.
         kind: its number in this version of the program only.
         state_bytes: size of its state.
     """
@@ -75,6 +80,10 @@ class LawDescription:
     with_rfc: bool
     kind: int
     state_bytes: int
+    passes: bool = False
+    as_printed: bool = False
+    learns_curvature: bool = False
+    benchmark_start: str = "rig"
 
     @property
     def learns(self) -> bool:
@@ -152,6 +161,12 @@ def _parameter(p: Any) -> Parameter:
     )
 
 
+_STARTS: Final[dict[int, str]] = {
+    value: name.removeprefix("RTHYB_START_").replace("_", "-").lower()
+    for name, value in ffi.typeof("enum rthyb_benchmark_start").relements.items()
+}
+
+
 def _law(kind: int) -> LawDescription:
     found = lib.rthyb_law_describe(kind)
     values = [found.values[i] for i in range(found.value_count)]
@@ -165,6 +180,10 @@ def _law(kind: int) -> LawDescription:
         with_rfc=bool(found.with_rfc),
         kind=kind,
         state_bytes=int(lib.rthyb_law_state_size(kind)),
+        passes=bool(found.passes),
+        as_printed=bool(found.as_printed),
+        learns_curvature=bool(found.learns_curvature),
+        benchmark_start=_STARTS[found.benchmark_start],
     )
 
 
@@ -173,6 +192,13 @@ LAWS: Final[dict[str, LawDescription]] = {
     for law in sorted(map(_law, range(lib.rthyb_law_count())), key=lambda law: law.name)
 }
 """All control laws by name."""
+PASSING: Final[LawDescription] = next(law for law in LAWS.values() if law.passes)
+"""The law that compensates nothing."""
+
+
+def passes(name: str | None) -> bool:
+    """Return whether this is the name of the law that compensates nothing."""
+    return name == PASSING.name
 
 
 def law_value(law: str | None, name: str) -> Value | None:

@@ -215,7 +215,7 @@ def at_rate(model: Model, fs_hz: float) -> Model:
 def _weights(test: Any) -> tuple[float, float] | None:
     """Return W1 and W2 of a test's control law; None if it has no such weights."""
     w1, w2 = test.controller.setting("w1"), test.controller.setting("w2")
-    leads = test.controller.law.parameter("w1") is not None or test.controller.type == "none"
+    leads = test.controller.law.parameter("w1") is not None or not test.controller.compensates
     return (w1, w2) if leads and w1 is not None and w2 is not None else None
 
 
