@@ -315,5 +315,5 @@ def test_a_recording_of_two_axes_is_written_and_read(tmp_path: Path, owned: Exit
     assert again.samples.tobytes() == rows.tobytes()
     assert (again.axis_names, again.interface_names) == (NAMES, ("x", "theta"))
     assert again.axis_count == 2
-    with pytest.raises(Exception, match="no axis 'up'; the recording has left, right"):
+    with pytest.raises(Exception, match='no axis "up"; axes are: left, right'):
         again.axis("up")

@@ -334,7 +334,7 @@ def test_limits_that_were_taken_are_within_the_rigs_and_others_are_named(
         if limit is None or of_rig is None or not of_rig.acts:
             continue
         weaker = ORDER.index(limit.action) < ORDER.index(of_rig.action) or not limit.enable
-        assert (limit.value > of_rig.value or weaker) == (key in named)
+        assert (limit.value > of_rig.value or weaker) == (own.as_written(key) in named)
 
 
 junk = st.recursive(

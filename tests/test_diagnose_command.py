@@ -371,6 +371,6 @@ def test_a_history_has_no_delay_estimate_that_a_repeated_simulation_could_meet()
     before = {"x_meas": 0.0151, "x_num": 0.0, "f_meas": 0.82, "alpha": math.nan}
     after = {"x_meas": 5.66e-5, "x_num": 0.0, "f_meas": 0.6, "alpha": math.nan}
     loop = {"possible": True, "nrmse_before": before, "nrmse_after": after}
-    ((_, value, rest),) = words.loop_rows({"closed_loop": loop})
+    ((_, value, rest),) = words.loop_rows({"verdict": "explained", "closed_loop": loop})
     assert value == "1.51 → 0.00566 %"
     assert rest == "computed displacement 0 → 0 %; force 82 → 60 %"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, ClassVar, Final, Literal, get_args
 
-from pydantic import GetJsonSchemaHandler, PrivateAttr, StrictBool
+from pydantic import GetJsonSchemaHandler, StrictBool
 from pydantic_core import CoreSchema
 
 from rthyb_rt.config.fields import Alternatives, Count, Range, Table
@@ -217,8 +218,10 @@ class Limits(Table):
         Annotated[float, Range("", 1e-3, 1, "the tare as a share of the rig's limit")] | None
     ) = None
 
-    _counted: set[str] = PrivateAttr(default_factory=set)
-    """Keys whose time the file counts in samples."""
+    @functools.cached_property
+    def counted(self) -> set[str]:
+        """Keys whose time the file counts in samples; files that differ only there are equal."""
+        return set()
 
     def settle(self) -> None:
         """Write times that the file counts in samples in seconds."""
@@ -226,11 +229,11 @@ class Limits(Table):
             given: SampleLimit | None = getattr(self, old)
             if given is not None:
                 self.__dict__.update({key: given.in_seconds(), old: None})
-                self._counted.add(key)
+                self.counted.add(key)
 
     def as_written(self, key: str) -> str:
         """Return the key under which the file gives a limit."""
-        return IN_SAMPLES[key] if key in self._counted else key
+        return IN_SAMPLES[key] if key in self.counted else key
 
     def deprecated(self) -> list[str]:
         """Return a note on each deprecated key of the file, with its replacement."""
