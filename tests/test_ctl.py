@@ -458,7 +458,7 @@ def test_watch_shows_line_after_line_without_a_terminal(
     monkeypatch.setattr(ctl.time, "sleep", pause)
     lines = rthyb("ctl", "status", "--watch").out.splitlines()
     assert len(lines) == 3
-    assert all(re.match(r"IDLE 0\.0 s, -?\d+\.\d+ mm, -?\d+\.\d+ kN, ", line) for line in lines)
+    assert all(re.match(r"IDLE, -?\d+\.\d+ mm, -?\d+\.\d+ kN, ", line) for line in lines)
     looks = iter([None])
     lines = rthyb("ctl", "status", "--watch", "--json").out.splitlines()
     assert [json.loads(line)["state"] for line in lines] == ["IDLE", "IDLE"]
