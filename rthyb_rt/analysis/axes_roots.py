@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.analysis import loop_roots, margins
 from rthyb_rt.analysis.linear_parts import LinearStep
-from rthyb_rt.analysis.loop_roots import MOST_GAIN, ROUNDING, Block, LoopVerdict
+from rthyb_rt.analysis.loop_roots import AnyLoop, Block, LoopVerdict
 from rthyb_rt.config import response
 from rthyb_rt.config.axes_response import response_of_rig
 from rthyb_rt.config.matrix_response import MatrixResponse, fitted_terms
@@ -300,8 +300,11 @@ def laws(setup: Setup, found: MatrixResponse) -> list[System]:
 
 
 @dataclass(frozen=True)
-class AxesLoop:
+class AxesLoop(AnyLoop):
     """A loop in parts: f* -> x_c, the feedback through the axes, and that without them."""
+
+    # Each factor takes the eigenvalues of some hundred states: the margin is found to .5 %.
+    searched = (13, 8)
 
     part: LinearStep
     law: System
@@ -319,24 +322,6 @@ class AxesLoop:
         a[n:, :n] = back.b @ part.c
         a[n:, n:] = back.a
         return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
-
-    def stable(self, by: float = 1.0) -> bool:
-        """Return whether no root is outside the unit circle."""
-        return bool(np.abs(self.roots(by)).max() <= 1.0 + ROUNDING)
-
-    def gain_margin(self) -> float:
-        """Return the factor on the axes' response at which stability ends, at most `MOST_GAIN`."""
-        low, high = 1.0, 1.0
-        for high in np.geomspace(1.0, MOST_GAIN, 13)[1:]:
-            if not self.stable(float(high)):
-                break
-            low = float(high)
-        else:
-            return MOST_GAIN
-        for _ in range(8):
-            middle = 0.5 * (low + float(high))
-            low, high = (middle, high) if self.stable(middle) else (low, middle)
-        return low
 
     def opened(self, z: Complexes) -> Complexes:
         """Return the loop opened at all axes, for z (k,): eigenvalues by magnitude, (k, m).

@@ -14,8 +14,9 @@ delay of the force compensation and k its tangent stiffness, here k_e.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,8 +265,42 @@ def _inverse(own: dict[str, float], h: float) -> Block:
 # ---- the loop -----------------------------------------------------------------------------------
 
 
+class AnyLoop(ABC):
+    """The loop of a rig of one axis or of several."""
+
+    searched: ClassVar[tuple[int, int]] = (25, 20)
+    """Factors that are tried in search of the gain margin, and the halvings that follow."""
+
+    @abstractmethod
+    def roots(self, by: float = 1.0) -> Complexes:
+        """Return the roots of the loop with the rig's response multiplied by a factor."""
+
+    @abstractmethod
+    def delay_margin(self) -> float:
+        """Return the additional delay of the rig at which stability ends, samples; inf: none."""
+
+    def stable(self, by: float = 1.0) -> bool:
+        """Return whether no root is outside the unit circle."""
+        return bool(np.abs(self.roots(by)).max() <= 1.0 + ROUNDING)
+
+    def gain_margin(self) -> float:
+        """Return the factor on the rig's response at which stability ends, at most `MOST_GAIN`."""
+        tried, halvings = self.searched
+        low, high = 1.0, 1.0
+        for high in np.geomspace(1.0, MOST_GAIN, tried)[1:]:
+            if not self.stable(float(high)):
+                break
+            low = float(high)
+        else:
+            return MOST_GAIN
+        for _ in range(halvings):
+            middle = 0.5 * (low + float(high))
+            low, high = (middle, high) if self.stable(middle) else (low, middle)
+        return low
+
+
 @dataclass(frozen=True)
-class LinearLoop:
+class LinearLoop(AnyLoop):
     """A loop in parts: -N from f* to x_c, the feedback through the rig, and that without it."""
 
     part: Block
@@ -283,24 +318,6 @@ class LinearLoop:
         a[n:, :n] = np.outer(back.b, part.c[0])
         a[n:, n:] = back.a
         return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
-
-    def stable(self, by: float = 1.0) -> bool:
-        """Return whether no root is outside the unit circle."""
-        return bool(np.abs(self.roots(by)).max() <= 1.0 + ROUNDING)
-
-    def gain_margin(self) -> float:
-        """Return the factor on the rig's response at which stability ends, at most `MOST_GAIN`."""
-        low, high = 1.0, 1.0
-        for high in np.geomspace(1.0, MOST_GAIN, 25)[1:]:
-            if not self.stable(float(high)):
-                break
-            low = float(high)
-        else:
-            return MOST_GAIN
-        for _ in range(20):
-            middle = 0.5 * (low + float(high))
-            low, high = (middle, high) if self.stable(middle) else (low, middle)
-        return low
 
     def opened(self, z: Complexes) -> Complexes:
         """Return L of 1 + L = 0, the loop opened at the rig, for z (k,)."""
@@ -421,22 +438,6 @@ def remark(found: LoopVerdict | None, fast: str = _FAST) -> str | None:
         f"is unstable, so the motion will grow: its largest root is {found.radius:.5f} at "
         f"{found.frequency_hz:.3g} Hz, and must be below 1; {known}; {remedy}"
     )
-
-
-class AnyLoop(Protocol):
-    """A loop of one axis or of several."""
-
-    def roots(self) -> Complexes:
-        """Return its roots."""
-        ...
-
-    def gain_margin(self) -> float:
-        """Return the factor on the rig's response at which stability ends."""
-        ...
-
-    def delay_margin(self) -> float:
-        """Return the additional delay of the rig at which stability ends, samples."""
-        ...
 
 
 def verdict(loop: AnyLoop, rate: Rate, swept_hz: float) -> LoopVerdict:
