@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.analysis import loop_roots, margins
 from rthyb_rt.analysis.linear_parts import LinearStep
-from rthyb_rt.analysis.loop_roots import AnyLoop, Block, LoopVerdict
+from rthyb_rt.analysis.loop_roots import AnyLoop, Block, LoopVerdict, closed_roots
 from rthyb_rt.config import response
 from rthyb_rt.config.axes_response import response_of_rig
 from rthyb_rt.config.matrix_response import MatrixResponse, fitted_terms
@@ -179,8 +179,7 @@ def fitted_axes(rig: AxesRig, found: MatrixResponse, period_s: float) -> Axes | 
     f = found.frequency_hz
     if f.size < response.LEAST_TONES:
         return None
-    back = np.linalg.pinv(rig.core_kinematics().jacobian())
-    moved = back @ found.response
+    moved = rig.core_kinematics().weights() @ found.response
     w2 = (2.0 * math.pi * f) ** 2
     k_e = np.array(rig.k_e)
     z = k_e + np.zeros((f.size, 1, 1), complex)
@@ -193,17 +192,17 @@ def fitted_axes(rig: AxesRig, found: MatrixResponse, period_s: float) -> Axes | 
     wanted = np.concatenate([moved, per_k @ z @ moved], axis=1)
     on_circle = np.exp(2j * np.pi * f * period_s)
     beyond = np.exp(2j * np.pi * np.linspace(f[-1] * period_s, 0.5, _BEYOND_TONES))
-    right = np.concatenate([wanted.real, wanted.imag]).reshape(2 * f.size, -1)
+    right = _stacked(wanted).reshape(2 * f.size, -1)
     scale = float(np.abs(moved).max())
+    blocks = [_Poles.of(period_s, late) for late in range(MOST_LATE + 1)]
+    trials = [(one, _stacked(one.response(on_circle)), _stacked(one.response(beyond)))
+              for one in blocks]  # fmt: skip
+    aim = np.concatenate([right, np.zeros((2 * _BEYOND_TONES, right.shape[1]))])
     best: tuple[float, _Poles, Floats] | None = None
     for quiet in _QUIET:
-        for late in range(MOST_LATE + 1):
-            block = _Poles.of(period_s, late)
-            shapes, outside = block.response(on_circle), quiet * block.response(beyond)
-            columns = np.concatenate([shapes.real, shapes.imag])
-            rows = np.concatenate([columns, outside.real, outside.imag])
-            none = np.zeros((len(rows) - len(right), right.shape[1]))
-            weights = np.linalg.lstsq(rows, np.concatenate([right, none]), rcond=1e-12)[0]
+        for block, columns, outside in trials:
+            rows = np.concatenate([columns, quiet * outside])
+            weights = np.linalg.lstsq(rows, aim, rcond=1e-12)[0]
             error = float(np.abs(columns @ weights - right).max()) / scale
             if best is None or error < best[0]:
                 best = error, block, weights
@@ -218,6 +217,11 @@ def fitted_axes(rig: AxesRig, found: MatrixResponse, period_s: float) -> Axes | 
     if error > MOST_ERROR:
         return None
     return Axes(system.times(both), float(f[-1]), error)
+
+
+def _stacked(values: Complexes) -> Floats:
+    """Return the real parts, and below them the imaginary ones."""
+    return np.concatenate([values.real, values.imag])
 
 
 @dataclass(frozen=True)
@@ -315,13 +319,7 @@ class AxesLoop(AnyLoop):
         """Return the roots of the loop with the axes' response multiplied by a factor."""
         back = self.law.then(self.axes).times(by * np.eye(len(self.part.c))).plus(self.beside)
         part = self.part
-        n, m = len(part.a), len(back.a)
-        a = np.zeros((n + m, n + m))
-        a[:n, :n] = part.a + part.b @ back.d @ part.c
-        a[:n, n:] = part.b @ back.c
-        a[n:, :n] = back.b @ part.c
-        a[n:, n:] = back.a
-        return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
+        return closed_roots((part.a, part.b, part.c), (back.a, back.b, back.c, back.d))
 
     def opened(self, z: Complexes) -> Complexes:
         """Return the loop opened at all axes, for z (k,): eigenvalues by magnitude, (k, m).

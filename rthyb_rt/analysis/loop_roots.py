@@ -265,6 +265,20 @@ def _inverse(own: dict[str, float], h: float) -> Block:
 # ---- the loop -----------------------------------------------------------------------------------
 
 
+def closed_roots(
+    part: tuple[Floats, Floats, Floats], back: tuple[Floats, Floats, Floats, Floats]
+) -> Complexes:
+    """Return the roots of a system whose outputs return to its inputs through another one.
+
+    Args:
+        part: A, B and C of the first, without a direct path from input to output.
+        back: A, B, C and D of the second.
+    """
+    (a, b, c), (a_back, b_back, c_back, d_back) = part, back
+    whole = np.block([[a + b @ d_back @ c, b @ c_back], [b_back @ c, a_back]])
+    return np.asarray(np.linalg.eigvals(whole), dtype=np.complex128)
+
+
 class AnyLoop(ABC):
     """The loop of a rig of one axis or of several."""
 
@@ -311,13 +325,9 @@ class LinearLoop(AnyLoop):
         """Return the roots of the loop with the rig's response multiplied by a factor."""
         back = self.by_rig.weighted((by,)).beside(self.beside).weighted((1.0, 1.0))
         part = self.part
-        n, m = len(part.a), len(back.a)
-        a = np.zeros((n + m, n + m))
-        a[:n, :n] = part.a + np.outer(part.b, back.d[0] * part.c[0])
-        a[:n, n:] = np.outer(part.b, back.c[0])
-        a[n:, :n] = np.outer(back.b, part.c[0])
-        a[n:, n:] = back.a
-        return np.asarray(np.linalg.eigvals(a), dtype=np.complex128)
+        return closed_roots(
+            (part.a, part.b[:, None], part.c), (back.a, back.b[:, None], back.c, back.d[:, None])
+        )
 
     def opened(self, z: Complexes) -> Complexes:
         """Return L of 1 + L = 0, the loop opened at the rig, for z (k,)."""
