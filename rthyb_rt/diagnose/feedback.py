@@ -64,22 +64,24 @@ class Driven:
         """Return what several effects of a set earn together beside the rest of it, likewise."""
         return _gain(self._ways(fit), fit.members, which)
 
-    def _ways(self, fit: Fit) -> list[tuple[Problem, list[Floats]]]:
-        """Return both problems, each with the columns of every effect, each (rows, columns)."""
+    def _ways(self, fit: Fit) -> list[_Way]:
+        """Return both problems in which the set is a physical law."""
         seen = self.problem.seen
         along = [
             np.column_stack([seen(c) for c in own]) for own in columns_of(self.slow, fit.members)
         ]
-        return [(self.problem, along), (self.below, self.below.blocks(fit.members))]
+        ways = [(self.problem, along), (self.below, self.below.blocks(fit.members))]
+        solved = [(one, blocks, solve(one, fit.members, blocks)) for one, blocks in ways]
+        return [(one, blocks, whole.chi2) for one, blocks, whole in solved if whole is not None]
 
 
-def _gain(
-    ways: Sequence[tuple[Problem, list[Floats]]], members: Sequence[Member], which: Sequence[int]
-) -> float:
+_Way = tuple[Problem, list[Floats], float]
+"""A problem, the columns of every effect of a set, each (rows, columns), and its chi-squared."""
+
+
+def _gain(ways: Sequence[_Way], members: Sequence[Member], which: Sequence[int]) -> float:
     rest, found = [i for i in range(len(members)) if i not in which], [-np.inf]
-    for problem, blocks in ways:
-        every = solve(problem, members, blocks)
-        if every is not None:
-            less = solve(problem, [members[i] for i in rest], [blocks[i] for i in rest])
-            found.append(np.inf if less is None else less.chi2 - every.chi2)
+    for problem, blocks, whole in ways:
+        less = solve(problem, [members[i] for i in rest], [blocks[i] for i in rest])
+        found.append(np.inf if less is None else less.chi2 - whole)
     return float(max(found))
