@@ -335,11 +335,12 @@ def fingerprint(cases: Sequence[PlannedRun]) -> str:
     named = {name for case in cases for name in (case.test, case.rig)}
     named |= {setting.partition("=")[2] for case in cases for setting in case.settings}
     named |= {text for case in cases for text in case.chosen.values() if isinstance(text, str)}
-    known = {text: _content(path) for text in named if text and (path := _file(Path(), text))}
+    contents = {path: _content(path) for path in files_read(named)}
+    known = {text: contents[path] for text in named if text and (path := _file(Path(), text))}
     about = [_without_folders(asdict(case), known) for case in cases]
     digest = hashlib.sha256(json.dumps(about).encode())
     digest.update(program().encode())
-    for content in sorted(_content(path) for path in files_read(named)):
+    for content in sorted(contents.values()):
         digest.update(content.encode())
     return digest.hexdigest()
 
