@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Literal, Self, 
 import numpy as np
 
 from rthyb_rt import config
-from rthyb_rt.api.messages import file_to_write
 from rthyb_rt.config import AxesRig, RigFile, TestFile
-from rthyb_rt.config.fields import Table, nearest, written
+from rthyb_rt.config.fields import Table, nearest, with_extension, written
 from rthyb_rt.config.own import PYTHON
 from rthyb_rt.documents import flat
 from rthyb_rt.errors import InputError, Problem
@@ -186,7 +185,7 @@ class _Document(Generic[_File]):
         from rthyb_rt.record.recording import replacing
 
         what = f"the {self._kind} file to write, {self._kind}.toml"
-        target = file_to_write(path_of(path, "save", what), (".toml",))
+        target = with_extension(path_of(path, "save", what), (".toml",))
         with replacing(target) as temporary:
             temporary.write_text(self.to_toml(), encoding="utf-8")
         return target

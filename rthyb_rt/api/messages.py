@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Final
 
 from rthyb_rt.config.fields import written
@@ -54,24 +53,6 @@ def require_progress(
         raise InputError(
             f"found {written(progress)}; give a function of {form}", f"{where}: progress"
         )
-
-
-def file_to_write(path: Path, names: Sequence[str]) -> Path:
-    """Return the path of a file to write, whose name says what it contains.
-
-    Args:
-        path: the file.
-        names: file name extensions that are allowed.
-
-    Raises:
-        InputError: it has another extension.
-    """
-    if path.suffix.lower() not in names:
-        raise InputError(
-            f"found the file name extension {written(path.suffix)}; must be {' or '.join(names)}",
-            str(path),
-        )
-    return path
 
 
 def in_python(error: RthybError, words: Mapping[str, str]) -> RthybError:

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.api.files import Place, Rig, Test, path_of
-from rthyb_rt.api.messages import file_to_write, in_python
+from rthyb_rt.api.messages import in_python
 from rthyb_rt.api.tables import html_table
-from rthyb_rt.config.fields import nearest, written
+from rthyb_rt.config.fields import nearest, with_extension, written
 from rthyb_rt.errors import InputError
 from rthyb_rt.record import recording as files
 
@@ -595,7 +595,7 @@ class Recording(Mapping[str, NDArray[Any]]):
             InputError: the file name does not end in .h5 or .hdf5.
             RthybError: the file cannot be written.
         """
-        target = file_to_write(
+        target = with_extension(
             path_of(path, "save", "the file to write, recording.h5"), (".h5", ".hdf5")
         )
         files.write(target, self._raw)

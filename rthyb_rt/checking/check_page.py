@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rthyb_rt.record.recording import replacing
-from rthyb_rt.report.html import environment, extra_needed, page_file, sheets
+from rthyb_rt.report.html import environment, extra_needed, sheets, write_page
 
 if TYPE_CHECKING:
     from rthyb_rt.checking.examined import Examined
@@ -22,10 +21,7 @@ def write(found: Examined, path: Path) -> None:
             installed.
         RthybError: the file cannot be written.
     """
-    path = page_file(path)
-    html = render(found)
-    with replacing(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    write_page(path, lambda: render(found))
 
 
 def render(found: Examined) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Final, NamedTuple
 from rthyb_rt.comparing.overlay import Overlay
 from rthyb_rt.numbers import number, percent, quantity
 from rthyb_rt.record.recording import replacing
-from rthyb_rt.report.html import environment, extra_needed, page_file, sheets
+from rthyb_rt.report.html import environment, extra_needed, sheets, write_page
 
 PAGE: Final = "compare.html"
 TABLE: Final = "compare.csv"
@@ -119,10 +119,7 @@ def write(overlay: Overlay, path: Path) -> None:
             installed.
         RthybError: the file cannot be written.
     """
-    path = page_file(path)
-    html = render(overlay)
-    with replacing(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    write_page(path, lambda: render(overlay))
 
 
 def write_csv(overlay: Overlay, path: Path) -> None:

@@ -11,8 +11,9 @@ import math
 import re
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
 from pydantic import (
@@ -38,6 +39,7 @@ from pydantic_core import (
 from rthyb_rt import units
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.placing import NOWHERE, SourceText
+from rthyb_rt.errors import InputError
 
 _EXPLAINED = "explained"
 
@@ -64,6 +66,28 @@ def nearest(name: str, known: list[str]) -> str:
     """Return `` (did you mean "x"?)`` for a misspelt name, or nothing when none is near."""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     return f' (did you mean "{close[0]}"?)' if close else ""
+
+
+def with_extension(
+    path: Path, names: Sequence[str], rule: str = "must be", instead: str = ""
+) -> Path:
+    """Return the path of a file to write, whose name says what it contains.
+
+    Args:
+        path: the file.
+        names: file name extensions that are allowed.
+        rule, instead: words of the message before and after them.
+
+    Raises:
+        InputError: it has another extension.
+    """
+    if path.suffix.lower() not in names:
+        raise InputError(
+            f"found the file name extension {written(path.suffix)}; {rule} {' or '.join(names)}"
+            f"{instead}",
+            str(path),
+        )
+    return path
 
 
 def explained(text: str, involved: tuple[str, ...] = ()) -> PydanticCustomError:

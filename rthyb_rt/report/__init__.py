@@ -15,9 +15,9 @@ from rthyb_rt.analysis.summary import (
     verdict,
 )
 from rthyb_rt.numbers import percent, quantity
-from rthyb_rt.record.recording import Recording, replacing
+from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import several
-from rthyb_rt.report.html import environment, extra_needed, page_file, sheets
+from rthyb_rt.report.html import environment, extra_needed, sheets, write_page
 
 _MOTION_NAMES = {"name": "Record", "source": "Source", "pga_g": "Peak, g", "scale": "Scale factor"}
 _META_NAMES = {
@@ -45,10 +45,8 @@ def write_report(rec: Recording, path: str | Path) -> None:
             installed.
         RthybError: the file cannot be written.
     """
-    path = page_file(path)
-    html = render(rec) if len(rec.axis_names) < 2 else several.render(rec)
-    with replacing(path) as temporary:
-        temporary.write_text(html, encoding="utf-8")
+    of_rig = render if len(rec.axis_names) < 2 else several.render
+    write_page(path, lambda: of_rig(rec))
 
 
 def render(rec: Recording) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from rthyb_rt.config.fields import written
+from rthyb_rt.config.fields import with_extension
 from rthyb_rt.errors import InputError
+from rthyb_rt.record.recording import replacing
 
 if TYPE_CHECKING:
     import jinja2
@@ -29,14 +30,29 @@ def page_file(path: str | Path) -> Path:
     Raises:
         InputError: it has another extension, with which no program would open the page.
     """
-    path = Path(path)
-    if path.suffix.lower() not in PAGE_NAMES:
-        raise InputError(
-            f"found the file name extension {written(path.suffix)}; a page is HTML, and its file "
-            f"name must end in {' or '.join(PAGE_NAMES)}; for a PDF, print the page from a browser",
-            str(path),
-        )
-    return path
+    return with_extension(
+        Path(path),
+        PAGE_NAMES,
+        "a page is HTML, and its file name must end in",
+        "; for a PDF, print the page from a browser",
+    )
+
+
+def write_page(path: str | Path, render: Callable[[], str]) -> None:
+    """Write a page as one file, atomically.
+
+    Args:
+        path: file to write.
+        render: returns the page; not called if the path is refused.
+
+    Raises:
+        InputError: the file name does not end in .html or .htm.
+        RthybError: the file cannot be written.
+    """
+    target = page_file(path)
+    html = render()
+    with replacing(target) as temporary:
+        temporary.write_text(html, encoding="utf-8")
 
 
 @contextmanager
