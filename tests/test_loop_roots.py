@@ -15,6 +15,7 @@ from rthyb_rt import config, core
 from rthyb_rt.analysis import loop_roots, loop_stability, margins
 from rthyb_rt.analysis.loop_roots import Block, LoopVerdict, judge
 from rthyb_rt.benchmark import plants as rths_benchmark
+from rthyb_rt.checking import examined
 from rthyb_rt.config import RigFile, response
 from rthyb_rt.config.rigfile import Identified
 from rthyb_rt.errors import InputError
@@ -327,7 +328,14 @@ def test_little_to_spare_is_said_in_figures() -> None:
 
 
 def test_without_an_identified_response_nothing_is_judged() -> None:
-    assert judge(table("paper", rig="shaking-table-can")) is None
+    test = config.load_test(config.builtin_test_path())
+    rig = config.load_rig(config.shipped_rig("shaking-table-portal-frame"))
+    assert rig.identified is not None
+    slow_test = Identified(alpha=17.0, delay_s=17 * H)
+    found = examined.examine(test, rig.model_copy(update={"identified": slow_test}))
+    assert found.loop is None
+    (row,) = [row for row in found.tables()[0] if row[0] == "Largest root"]
+    assert row[1:] == ("not computed", "the rig file has no identified response")
     assert loop_roots.remark(None) is None
 
 

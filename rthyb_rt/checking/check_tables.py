@@ -148,15 +148,15 @@ def rows_of_test(setup: Setup, f: Figures) -> list[tuple[str, str, str]]:
     return rows
 
 
-def loop_rows(loop: LoopVerdict | None, *, identified: bool = False) -> list[tuple[str, str, str]]:
+def loop_rows(loop: LoopVerdict | None, *, swept: bool = False) -> list[tuple[str, str, str]]:
     """Return the rows for the whole loop: root, gain margin, delay margin.
 
     Args:
         loop: its stability; None: not known.
-        identified: whether the rig file has an identified response.
+        swept: whether the rig file has an identified response.
     """
     if loop is None:
-        why = "no model fits the" if identified else "the rig file has no"
+        why = "no model fits the" if swept else "the rig file has no"
         return [("Largest root", "not computed", f"{why} identified response")]
     what = f"whole loop, elastic specimen; rig known up to {loop.swept_hz:g} Hz"
     root = f"{loop.radius:.5f} at {number(loop.frequency_hz)} Hz"

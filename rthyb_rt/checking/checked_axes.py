@@ -53,7 +53,7 @@ class ExaminedAxes:
         rig = self.group.rig
         if rig.is_redundant:
             return [("Largest root", "not computed", "the actuators are redundant")]
-        return loop_rows(self.loop, identified=rig.identified is not None)
+        return loop_rows(self.loop, swept=rig.identified is not None)
 
     def _structure(self) -> Rows:
         structure = self.group.derived.structure

@@ -79,10 +79,9 @@ class Examined:
         if isinstance(self.figures, HistoryFigures):
             return rows_of_history(self.setup, self.figures)
         rows = check_tables.rows_of_test(self.setup, self.figures)
-        return [
-            *rows,
-            *check_tables.loop_rows(self.loop, identified=self.setup.rig.identified is not None),
-        ]
+        found = self.setup.rig.identified
+        swept = found is not None and bool(found.frequency_hz)
+        return [*rows, *check_tables.loop_rows(self.loop, swept=swept)]
 
 
 def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> Examined:
