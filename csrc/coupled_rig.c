@@ -128,7 +128,8 @@ static int sensors_ok(const rthyb_coupled_rig_config *c)
     int ok = c->load_cell == RTHYB_ACTUATOR_END || c->load_cell == RTHYB_SPECIMEN_END;
     for (int i = 0; i < c->size; i++)
         ok = ok && sensor_ok(&c->displacement[i], RTHYB_DISPLACEMENT_MAX_M) &&
-             sensor_ok(&c->force[i], RTHYB_FORCE_MAX_N);
+             sensor_ok(&c->force[i], RTHYB_FORCE_MAX_N) &&
+             extra_sensors_ok(c->extras[i], c->extra_count[i]);
     return ok;
 }
 
@@ -266,6 +267,8 @@ int rthyb_coupled_rig_init(rthyb_coupled_rig *rig, const rthyb_coupled_rig_confi
 void rthyb_coupled_rig_reseed(rthyb_coupled_rig *rig)
 {
     noise_seed(&rig->noise, rig->cfg.seed);
+    /* A generator of their own, so that the other sensors have the same noise without them. */
+    noise_seed(&rig->extra_noise, ~rig->cfg.seed);
 }
 
 /* ---- what is latched ----------------------------------------------------------------------------- */
@@ -361,6 +364,22 @@ static void latch_forces(rig_t *r)
     for (int i = 0; i < n; i++)
         if (r->cfg.plant.states == 0 && hydraulic(r, i) && r->cfg.load_cell == RTHYB_ACTUATOR_END)
             r->f_true_n[i] = r->servo[i].oil_force;
+}
+
+static void latch_extras(rig_t *r)
+{
+    for (int i = 0; i < r->cfg.size; i++) {
+        const double measured[RTHYB_EXTRA_KINDS] = {
+            [RTHYB_EXTRA_DISPLACEMENT] = r->x_true_m[i],
+            [RTHYB_EXTRA_VELOCITY] = r->v_true[i],
+            [RTHYB_EXTRA_ACCELERATION] = r->a_true[i],
+            [RTHYB_EXTRA_FORCE] = r->f_true_n[i],
+        };
+        const uint32_t count = r->cfg.extra_count[i];
+        sense_extras(&r->extra_noise, r->cfg.extras[i], count, measured, r->extra[i]);
+        if (r->extra_to[i])
+            memcpy(r->extra_to[i], r->extra[i], count * sizeof *r->extra[i]);
+    }
 }
 
 /* ---- moving on ------------------------------------------------------------------------------------ */
@@ -496,6 +515,7 @@ int rthyb_coupled_rig_step(rthyb_coupled_rig *rig, const double *x_p_m, double *
         x_m_m[i] = sense(&rig->noise, &rig->cfg.displacement[i], rig->x_true_m[i]);
         f_n[i] = sense(&rig->noise, &rig->cfg.force[i], rig->f_true_n[i]);
     }
+    latch_extras(rig);
     if (by_plant)
         return code | advance_plant(rig, x_p_m);
     return code | (rig->substeps > 0 ? advance_together(rig) : advance_alone(rig));

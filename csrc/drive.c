@@ -223,7 +223,7 @@ static void to_wire(const rthyb_calibration *c, rthyb_reading *r)
 }
 
 /* Readings of the axis' sensors, as reported by the drive. */
-static rthyb_reading measure(rthyb_drive *d, double x_m, double f_n)
+static rthyb_reading measure(rthyb_drive *d, int32_t axis, double x_m, double f_n)
 {
     rthyb_reading r = {.has = RTHYB_HAS_X | RTHYB_HAS_F, .echo = d->seq};
     r.x_m = stuck(d, x_m + d->origin_m) + fault_value(d, RTHYB_FAULT_JUMP);
@@ -233,7 +233,7 @@ static rthyb_reading measure(rthyb_drive *d, double x_m, double f_n)
         r.x_m = (double)NAN;
     r.count = (uint32_t)d->tick;
     r.status = d->phase == RTHYB_DRIVE_FOLLOWING ? 0u : RTHYB_DEVICE_STOPPED;
-    rthyb_plant_extra(&d->plant, r.extra);
+    rthyb_plant_extra(&d->plant, axis, r.extra);
     return r;
 }
 
@@ -315,9 +315,9 @@ static void listen(rthyb_drive *d)
     move(d);
 }
 
-static void reply(rthyb_drive *d, double x_m, double f_n)
+static void reply(rthyb_drive *d, int32_t axis, double x_m, double f_n)
 {
-    const rthyb_reading reading = measure(d, x_m, f_n);
+    const rthyb_reading reading = measure(d, axis, x_m, f_n);
     enqueue(d, &reading);
     send_due(d);
     note(d, &reading);
@@ -334,7 +334,7 @@ static void tick_all(rthyb_drive *const *drives, int count)
     }
     (void)rthyb_plant_step(&drives[0]->plant, target, x, f);
     for (int i = 0; i < count; i++)
-        reply(drives[i], x[i], f[i]);
+        reply(drives[i], i, x[i], f[i]);
 }
 
 void rthyb_drive_tick(rthyb_drive *drive)

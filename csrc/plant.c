@@ -10,7 +10,7 @@ typedef struct {
     int (*step)(void *state, const double *x_p_m, double *x_m_m, double *f_n);
     void (*reseed)(void *state);
     void (*truth)(const void *state, double *x_true_m, double *f_true_n);
-    void (*extra)(const void *state, double *values); /* NULL: no extra sensors */
+    const double *(*extra)(const void *state, int32_t axis); /* RTHYB_EXTRAS_MAX readings */
 } plant_ops;
 
 /* ---- one actuator ------------------------------------------------------------------------------ */
@@ -42,9 +42,10 @@ static void rig_truth(const void *state, double *x_true_m, double *f_true_n)
     *f_true_n = ((const rthyb_rig *)state)->f_true_n;
 }
 
-static void rig_extra(const void *state, double *values)
+static const double *rig_extra(const void *state, int32_t axis)
 {
-    memcpy(values, ((const rthyb_rig *)state)->extra, RTHYB_EXTRAS_MAX * sizeof *values);
+    (void)axis;
+    return ((const rthyb_rig *)state)->extra;
 }
 
 /* ---- several ----------------------------------------------------------------------------------- */
@@ -76,10 +77,15 @@ static void coupled_truth(const void *state, double *x_true_m, double *f_true_n)
     memcpy(f_true_n, rig->f_true_n, (size_t)rig->cfg.size * sizeof *f_true_n);
 }
 
+static const double *coupled_extra(const void *state, int32_t axis)
+{
+    return ((const rthyb_coupled_rig *)state)->extra[axis];
+}
+
 static const plant_ops KINDS[RTHYB_PLANT_KINDS] = {
     [RTHYB_PLANT_RIG] = {rig_axes, rig_period_s, rig_step, rig_reseed, rig_truth, rig_extra},
     [RTHYB_PLANT_COUPLED_RIG] = {coupled_axes, coupled_period_s, coupled_step, coupled_reseed,
-                                 coupled_truth, NULL},
+                                 coupled_truth, coupled_extra},
 };
 
 /* ---- whichever it is --------------------------------------------------------------------------- */
@@ -111,9 +117,7 @@ void rthyb_plant_truth(const rthyb_plant *plant, double *x_true_m, double *f_tru
     KINDS[plant->kind].truth(plant->state, x_true_m, f_true_n);
 }
 
-void rthyb_plant_extra(const rthyb_plant *plant, double *values)
+void rthyb_plant_extra(const rthyb_plant *plant, int32_t axis, double *values)
 {
-    memset(values, 0, RTHYB_EXTRAS_MAX * sizeof *values);
-    if (KINDS[plant->kind].extra)
-        KINDS[plant->kind].extra(plant->state, values);
+    memcpy(values, KINDS[plant->kind].extra(plant->state, axis), RTHYB_EXTRAS_MAX * sizeof *values);
 }

@@ -1,9 +1,9 @@
 /* The virtual rig: actuator, specimen, and two sensors with noise, bias, quantisation and a limited
  * range. The noise is seeded, so that a test can be repeated bit by bit. */
+#include <string.h>
+
 #include "internal.h"
 #include "sensor.h"
-
-#define EXTRA_MAX 1e15
 
 /* The linear part of the specimen is solved exactly, together with the actuator. */
 static void join_specimen(rthyb_rig *rig, rthyb_servo_config *servo)
@@ -24,19 +24,6 @@ static void join_specimen(rthyb_rig *rig, rthyb_servo_config *servo)
     }
 }
 
-static int extras_ok(const rthyb_rig_config *cfg)
-{
-    if (cfg->extra_count > RTHYB_EXTRAS_MAX)
-        return 0;
-    for (uint32_t i = 0; i < cfg->extra_count; i++) {
-        const rthyb_extra_sensor *e = &cfg->extras[i];
-        if (e->kind < 0 || e->kind >= RTHYB_EXTRA_KINDS || !(fabs(e->gain) <= EXTRA_MAX) ||
-            !sensor_ok(&e->sensor, EXTRA_MAX))
-            return 0;
-    }
-    return 1;
-}
-
 int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
 {
     if (cfg->element_count > RTHYB_ELEMENTS_MAX)
@@ -46,7 +33,7 @@ int rthyb_rig_init(rthyb_rig *rig, const rthyb_rig_config *cfg)
     if (!sensor_ok(&cfg->displacement, RTHYB_DISPLACEMENT_MAX_M) ||
         !sensor_ok(&cfg->force, RTHYB_FORCE_MAX_N))
         return RTHYB_E_SENSOR;
-    if (!extras_ok(cfg))
+    if (!extra_sensors_ok(cfg->extras, cfg->extra_count))
         return RTHYB_E_SENSOR;
     *rig = (rthyb_rig){.cfg = *cfg};
     rthyb_servo_config servo = cfg->servo;
@@ -88,30 +75,18 @@ static double load_cell_force(rthyb_rig *rig)
                                 servo->a, hydraulic ? 0.0 : servo->cfg.period_s);
 }
 
-static double measured_by(const rthyb_rig *rig, int32_t kind)
+static void latch_extras(rthyb_rig *rig)
 {
-    switch (kind) {
-    case RTHYB_EXTRA_DISPLACEMENT:
-        return rig->x_true_m;
-    case RTHYB_EXTRA_VELOCITY:
-        return rig->servo.v;
-    case RTHYB_EXTRA_ACCELERATION:
-        return rig->servo.a;
-    case RTHYB_EXTRA_FORCE:
-        return rig->f_true_n;
-    default:
-        return 0.0;
-    }
-}
-
-static void sense_extras(rthyb_rig *rig)
-{
-    for (uint32_t i = 0; i < rig->cfg.extra_count; i++) {
-        const rthyb_extra_sensor *e = &rig->cfg.extras[i];
-        rig->extra[i] = sense(&rig->extra_noise, &e->sensor, e->gain * measured_by(rig, e->kind));
-        if (rig->extra_to)
-            rig->extra_to[i] = rig->extra[i];
-    }
+    const double measured[RTHYB_EXTRA_KINDS] = {
+        [RTHYB_EXTRA_DISPLACEMENT] = rig->x_true_m,
+        [RTHYB_EXTRA_VELOCITY] = rig->servo.v,
+        [RTHYB_EXTRA_ACCELERATION] = rig->servo.a,
+        [RTHYB_EXTRA_FORCE] = rig->f_true_n,
+    };
+    const uint32_t count = rig->cfg.extra_count;
+    sense_extras(&rig->extra_noise, rig->cfg.extras, count, measured, rig->extra);
+    if (rig->extra_to)
+        memcpy(rig->extra_to, rig->extra, count * sizeof *rig->extra);
 }
 
 int rthyb_rig_step(rthyb_rig *rig, double x_p_m, double *x_m_m, double *f_n)
@@ -121,7 +96,7 @@ int rthyb_rig_step(rthyb_rig *rig, double x_p_m, double *x_m_m, double *f_n)
     rig->f_true_n = load_cell_force(rig);
     *x_m_m = sense(&rig->noise, &rig->cfg.displacement, rig->x_true_m);
     *f_n = sense(&rig->noise, &rig->cfg.force, rig->f_true_n);
-    sense_extras(rig);
+    latch_extras(rig);
     rig->servo.sensed_m = *x_m_m;
     code |= rthyb_servo_advance(&rig->servo, rig->cfg.elements, rig->cfg.element_count);
     return code;

@@ -46,13 +46,15 @@ typedef struct {
     rthyb_sensor displacement[RTHYB_COUPLED_MAX], force[RTHYB_COUPLED_MAX];
     int32_t load_cell; /* enum rthyb_load_cell */
     uint64_t seed;
+    uint32_t extra_count[RTHYB_COUPLED_MAX]; /* of each axis, along which its sensors measure */
+    rthyb_extra_sensor extras[RTHYB_COUPLED_MAX][RTHYB_EXTRAS_MAX];
 } rthyb_coupled_rig_config;
 
 typedef struct {
     rthyb_coupled_rig_config cfg;
     rthyb_kinematics kinematics;
     rthyb_servo servo[RTHYB_COUPLED_MAX];
-    rthyb_noise noise;
+    rthyb_noise noise, extra_noise;
     double s[RTHYB_PLANT_STATES];
     double command[RTHYB_COUPLED_MAX]; /* state-space model: last valid commands */
     /* Readings of each axis without sensor errors. */
@@ -63,6 +65,10 @@ typedef struct {
     double jacobian[RTHYB_COUPLED_SQUARE]; /* d axis / d pose, */
     double back[RTHYB_COUPLED_SQUARE];     /* and its inverse, or least-squares inverse */
     int32_t substeps;                      /* per sample; 0: no axis has substeps */
+    /* Readings of the extra sensors at the same instant; extra_to: where each axis' are also written; NULL:
+     * nowhere. */
+    double extra[RTHYB_COUPLED_MAX][RTHYB_EXTRAS_MAX];
+    double *extra_to[RTHYB_COUPLED_MAX];
 } rthyb_coupled_rig;
 
 /* RTHYB_E_PLANT: sizes or matrix entries; RTHYB_E_PERIOD: period of an actuator; RTHYB_E_KINEMATICS,

@@ -30,8 +30,8 @@ int rthyb_plant_step(const rthyb_plant *plant, const double *x_p_m, double *x_m_
 void rthyb_plant_reseed(const rthyb_plant *plant);
 /* Readings of the last step without sensor errors. */
 void rthyb_plant_truth(const rthyb_plant *plant, double *x_true_m, double *f_true_n);
-/* Readings of the extra sensors in the last step: RTHYB_EXTRAS_MAX values, 0 where there is no sensor. */
-void rthyb_plant_extra(const rthyb_plant *plant, double *values);
+/* Readings of an axis' extra sensors in the last step: RTHYB_EXTRAS_MAX values, 0 where there is no sensor. */
+void rthyb_plant_extra(const rthyb_plant *plant, int32_t axis, double *values);
 /* cffi: end */
 
 #endif

@@ -43,6 +43,7 @@ from rthyb_rt.config.rigfile import (
     Sensors,
     SpecimenElement,
     StiffnessElement,
+    extras_arrive,
 )
 from rthyb_rt.core.sizes import COUPLED_MAX
 from rthyb_rt.errors import InputError
@@ -233,15 +234,7 @@ class Axis(Table):
 
     checks: ClassVar[tuple[Condition, ...]] = (
         Condition("limits", ("limits",), _only_its_own),
-        Condition(
-            "sensors",
-            ("sensors",),
-            lambda sensors: (
-                "found extra sensors; they are supported only on a rig with one axis: remove them"
-                if sensors.extra
-                else None
-            ),
-        ),
+        Condition("sensors", ("sensors", "link"), extras_arrive),
     )
 
     name: Annotated[str, AXIS_NAME]
@@ -662,6 +655,20 @@ def _names_differ(axes: list[Axis]) -> str | None:
     return None
 
 
+def _channels_differ(axes: list[Axis]) -> str | None:
+    seen = dict[str, str]()
+    for axis in axes:
+        for one in axis.sensors.extra:
+            if one.name in seen:
+                return (
+                    f"axes {seen[one.name]} and {axis.name} both have an extra sensor called "
+                    f"{written(one.name)}; a recording keeps each by its name: rename one of them, "
+                    f"for example {written(f'{axis.name}_{one.name}'[:32].lower())}"
+                )
+            seen[one.name] = axis.name
+    return None
+
+
 def _driven(axes: list[Axis], plant: Plant | None) -> str | None:
     for axis in axes:
         if axis.actuator is None and plant is None:
@@ -788,6 +795,7 @@ class AxesRig(WholeFile):
 
     checks: ClassVar[tuple[Condition, ...]] = (
         Condition("axis", ("axis",), _names_differ),
+        Condition("axis", ("axis",), _channels_differ),
         Condition("axis", ("axis", "plant"), _driven),
         Condition("axis", ("axis",), _one_clock),
         Condition("kinematics", ("axis", "kinematics"), _kinematics_fault),

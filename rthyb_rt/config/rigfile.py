@@ -996,7 +996,7 @@ def kinds() -> Iterator[type[Table]]:
         yield from union.__args__
 
 
-def _extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
+def extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
     """Report an extra channel for which the link has no space."""
     if link is None or not sensors.extra or link.kind == "socket":
         return None
@@ -1018,7 +1018,7 @@ class RigFile(WholeFile):
 
     checks: ClassVar[tuple[Condition, ...]] = (
         Condition("specimen", ("actuator", "specimen"), _valve_moves_a_mass),
-        Condition("sensors", ("sensors", "link"), _extras_arrive),
+        Condition("sensors", ("sensors", "link"), extras_arrive),
     )
 
     schema_: Literal["rthyb-rig/1"] = Field(alias="schema")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,15 +13,21 @@ from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.coupled_plant import run_rows
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.core.library import CoreError, FloatArray, check, doubles, reading, writing
+from rthyb_rt.core.rows import CHANNELS_MAX
 from rthyb_rt.core.settings import (
     ElementConfig,
+    ExtraSensorConfig,
     LoadCell,
     SensorConfig,
     ServoConfig,
+    fill_extras,
     init_element,
     mapping,
 )
 from rthyb_rt.core.sizes import ELEMENTS_MAX, PERIOD_S
+
+if TYPE_CHECKING:
+    from rthyb_rt.core.station import Station
 
 STATES_MAX: Final = int(lib.RTHYB_PLANT_STATES)
 _HALVINGS: Final = 20
@@ -117,6 +123,7 @@ class CoupledRigConfig:
         load_cell: position of the load cells; a plant has only the specimen's forces.
         seed: seed of the noise.
         period_s: sampling period.
+        extras: further sensors of each axis, which measure along it; none: no axis has any.
     """
 
     kinematics: Kinematics
@@ -132,6 +139,7 @@ class CoupledRigConfig:
     seed: int = 0
     period_s: float = PERIOD_S
     attachment_n_per_m: float = 0.0
+    extras: tuple[tuple[ExtraSensorConfig, ...], ...] = ()
 
     @property
     def axes(self) -> int:
@@ -158,6 +166,8 @@ class CoupledRigConfig:
             struct.plant = self.plant.mapping(self.period_s)
         else:
             struct.servo = [mapping(one) for one in self.servos]
+        for i, own in enumerate(self.extras):
+            struct.extra_count[i] = fill_extras(struct.extras[i], own)
         struct.element_count = len(self.elements)
         for i, (along, one) in enumerate(self.elements):
             struct.along[i] = along
@@ -180,6 +190,11 @@ class CoupledRigConfig:
                 f"sensors and {len(self.force)} load cells for {n} axes; there must be {n} "
                 f"actuators, or one plant with {n} axes instead, and of each kind of sensor one "
                 "for each axis or none"
+            )
+        if len(self.extras) not in (0, n):
+            raise CoreError(
+                f"found extra sensors of {len(self.extras)} axes; there are {n} axes, some of "
+                "which may have none"
             )
         if len(self.elements) > ELEMENTS_MAX:
             raise CoreError(
@@ -212,6 +227,36 @@ class CoupledRig:
     def run(self, x_p_m: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return displacements, m, and forces, N, (n, axes) each, along commands, (n, axes)."""
         return run_rows(lib.rthyb_coupled_rig_run, self._c, x_p_m, self.axes, self.axes)
+
+    @property
+    def extras(self) -> tuple[tuple[float, ...], ...]:
+        """Readings of each axis' extra sensors at the last latch, each in its unit."""
+        return tuple(
+            tuple(self._c.extra[i][k] for k in range(len(own)))
+            for i, own in enumerate(self.config.extras)
+        )
+
+    def record_extras(self, station: Station, channel: int) -> None:
+        """Write the extra sensors' readings of every sample into a station's row.
+
+        Args:
+            station: the station, which is kept alive with this rig.
+            channel: channel of the row for the first reading; those of the axes follow in order.
+
+        Raises:
+            CoreError: the row has no room for them.
+        """
+        counts = [len(own) for own in self.config.extras]
+        if not 0 <= channel <= CHANNELS_MAX - sum(counts):
+            raise CoreError(
+                f"found channel {channel} and {sum(counts)} extra sensors; a row has only "
+                f"{CHANNELS_MAX} channels"
+            )
+        self._station = station
+        for i, count in enumerate(counts):
+            if count:
+                self._c.extra_to[i] = ffi.addressof(station._c.channel, channel)
+            channel += count
 
     def reseed(self) -> None:
         """Restart the noise of the sensors from the seed."""

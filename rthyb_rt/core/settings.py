@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -463,21 +463,30 @@ def rig_struct(config: RigConfig) -> Any:
         raise CoreError(
             f"found {len(config.elements)} elements; a specimen has at most {ELEMENTS_MAX}"
         )
-    if len(config.extras) > EXTRAS_MAX:
-        raise CoreError(f"found {len(config.extras)} extra sensors; a rig has at most {EXTRAS_MAX}")
     apart = ("elements", "extras")
     plain: Mapping[str, Any] = {k: v for k, v in mapping(config).items() if k not in apart}
     struct = ffi.new("rthyb_rig_config *", dict(plain))
     struct.element_count = len(config.elements)
     for i, item in enumerate(config.elements):
         init_element(ffi.addressof(struct.elements, i), item)
-    struct.extra_count = len(config.extras)
-    for i, extra in enumerate(config.extras):
-        slot = struct.extras[i]
+    struct.extra_count = fill_extras(struct.extras, config.extras)
+    return struct
+
+
+def fill_extras(slots: Any, extras: Sequence[ExtraSensorConfig]) -> int:
+    """Write the extra sensors of an axis into the array of the C struct; return their number.
+
+    Raises:
+        CoreError: there are more than `EXTRAS_MAX`.
+    """
+    if len(extras) > EXTRAS_MAX:
+        raise CoreError(f"found {len(extras)} extra sensors; an axis has at most {EXTRAS_MAX}")
+    for i, extra in enumerate(extras):
+        slot = slots[i]
         slot.kind, slot.gain = _EXTRA_KIND[extra.kind], extra.gain
         for name, value in mapping(extra.sensor).items():
             setattr(slot.sensor, name, value)
-    return struct
+    return len(extras)
 
 
 def init_element(slot: Any, config: ElementConfig) -> None:

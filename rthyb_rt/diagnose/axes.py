@@ -73,6 +73,12 @@ class OfAxis:
         del found["t"]
         return found
 
+    def force_of_others(self, rec: Recording) -> Floats:
+        """Return the force on the axis due to the motion of the others, N, (rows of the test,)."""
+        from rthyb_rt.record.axis_export import force_of_others
+
+        return force_of_others(rec, self.name, self.rig)
+
     def zero_error_n(self, rec: Recording) -> float:
         """Return the standard error of the zero of ``f_meas``, N; 0: not known.
 

@@ -61,7 +61,7 @@ def read_case(
     lab = None
     if own is not None:
         t, channels, notes = _own(own, of)
-        _take_extras(own, wishes if beside is None else (), channels, notes)
+        _take_extras(own, wishes if beside is None else (), channels, notes, of)
         model = at_rate(model, own.fs_hz)
     else:
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
@@ -143,19 +143,39 @@ _EXTRA_OF = {"x_meas": "m", "f_meas": "N", "ag": "m/s^2"}
 
 
 def _take_extras(
-    rec: Recording, wishes: Sequence[Wish], channels: dict[str, Floats], notes: list[str]
+    rec: Recording,
+    wishes: Sequence[Wish],
+    channels: dict[str, Floats],
+    notes: list[str],
+    of: OfAxis | None,
 ) -> None:
     """Replace the test's own sensors by extra channels of the rig.
+
+    On a rig of several axes, an extra channel replaces a sensor of its own axis; the ground
+    acceleration, which they share, can be that of any. From a force, what the motion of the others
+    causes is subtracted, as from that of the load cell.
 
     Raises:
         InputError: there is no such channel, its unit is of another kind, or the channel to be
             replaced was computed by the controller.
     """
-    extras = {channel.name: channel for channel in rec.extras()}
+    every, by_axis = {one.name: one for one in rec.extras()}, rec.extras_by_axis()
     mask = rec.running()
     for wish in wishes:
         text = wish.text.strip()
         name = text.lstrip("-").strip()
+        extras = every
+        if of is not None and wish.channel != "ag":
+            extras = {one.name: one for one in by_axis.get(of.name, ())}
+            elsewhere = [axis for axis, own in by_axis.items() if name in [one.name for one in own]]
+            if name not in extras and elsewhere:
+                raise InputError(
+                    f"found {wish.channel}={wish.text}, an extra channel of axis {elsewhere[0]}, "
+                    f"but axis {of.name} is diagnosed; its extra channels are: "
+                    f"{', '.join(extras) or 'none'}. Name one of them, or diagnose axis "
+                    f"{elsewhere[0]} alone",
+                    wish.where,
+                )
         if wish.channel not in _EXTRA_OF or name not in extras:
             known = ", ".join(extras) or "none"
             raise InputError(
@@ -177,7 +197,10 @@ def _take_extras(
         values = sign * factor * rec.channel(channel.name)
         if wish.channel != "ag":
             values = values - _at_rest(rec, values)
-        channels[wish.channel] = values[mask]
+        values = values[mask]
+        if of is not None and wish.channel == "f_meas":
+            values = values - of.force_of_others(rec)
+        channels[wish.channel] = values
         notes.append(
             f"{wish.channel} is read from the extra channel {name} of the rig, not from its own "
             "sensor"

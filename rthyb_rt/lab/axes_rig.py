@@ -43,6 +43,7 @@ def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
         rig.rig.seed,
         rate.period_s,
         given.attachment_stiffness_n_per_m or 0.0,
+        tuple(experiment.extra_sensor_configs(axis.sensors) for axis in rig.axis),
     )
 
 

@@ -6,7 +6,7 @@ import datetime
 import functools
 import math
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
@@ -626,15 +626,36 @@ def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
     Raises:
         InputError: a channel has a name that the record uses already.
     """
-    taken = set(core.RECORD_DTYPE.names or ()) | {"x_true_m", "f_true_n"}
-    for i, one in enumerate(rig.sensors.extra):
+    return channels_of_sensors(rig.sensors, RECORDED, "sensors")
+
+
+TRUE: Final = ("x_true_m", "f_true_n")
+"""Channels of a virtual rig's readings without errors; those of further axes end with a number."""
+RECORDED: Final = frozenset(core.RECORD_DTYPE.names or ()) | set(TRUE)
+"""Names that the record of one axis uses."""
+
+
+def channels_of_sensors(
+    sensors: Sensors, taken: Collection[str], where: str
+) -> tuple[core.Channel, ...]:
+    """Return the channels of the extra sensors of an axis.
+
+    Args:
+        sensors: of the axis.
+        taken: names that the recording uses already.
+        where: key of the sensors' table in the rig file.
+
+    Raises:
+        InputError: a channel has such a name.
+    """
+    for i, one in enumerate(sensors.extra):
         if one.name in taken:
             raise InputError(
                 f'found "{one.name}", a name that every recording already uses; choose another '
                 "name",
-                f"sensors.extra.{i}.name",
+                f"{where}.extra.{i}.name",
             )
-    return tuple(core.Channel(one.name, one.unit) for one in rig.sensors.extra)
+    return tuple(core.Channel(one.name, one.unit) for one in sensors.extra)
 
 
 def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:
@@ -793,12 +814,17 @@ def rig_config(rig: RigFile, fs_hz: float = core.FS_HZ) -> core.RigConfig:
         force=force,
         load_cell=rig.rig.load_cell,
         seed=rig.rig.seed,
-        extras=tuple(
-            core.ExtraSensorConfig(
-                one.measures, one.gain, core.SensorConfig(one.noise_std, one.lsb, one.bias)
-            )
-            for one in rig.sensors.extra
-        ),
+        extras=extra_sensor_configs(rig.sensors),
+    )
+
+
+def extra_sensor_configs(sensors: Sensors) -> tuple[core.ExtraSensorConfig, ...]:
+    """Return the settings of a virtual rig's sensors besides displacement and force."""
+    return tuple(
+        core.ExtraSensorConfig(
+            one.measures, one.gain, core.SensorConfig(one.noise_std, one.lsb, one.bias)
+        )
+        for one in sensors.extra
     )
 
 

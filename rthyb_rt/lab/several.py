@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -95,6 +96,7 @@ def prepare(
     reference["f_ref_n"] = force[:, 0]
     controller = controller_config(ordered, rig, derived, end_tick)
     first = replace(derived.axis[0], structure=derived.structure)
+    own_channels = experiment.part_channels(first) + axis_channels(controller)
     baseline_note = () if baseline.ok else (f"ground motion: {baseline.message}",)
     setup = Setup(
         test=resolved,
@@ -111,7 +113,7 @@ def prepare(
             *(_derived_notes(group) if real_time else ()),
         ),
         reference=reference,
-        channels=experiment.part_channels(first) + axis_channels(controller),
+        channels=_extra_channels(rig, own_channels) + own_channels,
         group=group,
     )
     try:
@@ -123,6 +125,33 @@ def prepare(
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     return setup
+
+
+def _extra_channels(rig: AxesRig, own: Sequence[core.Channel]) -> tuple[core.Channel, ...]:
+    """Return the extra channels of every axis, which stand before all others of a row.
+
+    Args:
+        rig: the rig file.
+        own: channels that the recording has without them.
+
+    Raises:
+        InputError: a name is used already, or a row has no room for so many.
+    """
+    taken = experiment.RECORDED | {one.name for one in own}
+    taken |= {f"{name}_{i}" for name in experiment.TRUE for i in range(1, len(rig.axis))}
+    found = tuple(
+        channel
+        for i, axis in enumerate(rig.axis)
+        for channel in experiment.channels_of_sensors(axis.sensors, taken, f"axis.{i}.sensors")
+    )
+    if found and len(found) + len(own) > core.CHANNELS_MAX:
+        raise InputError(
+            f"found {len(found)} extra channels; beside the {len(own)} values of axes, directions "
+            f"and structure, a row of the recording has room for {core.CHANNELS_MAX - len(own)}: "
+            "remove some of them, or record less in numerical.record",
+            "axis.sensors.extra",
+        )
+    return found
 
 
 def _refuse_what_is_of_one(test: TestFile) -> None:

@@ -75,7 +75,7 @@ class Bench:
         seen = truth_channels(setup) if truth else ()
         setup = replace(setup, channels=seen + places + setup.channels)
         self.run = Run.begin(setup, "virtual", config or experiment.station_config(setup))
-        virtual = self._plant(setup, rig, (2 if truth else 0) + len(places))
+        virtual = self._plant(setup, rig, len(seen) + len(places))
         stop_decel = experiment.stop_decel_m_per_s2(setup.rig)
         self._test = core.Virtual(self.run.station, virtual, stop_decel, truth, len(places))
         before = self.config.tare_ticks + self.config.ramp_in_ticks
@@ -87,11 +87,13 @@ class Bench:
     def _plant(
         self, setup: Setup, rig: core.RigConfig | None, extras: int
     ) -> core.Rig | CoupledRig:
-        """Return the virtual rig; extra sensors of one axis are recorded from that channel on."""
+        """Return the virtual rig, whose extra sensors are recorded from that channel on."""
+        virtual: core.Rig | CoupledRig
         if setup.group is not None:
-            return CoupledRig(setup.group.virtual_rig)
-        virtual = core.Rig(rig or setup.virtual_rig)
-        if setup.rig.sensors.extra:
+            virtual = CoupledRig(setup.group.virtual_rig)
+        else:
+            virtual = core.Rig(rig or setup.virtual_rig)
+        if any(one.sensors.extra for one in setup.rigs):
             virtual.record_extras(self.run.station, extras)
         return virtual
 

@@ -200,6 +200,7 @@ class _Session:
                     several_axes.axes_judge(rig, reference, rec.fs_hz), test.controller.type
                 ),
                 reference.axis_m,
+                rec.extras(),
                 axes=rec.axis_names,
                 tie=rig.core_kinematics(),
             )

@@ -54,7 +54,6 @@ def axis_signals(rec: Recording, name: str, rig: AxesRig | None = None) -> dict[
     rig.refuse_redundant(*NOT_ALONE)
     own, k = rec.axis(name), rec.axis_names.index(name)
     rows = rec.running()
-    measured = np.column_stack([rec.axis(one)["x_meas_m"][rows] for one in rec.axis_names])
     asked = np.column_stack(
         [rec.samples[f"x_num_m_{j}" if j else "x_num_m"][rows] for j in range(len(rec.axis_names))]
     )
@@ -63,9 +62,22 @@ def axis_signals(rec: Recording, name: str, rig: AxesRig | None = None) -> dict[
         "ag": np.asarray(rec.samples["ag_mps2"][rows]),
         "x_num": rig.core_kinematics().axes(asked)[0][:, k],
         "x_cmd": np.asarray(own["x_cmd_m"][rows]),
-        "x_meas": measured[:, k],
-        "f_meas": own["f_meas_n"][rows] - from_others(rig, k, measured, 1.0 / rec.fs_hz),
+        "x_meas": np.asarray(own["x_meas_m"][rows]),
+        "f_meas": own["f_meas_n"][rows] - force_of_others(rec, name, rig),
     }
+
+
+def force_of_others(rec: Recording, name: str, rig: AxesRig) -> Floats:
+    """Return the force on an axis that is due to the measured motion of the others, N, (n,).
+
+    Args:
+        rec: a recording with several axes; n rows belong to the test proper.
+        name: name of the axis.
+        rig: known properties of the specimen.
+    """
+    rows = rec.running()
+    measured = np.column_stack([rec.axis(one)["x_meas_m"][rows] for one in rec.axis_names])
+    return from_others(rig, rec.axis_names.index(name), measured, 1.0 / rec.fs_hz)
 
 
 def from_others(rig: AxesRig, k: int, x_m: Floats, dt_s: float) -> Floats:

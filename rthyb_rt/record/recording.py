@@ -309,14 +309,28 @@ class Recording:
         raise InputError(f"no channel {name!r}; channels are: {known}", "recording")
 
     def extras(self) -> tuple[Channel, ...]:
-        """Return the extra channels of the rig file, besides displacement and force."""
+        """Return the extra channels of the rig file, besides displacement and force.
+
+        Those of several axes follow one another, in the order of the axes.
+        """
+        return tuple(one for own in self.extras_by_axis().values() for one in own)
+
+    def extras_by_axis(self) -> dict[str, tuple[Channel, ...]]:
+        """Return the extra channels of each axis by its name; that of a single axis is empty."""
         try:
-            sensors = tomllib.loads(self.rig_toml).get("sensors", {})
-            names = [one["name"] for one in sensors.get("extra", ())]
+            rig = tomllib.loads(self.rig_toml)
+            names = {
+                str(axis.get("name", "")): [
+                    one["name"] for one in axis.get("sensors", {}).get("extra", ())
+                ]
+                for axis in rig.get("axis", [rig])
+            }
         except (tomllib.TOMLDecodeError, AttributeError, KeyError, TypeError):
-            return ()
-        own = {channel.name: channel for channel in self.channels}
-        return tuple(own[name] for name in names if name in own)
+            return {}
+        known = {channel.name: channel for channel in self.channels}
+        return {
+            axis: tuple(known[name] for name in own if name in known) for axis, own in names.items()
+        }
 
     def running(self) -> NDArray[np.bool_]:
         """Return which rows belong to the test proper, shape (n,): RUNNING, or all if none is."""

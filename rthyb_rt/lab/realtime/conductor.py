@@ -115,9 +115,12 @@ class Conductor:
         with ExitStack() as undo:
             undo.callback(first.remove)
             owned = undo.enter_context(ExitStack())
-            ways = []
+            ways, channel = [], 0
             for own, at in zip(rigs, opened.all, strict=True):
                 wire = Wire(extras.codec_of(own, at.codec))
+                # A row begins with the extra channels, those of the first axis first.
+                wire.struct.extra_channel = channel
+                channel += len(own.sensors.extra)
                 link = Link(at.kind, at.fd)
                 owned.callback(link.close)
                 ways.append(LoopAxis(wire, link, experiment.calibration(own)))

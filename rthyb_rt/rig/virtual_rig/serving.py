@@ -131,7 +131,7 @@ def drives_of(
         drives.append(
             loop.Drive(
                 plant,
-                codec,
+                extras.codec_of(own, codec),
                 link,
                 stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(own),
                 log_ticks=plan.log_ticks,
