@@ -237,7 +237,8 @@ static int forbid_calls(void)
 
 typedef struct {
     const rthyb_numerical *part;
-    double period_s, k_e_n_per_m;
+    double period_s;
+    const double *k_e_n_per_m; /* row by row */
     double x[RTHYB_INTERFACES_MAX];
     uint32_t tick;
 } course;
@@ -256,8 +257,11 @@ static int answer_once(course *c)
     double force[RTHYB_INTERFACES_MAX];
     const int32_t m = rthyb_numerical_interfaces(c->part);
     const double t = c->tick++ * c->period_s;
-    for (int32_t i = 0; i < m; i++)
-        force[i] = c->k_e_n_per_m * c->x[i];
+    for (int32_t i = 0; i < m; i++) {
+        force[i] = 0.0;
+        for (int32_t j = 0; j < m; j++)
+            force[i] += c->k_e_n_per_m[i * m + j] * c->x[j];
+    }
     return rthyb_numerical_answer(c->part, 0.3 * sin(9.0 * t) + 0.2 * sin(50.0 * t), force, c->x);
 }
 
@@ -301,7 +305,8 @@ static void under_watch(course *c, uint32_t steps)
 }
 
 /* Does not return; reports everything it finds in shared memory. */
-static void child(const rthyb_numerical *part, double period_s, double k_e_n_per_m, uint32_t steps)
+static void child(const rthyb_numerical *part, double period_s, const double *k_e_n_per_m,
+                  uint32_t steps)
 {
     const int crashes[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT, SIGINT, SIGTERM};
     for (size_t i = 0; i < sizeof crashes / sizeof *crashes; i++)
@@ -364,7 +369,7 @@ static int status_of(pid_t process, double most_s)
     return -1;
 }
 
-void rthyb_part_try(const rthyb_numerical *part, double period_s, double k_e_n_per_m,
+void rthyb_part_try(const rthyb_numerical *part, double period_s, const double *k_e_n_per_m,
                     uint32_t steps, double most_s, rthyb_trial *result)
 {
     *result = (rthyb_trial){.ended = RTHYB_TRIAL_NOT_TRIED};

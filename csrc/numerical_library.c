@@ -11,7 +11,8 @@ typedef const rthyb_library_config config;
 
 typedef struct {
     double x[RTHYB_INTERFACES_MAX], x1[RTHYB_INTERFACES_MAX], x2[RTHYB_INTERFACES_MAX];
-    double force[RTHYB_INTERFACES_MAX];
+    double force
+        [RTHYB_INTERFACES_MAX]; /* in the order of the part; the others in that of the program */
     double excitation;
     int64_t refused; /* return value of its init */
 } library_state;
@@ -22,12 +23,24 @@ static void *state_of(const rthyb_numerical *part)
     return c->instance ? c->instance : (void *)((library_state *)part->state + 1);
 }
 
+/* Whether each interface of the part has exactly one place. */
+static int each_once(config *c)
+{
+    uint32_t taken = 0;
+    for (int i = 0; i < c->interfaces; i++) {
+        if (c->place[i] < 0 || c->place[i] >= c->interfaces)
+            return 0;
+        taken |= UINT32_C(1) << c->place[i];
+    }
+    return taken == (UINT32_C(1) << c->interfaces) - 1;
+}
+
 static size_t size(const void *cfg)
 {
     config *c = cfg;
     if (c->interfaces < 1 || c->interfaces > RTHYB_INTERFACES_MAX || c->responses < 0 ||
         c->responses > RTHYB_RESPONSES_MAX || c->state_bytes < 0 ||
-        c->state_bytes > RTHYB_LIBRARY_STATE_MAX)
+        c->state_bytes > RTHYB_LIBRARY_STATE_MAX || !each_once(c))
         return 0;
     return sizeof(library_state) + (c->instance ? 0 : (size_t)c->state_bytes);
 }
@@ -53,6 +66,16 @@ int32_t rthyb_library_refusal(const rthyb_numerical *part)
     return (int32_t)((const library_state *)part->state)->refused;
 }
 
+/* Forces in the order of the part. */
+static const double *taken_forces(config *c, library_state *s, const double *force_n, int *code)
+{
+    for (int i = 0; i < c->interfaces; i++) {
+        double *own = &s->force[c->place[i]];
+        *own = accept(force_n[i], RTHYB_FORCE_MAX_N, *own, code);
+    }
+    return s->force;
+}
+
 /* If a value was not written, or is not a number, the interface stays where it is; a value that is
  * too large is limited. */
 static double taken(double next, double before, int *code)
@@ -72,15 +95,14 @@ static int answer(const rthyb_numerical *part, double excitation, const double *
     double next[RTHYB_INTERFACES_MAX];
     int code = RTHYB_OK;
     s->excitation = accept(excitation, EXCITATION_MAX, s->excitation, &code);
-    for (int i = 0; i < c->interfaces; i++) {
-        s->force[i] = accept(force_n[i], RTHYB_FORCE_MAX_N, s->force[i], &code);
+    const double *force = taken_forces(c, s, force_n, &code);
+    for (int i = 0; i < c->interfaces; i++)
         next[i] = (double)NAN;
-    }
-    const int refused = c->calls.answer(state_of(part), s->excitation, s->force, next) != 0;
+    const int refused = c->calls.answer(state_of(part), s->excitation, force, next) != 0;
     for (int i = 0; i < c->interfaces; i++) {
         s->x2[i] = s->x1[i];
         s->x1[i] = s->x[i];
-        s->x[i] = refused ? s->x[i] : taken(next[i], s->x[i], &code);
+        s->x[i] = refused ? s->x[i] : taken(next[c->place[i]], s->x[i], &code);
         x_next_m[i] = s->x[i];
     }
     return code | (refused ? RTHYB_S_OUT_OF_RANGE : RTHYB_OK);
@@ -98,10 +120,9 @@ static void freeze(const rthyb_numerical *part, const double *force_n)
     config *c = part->cfg;
     library_state *s = part->state;
     int code = RTHYB_OK;
-    for (int i = 0; i < c->interfaces; i++)
-        s->force[i] = accept(force_n[i], RTHYB_FORCE_MAX_N, s->force[i], &code);
+    const double *force = taken_forces(c, s, force_n, &code);
     if (c->calls.freeze)
-        c->calls.freeze(state_of(part), s->force);
+        c->calls.freeze(state_of(part), force);
 }
 
 /* For a part that reports only its position. */

@@ -10,7 +10,13 @@
  * rejects it if a step allocates memory or makes a system call, or takes longer than half a sampling period.
  *
  * All quantities are in SI units. All inputs are finite. An output that is not finite, or exceeds 1 km, is replaced,
- * and this is noted in the recording. With several interfaces, every array has one entry per interface. */
+ * and this is noted in the recording.
+ *
+ * With several interfaces, one for each direction in which the actuators move the specimen, every array has one entry
+ * per interface: m and N for a displacement, rad and N m for a rotation. The test file assigns them to the directions
+ * of the rig by their number, from 1: [[interface]] name = "theta", number = 2.
+ *
+ * A library that was built with version 1 of this header runs unchanged. */
 #ifndef RTHYB_PART_LIBRARY_H
 #define RTHYB_PART_LIBRARY_H
 
@@ -18,12 +24,20 @@
 
 /* cffi: begin */
 
-enum rthyb_library_version { RTHYB_LIBRARY_VERSION = 1 };
+enum rthyb_library_version {
+    RTHYB_LIBRARY_VERSION = 2,
+    RTHYB_LIBRARY_VERSION_FIRST = 1 /* the oldest that is accepted */
+};
 
 typedef struct {
-    double period_s;           /* length of a step */
-    const double *parameter;   /* values from the test file, in the order of rthyb_part_names */
-    const double *k_e_n_per_m; /* elastic stiffness of the specimen at each interface */
+    double period_s;         /* length of a step */
+    const double *parameter; /* values from the test file, in the order of rthyb_part_names */
+    const double
+        *k_e_n_per_m; /* elastic stiffness of the specimen at each interface, the others at rest */
+    /* from version 2 on */
+    int32_t interfaces; /* as returned by rthyb_part_interfaces */
+    const double
+        *stiffness_n_per_m; /* of the elastic specimen, interfaces x interfaces, row by row */
 } rthyb_part_setup;
 
 /* Which names rthyb_part_names is asked for. */
@@ -38,9 +52,9 @@ enum rthyb_part_names_size { RTHYB_PART_NAMES_ROOM = 2048 };
 
 /* ---- required ---- */
 
-/* Return RTHYB_LIBRARY_VERSION. */
+/* Return RTHYB_LIBRARY_VERSION of the header with which the library was built. */
 int32_t rthyb_part_version(void);
-/* Number of interfaces: forces in, displacements out. */
+/* Number of interfaces: forces in, displacements out; one for each direction of the rig, up to 8. */
 int32_t rthyb_part_interfaces(void);
 /* Size of the state in bytes. The program allocates it, zeroed and aligned for a double. It must not contain
  * pointers, so that a copy of the bytes is a copy of the part. */

@@ -31,6 +31,8 @@ typedef struct {
     void *instance;
     int64_t state_bytes; /* only without an instance */
     int32_t interfaces, responses;
+    /* for each interface as the rest of the program counts them: its number in the part, from 0; each once */
+    int32_t place[RTHYB_INTERFACES_MAX];
 } rthyb_library_config;
 
 /* For a part that rthyb_numerical_init rejected: the value returned by the part's own init. */
@@ -103,10 +105,10 @@ typedef struct {
     double step_s, worst_s, answer_s; /* median and largest time of a step; median time of answer */
 } rthyb_trial;
 
-/* Runs a part with an elastic specimen of stiffness k_e in a child process, for `steps` steps (at most 4096) to
- * measure time and as many again with system calls monitored; terminates it after `most_s`. The state of the part
- * itself does not change. */
-void rthyb_part_try(const rthyb_numerical *part, double period_s, double k_e_n_per_m,
+/* Runs a part with an elastic specimen of stiffness k_e (interfaces x interfaces, row by row) in a child process, for
+ * `steps` steps (at most 4096) to measure time and as many again with system calls monitored; terminates it after
+ * `most_s`. The state of the part itself does not change. */
+void rthyb_part_try(const rthyb_numerical *part, double period_s, const double *k_e_n_per_m,
                     uint32_t steps, double most_s, rthyb_trial *result);
 /* cffi: end */
 

@@ -103,3 +103,12 @@ class Maxwell(rt.Element):
         state[1] = state[1] * math.exp(-ratio) + self.k * gain * (x_m - state[0])
         state[0] = x_m
         return float(state[1])
+
+
+class Forgetful(rt.NumericalPart):
+    """Has two interfaces and answers for one."""
+
+    interfaces = 2
+
+    def answer(self, ag_mps2: float, force_n: Any) -> list[float]:
+        return [0.0]

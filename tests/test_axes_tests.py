@@ -180,7 +180,7 @@ def test_what_does_not_fit_the_rig_is_told(old: str, new: str, said: str) -> Non
 
 def test_a_numerical_part_of_one_degree_is_not_for_two_axes() -> None:
     text = TEST[: TEST.index("[numerical")] + "[numerical]\nperiod_s = 1\ndamping_ratio = 0\n"
-    assert "needs storeys, or matrices from a file" in faults(text)[0]
+    assert "needs storeys, matrices from a file, or a part of your own" in faults(text)[0]
 
 
 @pytest.mark.parametrize(

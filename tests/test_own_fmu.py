@@ -4,6 +4,7 @@ fmpy's own master; FMUs that cannot be run are refused with what they lack."""
 from __future__ import annotations
 
 import functools
+import json
 import platform
 import re
 import subprocess
@@ -14,14 +15,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_own_interfaces import K_E as K_TWO
+from test_own_interfaces import by_matrices, close, short
 
 import rthyb_rt as rt
 from rthyb_rt import core
 from rthyb_rt.api import files
-from rthyb_rt.core.numerical_parts import Part
+from rthyb_rt.config import AxesRig
+from rthyb_rt.core import own_parts
+from rthyb_rt.core.numerical_parts import Part, SparsePart
 from rthyb_rt.core.own_fmu import FmuConfig
 from rthyb_rt.core.own_library import tried
-from rthyb_rt.lab import experiment
+from rthyb_rt.core.sparse import SparseConfig, Symmetric
+from rthyb_rt.lab import experiment, several
 
 fmpy = pytest.importorskip("fmpy", reason="has the headers that the tests' FMU is built with")
 SOURCE = Path(__file__).parent / "fmu" / "oscillator.c"
@@ -39,12 +45,18 @@ _VARIABLES = (
     ("m", "parameter", 'start="1000"'), ("c", "parameter", 'start="0"'), ("part.v", "local", ""),
     ("start", "parameter", 'start="0"'),
 )  # fmt: skip
+_SECOND = (
+    ("f2", "input", 'start="0"'), ("x2", "output", ""), ("k", "parameter", 'start="0"'),
+    ("m2", "parameter", 'start="1000"'),
+)  # fmt: skip
 
 
-def description(fmi: int, *, kind: str = "CoSimulation", attributes: str = "") -> str:
-    """modelDescription.xml of the oscillator, as the standard wants it."""
+def description(
+    fmi: int, *, kind: str = "CoSimulation", attributes: str = "", second: bool = False
+) -> str:
+    """modelDescription.xml of the oscillator, as the standard wants it; of both masses or one."""
     rows = []
-    for i, (name, causality, start) in enumerate(_VARIABLES):
+    for i, (name, causality, start) in enumerate((*_VARIABLES, *(_SECOND if second else ()))):
         variability = "tunable" if causality == "parameter" else "continuous"
         about = f'name="{name}" valueReference="{i}" causality="{causality}" '
         about += f'variability="{variability}"'
@@ -267,3 +279,92 @@ def test_a_recording_asks_for_the_very_fmu_that_it_was_made_with(build: Build) -
     assert FmuConfig.of_plain(plain).path == part.path
     with pytest.raises(core.CoreError, match="is not the FMU that was recorded"):
         Part(FmuConfig.of_plain(plain | {"sha256": "0" * 64}))
+
+
+# ---- two interfaces -----------------------------------------------------------------------------
+
+TWO = {"m": 8000.0, "c": 20600.0, "k": 4e5, "m2": 2000.0}
+NAMES = {"force": ["f", "f2"], "displacement": ["x", "x2"], "ground_acceleration": "ag"}
+
+
+def matrices() -> dict[str, Any]:
+    return {
+        "mass": np.diag([TWO["m"], TWO["m2"]]), "damping": np.diag([TWO["c"], 0.0]),
+        "stiffness": TWO["k"] * np.array([[1.0, -1.0], [-1.0, 1.0]]),
+    }  # fmt: skip
+
+
+@BOTH
+@pytest.mark.parametrize("place", [(0, 1), (1, 0)])
+def test_both_interfaces_move_as_the_same_matrices_do(
+    build: Build, fmi: int, place: tuple[int, int]
+) -> None:
+    part = Part(
+        FmuConfig(build(fmi, second=True), K_TWO, ("f", "f2"), ("x", "x2"), "ag",
+                  tuple(TWO.items()), place=place)
+    )  # fmt: skip
+    given = {name: Symmetric.of(matrix) for name, matrix in matrices().items()}
+    whole = SparsePart(
+        SparseConfig(
+            given["mass"], given["stiffness"], np.array([TWO["m"], TWO["m2"]]),
+            (((0, 1.0),), ((1, 1.0),)), (0.0, 0.0), damping_n_s_per_m=given["damping"],
+            integrator="central-difference",
+        )
+    )  # fmt: skip
+    order, found, expected = list(place), [], []
+    for n in range(2000):
+        ag, force = np.sin(n / 90.0), 3e3 * np.cos([n / 70.0, n / 50.0])
+        found.append(part.answer_all(ag, force[order].tolist())[0])
+        expected.append(whole.answer_all(ag, force.tolist())[0])
+        part.advance()
+        whole.advance()
+    peak = np.abs(expected).max(axis=0)
+    # A place of the rig holds the interface of this number.
+    assert np.all(np.abs(np.array(found) - np.array(expected)[:, order]) < 1e-10 * peak[order])
+
+
+@BOTH
+def test_an_fmu_with_two_interfaces_runs_on_two_axes_and_is_replayed(
+    build: Build, fmi: int, tmp_path: Path
+) -> None:
+    fmu = {"file": build(fmi, second=True), **NAMES, "parameters": TWO, "record": ["part.v"]}
+    same = by_matrices(tmp_path, "central-difference", (1.0, 1.0), **matrices())
+    # The window of the force compensation is a share of the period.
+    modes = rt.check(same).document["modes"]
+    period_s = 1.0 / max(modes, key=lambda mode: mode["effective_mass"])["frequency_hz"]
+    test = short(tmp_path, "fmu", fmu, **{"numerical.period_s": period_s})
+    rec, other = rt.run(test), rt.run(same)
+    assert rec.completed
+    close(rec, other)
+    assert rec["fmu_part_v"].any()
+    assert rt.replay(rec).identical
+    rig = files.file_of_rig(test.rig)
+    assert isinstance(rig, AxesRig)
+    setup = several.prepare(files.file_of_test(test), rig, real_time=True)
+    assert setup.controller.interface_count == 2
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ({"force": ["f", "f2"], "displacement": "x"}, "found 1 outputs for 2 forces"),
+        ({"force": ["f", "f"], "displacement": ["x", "x2"]}, 'found "f" twice'),
+        ({"force": [], "displacement": ["x", "x2"]}, "must be the name of a variable"),
+        ({"force": "f", "displacement": "x"}, "number of names in force is 1; it must be 2"),
+        ({"force": ["f", "f3"], "displacement": ["x", "x2"]}, 'has no variable "f3"'),
+        ({"force": ["f", "f2"], "displacement": ["x", "c"]}, '"c" has the causality parameter'),
+    ],
+)
+def test_names_that_leave_an_interface_open_are_refused(
+    build: Build, tmp_path: Path, names: dict[str, Any], said: str
+) -> None:
+    fmu = {"file": build(2, second=True), "ground_acceleration": "ag", "parameters": TWO, **names}
+    with pytest.raises(rt.InputError, match=re.escape(said)):
+        rt.run(short(tmp_path, "fmu", fmu))
+
+
+def test_settings_of_two_interfaces_are_read_back(build: Build) -> None:
+    part = FmuConfig(build(2, second=True), K_TWO, ("f", "f2"), ("x", "x2"), place=(1, 0))
+    found = own_parts.of_plain(json.loads(json.dumps(part.plain())))
+    assert found.plain() == part.plain()
+    assert found.place == (1, 0)

@@ -328,7 +328,7 @@ def test_a_library_without_a_function_is_refused_with_what_it_must_have(tmp_path
 
 def test_another_version_and_too_many_interfaces_are_refused(build: Build) -> None:
     (problem,) = refused(of_test(build("old", VERSION="3")))
-    assert "version 3 of the interface, but this program has version 1" in problem.message
+    assert "version 3 of the interface, but this program accepts versions 1 to 2" in problem.message
     (problem,) = refused(of_test(build("wide", INTERFACES="9")))
     assert "returns 9; it must be from 1 to 8" in problem.message
 

@@ -51,7 +51,7 @@ MEANINGS: dict[str, str] = {
     "LibraryFile.file": "the shared library; a relative path is relative to the folder of the test "
     "file",
     "FmuFile.file": "the FMU; a relative path is relative to the folder of the test file",
-    "FmuFile.force": "input that gets the measured force",
+    "FmuFile.force": "input that gets the measured force; with several interfaces one for each",
     "FmuFile.displacement": "output that the actuator follows",
     "FmuFile.ground_acceleration": "input that gets the ground acceleration; absent: none",
     "Matrices.m_kg": "masses of the degrees of freedom",
@@ -82,6 +82,7 @@ MEANINGS: dict[str, str] = {
     "Nonlinear.between": "between these two degrees of freedom of the matrices",
     "Nonlinear.beside": "true: in addition to the storey's stiffness, not in its place",
     "Interface.dof": "the degree of freedom, or a combination",
+    "Interface.number": "number of the interface of your own numerical part",
     "TakenOut.mass_kg": "the specimen's mass",
     "TakenOut.damping_n_s_per_m": "the specimen's damping",
     "TakenOut.stiffness_n_per_m": "the specimen's stiffness; absent: $k_e$",

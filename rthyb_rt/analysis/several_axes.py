@@ -21,6 +21,7 @@ from rthyb_rt.analysis.summary import Live, Summary, SummaryRow, live, live_noti
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.axes_reference import AxesReference, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
+from rthyb_rt.config.own_structure import OwnStructure
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.testfile import MATRIX
 from rthyb_rt.core import FLAGS, STATES
@@ -142,7 +143,7 @@ class AxesSummary:
     directions: tuple[OfDirection, ...]
     live: Live | None
     signals: Signals
-    structure: SparseStructure
+    structure: SparseStructure | OwnStructure
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures as plain values."""

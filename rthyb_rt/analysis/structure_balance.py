@@ -28,6 +28,7 @@ from rthyb_rt.core.numerical_parts import DensePart, SparsePart
 from rthyb_rt.core.sparse import GROUND, RESPONSES_MAX, Response, SparseConfig
 
 if TYPE_CHECKING:
+    from rthyb_rt.config.own_structure import OwnStructure
     from rthyb_rt.config.sparse_structure import SparseStructure
     from rthyb_rt.record.recording import Recording
 
@@ -54,8 +55,10 @@ def of_recording(rec: Recording) -> EnergyBalance | None:
     return balance(structure.part, rec.time_s()[rows], s["ag_mps2"], x_num, x_meas, f_meas)
 
 
-def of_axes(rec: Recording, structure: SparseStructure) -> EnergyBalance | None:
-    """Return the balance of a recording of several axes; None if it never ran.
+def of_axes(rec: Recording, structure: SparseStructure | OwnStructure) -> EnergyBalance | None:
+    """Return the balance of a recording of several axes.
+
+    None if it never ran, or if the energies within a user-defined part are not known.
 
     Args:
         rec: the recording.
@@ -67,7 +70,7 @@ def of_axes(rec: Recording, structure: SparseStructure) -> EnergyBalance | None:
     from rthyb_rt import config
 
     rows = uninterrupted(rec)
-    if rows.size < 4:
+    if rows.size < 4 or not isinstance(structure.part, SparseConfig):
         return None
     rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
     assert isinstance(rig, config.AxesRig)

@@ -13,6 +13,7 @@ from rthyb_rt.checking.check_tables import loop_rows
 from rthyb_rt.checking.remarks import within_reach
 from rthyb_rt.config import AxesRig, Limit, TestFile
 from rthyb_rt.config.deriving_axes import law_of_axis
+from rthyb_rt.config.own_structure import OwnStructure
 from rthyb_rt.config.testfile import MATRIX
 from rthyb_rt.lab import several
 from rthyb_rt.lab.experiment import Group, Setup
@@ -53,12 +54,18 @@ class ExaminedAxes:
         rig = self.group.rig
         if rig.is_redundant:
             return [("Largest root", "not computed", "the actuators are redundant")]
+        if isinstance(self.group.derived.structure, OwnStructure):
+            return [("Largest root", "not computed", "the matrices of your own part are not known")]
         return loop_rows(self.loop, swept=rig.identified is not None)
 
     def _structure(self) -> Rows:
-        structure = self.group.derived.structure
-        labels = f"{len(structure.labels)} degrees of freedom"
-        rows: Rows = [("Rate", quantity(self.setup.derived.fs_hz, "Hz"), labels)]
+        derived = self.group.derived
+        structure, fs = derived.structure, quantity(derived.fs_hz, "Hz")
+        if isinstance(structure, OwnStructure):
+            stated = quantity(1.0 / derived.first.frequency_hz, "s", digits=4)
+            kind = structure.part.kind
+            return [("Rate", fs, f"a numerical part of your own, {kind}; stated period {stated}")]
+        rows: Rows = [("Rate", fs, f"{len(structure.labels)} degrees of freedom")]
         for i, mode in enumerate(structure.modes()[:MODES]):
             damping = f"damping {percent(mode.damping_ratio)} of critical"
             mass = f"{percent(mode.effective_mass, 3)} of the mass"

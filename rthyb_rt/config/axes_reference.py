@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from rthyb_rt.config.sparse_structure import (
     joint_reference,
 )
 from rthyb_rt.config.testfile import TestFile
+
+if TYPE_CHECKING:
+    from rthyb_rt.config.own_structure import OwnStructure
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +44,7 @@ class AxesReference:
 
 
 def reference_of(
-    test: TestFile, rig: AxesRig, structure: SparseStructure, ag_mps2: Floats
+    test: TestFile, rig: AxesRig, structure: SparseStructure | OwnStructure, ag_mps2: Floats
 ) -> AxesReference:
     """Simulate the structure with the rig file's specimen joined to it.
 
@@ -49,7 +53,11 @@ def reference_of(
         structure: the numerical part, its interfaces in the order of the rig's directions.
         ag_mps2: ground acceleration at every sample, (n,).
     """
-    x, v, force, responses = joint_reference(structure, joint_model(test, rig), ag_mps2)
+    model = joint_model(test, rig)
+    if isinstance(structure, SparseStructure):
+        x, v, force, responses = joint_reference(structure, model, ag_mps2)
+    else:
+        x, v, force, responses = structure.joint_reference(model, ag_mps2)
     tie = rig.core_kinematics()
     axis_m, _ = tie.axes(x)
     if rig.is_redundant or tie.has_forces:

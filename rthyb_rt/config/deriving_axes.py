@@ -20,6 +20,7 @@ from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical_structure import Mode
+    from rthyb_rt.config.own_structure import OwnStructure
     from rthyb_rt.config.sparse_structure import SparseStructure
 
 Rows = Sequence[Sequence[float]]
@@ -32,6 +33,8 @@ class AxesDerived:
     Attributes:
         fs_hz: sample rate.
         structure: the numerical part, its interfaces in the order of the rig's directions.
+        first: the mode with the largest participation in the ground motion; for a user-defined
+            part, period and damping as stated in the test.
         axis: the figures of each axis with the others at rest: control law, noise, limits, force
             compensation; its period is that of the structure.
         k_e: elastic stiffness of the specimen along the interface, (directions, directions).
@@ -39,7 +42,8 @@ class AxesDerived:
     """
 
     fs_hz: float
-    structure: SparseStructure
+    structure: SparseStructure | OwnStructure
+    first: Mode
     axis: tuple[Derived, ...]
     k_e: Rows
     notes: tuple[str, ...] = ()
@@ -68,11 +72,8 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
     rate = Rate(test.test.sample_rate_hz)
     if problems:
         raise InputError(problems)
-    try:
-        structure = structure_of_test(test, rig.k_e, rate.period_s)
-    except CoreError as error:
-        raise InputError(str(error), "numerical") from error
-    first, found, notes = structure.first(), list[Derived](), list[str]()
+    found, notes = list[Derived](), list[str]()
+    structure, first = _structure(test, rig, rate, notes)
     if first.frequency_hz > 0.25 * rate.hz:
         raise InputError(
             f"the mode with the largest effective mass is at {first.frequency_hz:.4g} Hz, which "
@@ -92,7 +93,59 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
         notes += [f"axis {name}: {note}" for note in own.notes]
     if problems:
         raise InputError(problems)
-    return AxesDerived(rate.hz, structure, tuple(found), rig.k_e, tuple(notes))
+    return AxesDerived(rate.hz, structure, first, tuple(found), rig.k_e, tuple(notes))
+
+
+def _structure(
+    test: TestFile, rig: AxesRig, rate: Rate, notes: list[str]
+) -> tuple[SparseStructure | OwnStructure, Mode]:
+    """Return the numerical part and its dominant mode.
+
+    Raises:
+        InputError: with everything that is incompatible.
+    """
+    if test.numerical.own is None:
+        try:
+            structure = structure_of_test(test, rig.k_e, rate.period_s)
+        except CoreError as error:
+            raise InputError(str(error), "numerical") from error
+        return structure, structure.first()
+    from rthyb_rt.config.own_deriving import structure_of
+
+    stated, problems = _stated(test.numerical), list[Problem]()
+    own = structure_of(test, rig.k_e, (rate.period_s, 1.0 / stated.frequency_hz), problems, notes)
+    if own is None:
+        raise InputError(problems)
+    return own, stated
+
+
+def _stated(numerical: Numerical) -> Mode:
+    """Return the dominant mode of a structure with a user-defined part, as its file states it.
+
+    Raises:
+        InputError: it states a mass or a damping coefficient, which do not determine it.
+    """
+    from rthyb_rt.config.numerical_structure import Mode
+
+    problems = [
+        Problem(
+            f"numerical.{key}",
+            f"found {getattr(numerical, key):g} {unit}; on a rig with several axes a single "
+            f"{what} does not describe the structure: state period_s and damping_ratio of its "
+            "dominant mode instead, with the specimen",
+        )
+        for key, unit, what in (
+            ("mass_kg", "kg", "mass"),
+            ("damping_n_s_per_m", "N s/m", "damping coefficient"),
+            ("stiffness_n_per_m", "N/m", "stiffness"),
+        )
+        if getattr(numerical, key)
+    ]
+    if problems:
+        raise InputError(problems)
+    assert numerical.period_s is not None
+    assert numerical.damping_ratio is not None
+    return Mode(1.0 / numerical.period_s, numerical.damping_ratio, (), 1.0, 0.0)
 
 
 def in_order(test: TestFile, rig: AxesRig) -> TestFile:
@@ -101,10 +154,10 @@ def in_order(test: TestFile, rig: AxesRig) -> TestFile:
     Raises:
         InputError: names or numbers are incompatible, or the numerical part has no interfaces.
     """
-    if test.numerical.structure is None:
+    if test.numerical.structure is None and test.numerical.own is None:
         raise InputError(
-            "a rig with several axes needs storeys, or matrices from a file; the short form and "
-            "matrices in the test file are for one actuator",
+            "a rig with several axes needs storeys, matrices from a file, or a part of your own; "
+            "the short form and matrices in the test file are for one actuator",
             "numerical",
         )
     given = {one.name: one for one in test.interface}

@@ -9,7 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError
 
-from rthyb_rt.config.fields import SOME_TEXT, Names, Range, Reader, Table, Text, explained, written
+from rthyb_rt.config.fields import (
+    SOME_TEXT,
+    Condition,
+    Names,
+    Range,
+    Reader,
+    Table,
+    Text,
+    explained,
+    written,
+)
+from rthyb_rt.core.sizes import COUPLED_MAX
 
 if TYPE_CHECKING:
     from rthyb_rt.core import ElementConfig
@@ -18,6 +29,8 @@ if TYPE_CHECKING:
 PYTHON: Final = "python"
 """The type of a control law, or the kind of an element, that is a class in Python."""
 MOST_SETTINGS: Final = 256
+INTERFACES: Final = COUPLED_MAX
+"""Largest number of directions that actuators move; it equals the number of axes."""
 _NAME: Final = re.compile(r"[A-Za-z_][\w.\[\],]{0,127}")
 _CLASS: Final = Text(
     "the class",
@@ -99,6 +112,44 @@ class Settings(Reader):
         return {"type": "object", "additionalProperties": either, "description": self.what}
 
 
+@dataclass(frozen=True)
+class OnePerInterface(Reader):
+    """The name of a variable, or a list with one for each interface."""
+
+    what: str
+    form: ClassVar[str] = "name, or list of different names"
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return (
+            f"{self.what} must be the name of a variable, or, with several interfaces, a list of "
+            f"up to {INTERFACES} different names in the order of their numbers"
+        )
+
+    def read(self, value: object) -> str | list[str]:
+        """Return the name or the names; raise an explained error if they are invalid."""
+        if isinstance(value, str):
+            return SOME_TEXT.read(value)
+        if isinstance(value, list) and value:
+            return Names(self.what, INTERFACES).read(value)
+        raise explained(f"found {written(value)}; {self.allowed()}")
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe both forms."""
+        one = {"type": "string", "minLength": 1}
+        several = {"type": "array", "items": one, "minItems": 1, "maxItems": INTERFACES}
+        return {"anyOf": [one, several], "description": self.what}
+
+
+def _as_many(force: str | list[str], displacement: str | list[str]) -> str | None:
+    given, asked = (len(names) if isinstance(names, list) else 1 for names in (displacement, force))
+    if given == asked:
+        return None
+    return f"found {given} outputs for {asked} forces; each interface needs one of both"
+
+
 class LibraryFile(Table):
     """A user-defined numerical part in a shared library (``rthyb_library.h``).
 
@@ -112,13 +163,18 @@ class LibraryFile(Table):
 class FmuFile(Table):
     """A numerical part in an FMU for co-simulation, FMI 2 or 3, by the names of its variables.
 
-    ``force`` and ``ground_acceleration`` are inputs, ``displacement`` is an output; ``record``
-    names further variables to record. ``parameters`` are start values.
+    ``force`` and ``ground_acceleration`` are inputs, ``displacement`` is an output; with several
+    interfaces, ``force`` and ``displacement`` are lists. ``record`` names further variables to
+    record. ``parameters`` are start values.
     """
 
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("displacement", ("force", "displacement"), _as_many),
+    )
+
     file: Annotated[str, SOME_TEXT]
-    force: Annotated[str, SOME_TEXT]
-    displacement: Annotated[str, SOME_TEXT]
+    force: Annotated[str | list[str], OnePerInterface("the input for the force")]
+    displacement: Annotated[str | list[str], OnePerInterface("the output with the displacement")]
     ground_acceleration: Annotated[str, SOME_TEXT] | None = None
     parameters: Annotated[dict[str, float], NamedParameters()] = Field(default_factory=dict)
     record: Annotated[list[str], Names("the quantities to record", 20)] = Field(

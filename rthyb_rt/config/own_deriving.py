@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rthyb_rt.config.own import PythonClass
-from rthyb_rt.config.own_structure import OwnStructure, build, period_note
+from rthyb_rt.config.own_structure import OwnStructure, Rows, build, period_note
 from rthyb_rt.config.rigfile import RigFile
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.core import CoreError, own
@@ -39,7 +39,7 @@ def check_classes(test: TestFile, rig: RigFile) -> None:
 
 def structure_of(
     test: TestFile,
-    k_e_n_per_m: float,
+    k_e_n_per_m: float | Rows,
     periods_s: tuple[float, float],
     problems: list[Problem],
     notes: list[str],
@@ -48,7 +48,8 @@ def structure_of(
 
     Args:
         test: the test.
-        k_e_n_per_m: elastic stiffness of the rig's specimen.
+        k_e_n_per_m: elastic stiffness of the rig's specimen; with several axes its rows, in the
+            order of the interfaces.
         periods_s: sampling period; stated period of the whole structure.
         problems, notes: receive what is found.
 
@@ -69,7 +70,7 @@ def structure_of(
         )
         return None
     try:
-        structure = build(given, k_e_n_per_m, step_s)
+        structure = build(given, k_e_n_per_m, step_s, test.interface)
     except InputError as error:
         problems += error.problems
         return None

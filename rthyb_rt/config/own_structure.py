@@ -13,15 +13,19 @@ from numpy.typing import ArrayLike, NDArray
 from rthyb_rt import core
 from rthyb_rt.config.numerical_structure import Mode
 from rthyb_rt.config.own import FmuFile, LibraryFile, PythonClass
+from rthyb_rt.config.sparse_structure import JointModel
+from rthyb_rt.config.structures import Interface
 from rthyb_rt.core import CoreError, ElementConfig
 from rthyb_rt.core.numerical_parts import Part
 from rthyb_rt.core.own import PythonPartConfig
 from rthyb_rt.core.own_fmu import FmuConfig
-from rthyb_rt.core.own_library import FEW_STEPS, LibraryConfig, load, tried
+from rthyb_rt.core.own_interfaces import IN_ORDER, Places, Stiffness, rows_of
+from rthyb_rt.core.own_library import FEW_STEPS, LibraryConfig, tried
 from rthyb_rt.core.own_parts import OwnPartConfig
 from rthyb_rt.errors import InputError
 
 Floats = NDArray[np.float64]
+Rows = Sequence[Sequence[float]]
 
 PERIODS: Final = 24
 """Number of stated periods of free vibration after a pulse, to verify the stated period."""
@@ -47,10 +51,18 @@ class OwnStructure:
         """Return no modes: the matrices of the part are not known."""
         return ()
 
+    @property
+    def stiffness(self) -> Floats:
+        """The specimen's elastic stiffness along the interface, (m, m)."""
+        return np.array(rows_of(self.part.k_e_n_per_m))
+
     def reference(
         self, elements: Sequence[ElementConfig], ag_mps2: ArrayLike
     ) -> tuple[Floats, Floats, Floats]:
-        """Simulate the part joined to a model of the specimen; return the interface's motion."""
+        """Simulate the part joined to a model of the specimen; return the interface's motion.
+
+        For a part with one interface.
+        """
         return self.whole_reference(elements, ag_mps2)[:3]
 
     def whole_reference(
@@ -69,10 +81,48 @@ class OwnStructure:
         ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
         return Part(self.part).joined(elements, ag, len(self.part.responses))
 
+    def joint_reference(
+        self, model: JointModel, ag_mps2: ArrayLike
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Simulate a part with several interfaces joined to a model of the specimen.
+
+        As with one interface, the model acts entirely as a force. Velocity and acceleration are
+        those that the core derives from the displacements of a part that reports no others.
+
+        Args:
+            model: the specimen.
+            ag_mps2: ground acceleration at every sample, (n,).
+
+        Returns:
+            Displacement, velocity and force along the interface, (n, m) each; the values that the
+            part reports, (n, responses).
+        """
+        ag = np.atleast_1d(np.asarray(ag_mps2, dtype=np.float64))
+        part, h = Part(self.part), self.part.period_s
+        shape, count = (ag.size, len(self.stiffness)), len(self.part.responses)
+        x, v, force = np.empty(shape), np.empty(shape), np.empty(shape)
+        values = np.empty((ag.size, count))
+        elements = [(along, core.Element(one)) for along, one in model.elements]
+        for i, excitation in enumerate(ag.tolist()):
+            x[i], v[i], a = part.motion()
+            force[i] = model.stiffness @ x[i] + model.damping @ v[i] + model.mass @ a
+            for along, one in elements:
+                force[i, along] += one.force(
+                    float(x[i, along]), float(v[i, along]), float(a[along]), h
+                )
+            part.answer_all(excitation, force[i].tolist())
+            values[i] = part.reported(count)
+            part.advance()
+        return x, v, force, values
+
     def elastic_displacement_m(self, ag_mps2: ArrayLike) -> Floats:
-        """Return the displacement of the interface with an elastic specimen, (n,)."""
-        model = [core.element("stiffness", k_n_per_m=self.part.k_e_n_per_m)]
-        return self.reference(model, ag_mps2)[0]
+        """Return the displacement with an elastic specimen, (n,) or, of several, (n, m)."""
+        k_e = self.stiffness
+        if len(k_e) == 1:
+            model = [core.element("stiffness", k_n_per_m=float(k_e[0, 0]))]
+            return self.reference(model, ag_mps2)[0]
+        none = np.zeros_like(k_e)
+        return self.joint_reference(JointModel(k_e, none, none), ag_mps2)[0]
 
 
 def place_of(given: LibraryFile | FmuFile | PythonClass) -> str:
@@ -82,14 +132,19 @@ def place_of(given: LibraryFile | FmuFile | PythonClass) -> str:
 
 
 def build(
-    given: LibraryFile | FmuFile | PythonClass, k_e_n_per_m: float, period_s: float
+    given: LibraryFile | FmuFile | PythonClass,
+    k_e_n_per_m: float | Rows,
+    period_s: float,
+    interfaces: Sequence[Interface] = (),
 ) -> OwnStructure:
     """Return the part that a test file names, loaded and tried out.
 
     Args:
         given: its table.
-        k_e_n_per_m: elastic stiffness of the rig's specimen.
+        k_e_n_per_m: elastic stiffness of the rig's specimen; with several axes, its rows along the
+            interfaces, in their order.
         period_s: sampling period.
+        interfaces: tables with the numbers of its interfaces; none for a rig with one axis.
 
     Raises:
         InputError: it cannot be loaded, rejects its settings, crashes, or does not return.
@@ -97,10 +152,10 @@ def build(
     """
     place = place_of(given)
     try:
-        part = _config(given, k_e_n_per_m, period_s)
+        place_in_part = tuple((one.number or 1) - 1 for one in interfaces) or IN_ORDER
+        part = _config(given, _stiffness(k_e_n_per_m), period_s, place_in_part)
         names = tuple(one.name for one in part.responses)
-        if isinstance(part, LibraryConfig):
-            _require_one_interface(part)
+        _require_interfaces(part)
     except CoreError as error:
         raise InputError(str(error), f"{place}.{_key(given)}") from error
     try:
@@ -112,13 +167,33 @@ def build(
     return OwnStructure(part, names)
 
 
-def _require_one_interface(part: LibraryConfig) -> None:
-    found = load(part.path).interfaces
-    if found != 1:
-        raise CoreError(
-            f"{part.path}: rthyb_part_interfaces returns {found}; it must be 1, because a test "
-            "with a user-defined numerical part has one actuator"
-        )
+def _stiffness(given: float | Rows) -> Stiffness:
+    if isinstance(given, (int, float)):
+        return float(given)
+    return tuple(tuple(float(k) for k in row) for row in given)
+
+
+def _require_interfaces(part: OwnPartConfig) -> None:
+    """Reject a part with more or fewer interfaces than the rig has directions.
+
+    Raises:
+        CoreError: states both numbers.
+    """
+    found, wanted = part.interfaces, len(rows_of(part.k_e_n_per_m))
+    if found == wanted:
+        return
+    what = {
+        "library": "rthyb_part_interfaces returns",
+        "fmu": "the number of names in force is",
+        "python": "its attribute interfaces is",
+    }[part.kind]
+    name = part.own.name if isinstance(part, PythonPartConfig) else part.path
+    rig = (
+        "the rig has one axis, which moves the specimen in one direction"
+        if wanted == 1
+        else f"the axes of the rig move the specimen in {wanted} directions"
+    )
+    raise CoreError(f"{name}: {what} {found}; it must be {wanted}, because {rig}")
 
 
 def _key(given: LibraryFile | FmuFile | PythonClass) -> str:
@@ -126,17 +201,24 @@ def _key(given: LibraryFile | FmuFile | PythonClass) -> str:
 
 
 def _config(
-    given: LibraryFile | FmuFile | PythonClass, k_e_n_per_m: float, period_s: float
+    given: LibraryFile | FmuFile | PythonClass,
+    k_e_n_per_m: Stiffness,
+    period_s: float,
+    place: Places,
 ) -> OwnPartConfig:
     if isinstance(given, PythonClass):
-        return PythonPartConfig(given.own, k_e_n_per_m, period_s)
+        return PythonPartConfig(given.own, k_e_n_per_m, period_s, place)
     path = str(Path(given.file).resolve())
     parameters = tuple(given.parameters.items())
     if isinstance(given, LibraryFile):
-        return LibraryConfig(path, k_e_n_per_m, parameters, period_s)
+        return LibraryConfig(path, k_e_n_per_m, parameters, period_s, place=place)
+    force, displacement = (
+        tuple(names) if isinstance(names, list) else names
+        for names in (given.force, given.displacement)
+    )
     return FmuConfig(
-        path, k_e_n_per_m, given.force, given.displacement, given.ground_acceleration, parameters,
-        tuple(given.record), period_s,
+        path, k_e_n_per_m, force, displacement, given.ground_acceleration, parameters,
+        tuple(given.record), period_s, place=place,
     )  # fmt: skip
 
 
@@ -193,7 +275,9 @@ def period_note(structure: OwnStructure, stated_s: float) -> str | None:
     ticks = int(min(MOST_TICKS, max(64, round(PERIODS * stated_s / h))))
     pulse = np.zeros(ticks)
     pulse[: max(1, round(0.25 * stated_s / h))] = 1.0
-    x = structure.elastic_displacement_m(pulse)
+    # Rotations and displacements are compared by the energy that they store in the specimen.
+    stiffness = np.sqrt(np.abs(np.diag(structure.stiffness)))
+    x = structure.elastic_displacement_m(pulse).reshape(ticks, -1) * stiffness
     fourth = ticks // 4
     if np.abs(x[-fourth:]).max() > 2.0 * np.abs(x[:fourth]).max() > 0.0:
         return (
@@ -202,11 +286,13 @@ def period_note(structure: OwnStructure, stated_s: float) -> str | None:
             "is too long"
         )
     free = x[fourth // 2 :]
-    spectrum = np.abs(np.fft.rfft((free - free.mean()) * np.hanning(free.size), 8 * free.size))
+    rows = len(free)
+    shown = (free - free.mean(axis=0)) * np.hanning(rows)[:, None]
+    spectrum = np.linalg.norm(np.fft.rfft(shown, 8 * rows, axis=0), axis=1)
     at = int(np.argmax(spectrum))
     if at == 0 or not spectrum[at] > 0.0:
         return None
-    found_s = 8 * free.size * h / at
+    found_s = 8 * rows * h / at
     if abs(found_s / stated_s - 1.0) <= FAR:
         return None
     return (

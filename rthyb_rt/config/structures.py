@@ -26,16 +26,14 @@ from rthyb_rt.config.fields import (
 )
 from rthyb_rt.config.limits import ForceLimit, Limit
 from rthyb_rt.config.numerical import TakenOut
+from rthyb_rt.config.own import INTERFACES
 from rthyb_rt.config.rigfile import SpecimenElement
-from rthyb_rt.core.sizes import COUPLED_MAX
 
 MOST_STOREYS: Final = 500
 MOST_TERMS: Final = 16
 MOST_RECORDED: Final = 20
 """Largest number of recorded quantities; control law and virtual rig also need channels."""
 DAMPED_MODES: Final = 64
-INTERFACES: Final = COUPLED_MAX
-"""Largest number of directions that actuators move; it equals the number of axes."""
 WRITTEN_OUT: Final = "written out"
 FROM_FILE: Final = "from a file"
 """The forms of ``[numerical.matrices]``; as part of an error's place, they cannot be keys."""
@@ -359,11 +357,15 @@ class Interface(Table):
     """What the actuators move in the structure: a storey's drift, or degrees of freedom.
 
     One for each direction named in the rig's kinematics, with its name; with one axis, any name.
+    ``number`` is that of an interface of your own numerical part, from 1.
     """
 
-    choices: ClassVar[tuple[Alternatives, ...]] = (Alternatives(("storey", "dof"), required=True),)
+    choices: ClassVar[tuple[Alternatives, ...]] = (
+        Alternatives(("storey", "dof", "number"), required=True),
+    )
 
     name: Annotated[str, SLUG] = "x"
     storey: Annotated[int, Count(1, MOST_STOREYS, "the storey")] | None = None
     dof: Annotated[list[list[Any]], Terms("the degree of freedom")] | None = None
+    number: Annotated[int, Count(1, INTERFACES, "the number of the interface")] | None = None
     limits: InterfaceLimits = Field(default_factory=InterfaceLimits)

@@ -32,11 +32,10 @@ from rthyb_rt.config.fields import (
 from rthyb_rt.config.history import History
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
-from rthyb_rt.config.own import PYTHON, FmuFile, LibraryFile, PythonClass
+from rthyb_rt.config.own import INTERFACES, PYTHON, FmuFile, LibraryFile, PythonClass
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
 from rthyb_rt.config.structures import (
     FROM_FILE,
-    INTERFACES,
     MOST_RECORDED,
     WRITTEN_OUT,
     Damping,
@@ -459,12 +458,34 @@ class Reference(Table):
 
 
 def _something_to_move(numerical: Numerical, interface: list[Interface]) -> str | None:
-    if interface and numerical.structure is None:
+    if interface and numerical.structure is None and numerical.own is None:
         return (
-            "[[interface]] needs a structure given by storeys or by matrices from a file; a "
-            "numerical part with one degree of freedom, or with matrices in the test file, already "
-            "determines what the actuator moves: remove [[interface]]"
+            "[[interface]] needs a structure given by storeys or by matrices from a file, or a "
+            "part of your own; a numerical part with one degree of freedom, or with matrices in "
+            "the test file, already determines what the actuator moves: remove [[interface]]"
         )
+    return None
+
+
+def _numbered(numerical: Numerical, interface: list[Interface]) -> str | None:
+    """Check that the interfaces of your own part, and only they, are given by their number."""
+    if numerical.structure is None and numerical.own is None:
+        return None
+    numbers = [one.number for one in interface]
+    for i, one in enumerate(interface, 1):
+        if numerical.own is not None and one.number is None:
+            return (
+                f"interface {i} has no number; a numerical part of your own has interfaces by "
+                f"their number: write number = {i} instead"
+            )
+        if numerical.own is None and one.number is not None:
+            return (
+                f"interface {i} has number = {one.number}, which is for a numerical part of your "
+                "own; in a structure give its storey or dof"
+            )
+    if numerical.own is not None and sorted(filter(None, numbers)) != [*range(1, len(numbers) + 1)]:
+        found = ", ".join(map(str, numbers))
+        return f"found the numbers {found}; each of 1 to {len(numbers)} must occur once"
     return None
 
 
@@ -500,6 +521,7 @@ class TestFile(WholeFile):
     checks: ClassVar[tuple[Condition, ...]] = (
         Condition("interface", ("numerical", "interface"), _something_to_move),
         Condition("interface", ("interface",), _interfaces_differ),
+        Condition("interface", ("numerical", "interface"), _numbered),
     )
 
     __test__: ClassVar[bool] = False

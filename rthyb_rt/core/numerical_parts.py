@@ -71,13 +71,26 @@ class Part:
 
     def look(self) -> Any:
         """Return the state of the first interface at t_n as ``rthyb_interface``."""
+        return self._look()[0]
+
+    def _look(self) -> Any:
         all_of_them = ffi.new("rthyb_interface[]", self._interfaces)
         lib.rthyb_numerical_look(self._c, all_of_them)
-        return all_of_them[0]
+        return all_of_them
+
+    def motion(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return displacement, velocity and acceleration of all interfaces at t_n, (m,) each."""
+        found = np.array([(one.x, one.v, one.a) for one in self._look()])
+        return found[:, 0], found[:, 1], found[:, 2]
 
     def freeze(self, force_n: float) -> None:
         """Handle a tick in which the interface, under this force, follows a path."""
-        self._forces[0] = force_n
+        self.freeze_all([force_n])
+
+    def freeze_all(self, force_n: Sequence[float]) -> None:
+        """Handle such a tick of all interfaces, with a force at each, (m,)."""
+        for i, force in enumerate(force_n):
+            self._forces[i] = force
         lib.rthyb_numerical_freeze(self._c, self._forces)
         raise_pending()
 

@@ -17,10 +17,22 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Self, TypeVar
 
+import numpy as np
+
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.laws import LawDescription, Value
 from rthyb_rt.core.library import CoreError
-from rthyb_rt.core.own_library import RESPONSES_MAX, Recorded, fill_setup
+from rthyb_rt.core.own_interfaces import (
+    IN_ORDER,
+    Places,
+    Stiffness,
+    fill_setup,
+    interfaces_of_plain,
+    own_stiffness,
+    plain_interfaces,
+    rows_of,
+)
+from rthyb_rt.core.own_library import RESPONSES_MAX, Recorded
 from rthyb_rt.core.pending import OwnCodeError, guarded
 from rthyb_rt.core.sizes import PERIOD_S
 
@@ -58,9 +70,13 @@ class Own:
 class NumericalPart(Own):
     """A numerical part in Python: a class with ``answer``, and whatever else it needs.
 
-    It starts at rest at zero displacement. All quantities are in SI units.
+    It starts at rest at zero displacement. All quantities are in SI units: for a rotation the
+    displacement is in rad and the force in N m.
 
     Attributes:
+        interfaces: number of directions in which the actuators move the specimen. With more than
+            one, force and displacement are arrays, (interfaces,), and the stiffness of the specimen
+            is a matrix, (interfaces, interfaces).
         responses: names and units of the values that `report` returns; each becomes a channel of
             the recording.
 
@@ -79,19 +95,20 @@ class NumericalPart(Own):
     """
 
     what: ClassVar[str] = "a numerical part"
+    interfaces: int = 1
     responses: ClassVar[Mapping[str, str]] = {}
 
-    def begin(self, period_s: float, k_e_n_per_m: float) -> None:
+    def begin(self, period_s: float, k_e_n_per_m: Any) -> None:
         """Start at rest at zero, with the sampling period and the specimen's elastic stiffness."""
 
-    def answer(self, ag_mps2: float, force_n: float) -> float:
+    def answer(self, ag_mps2: float, force_n: Any) -> Any:
         """Return the displacement at t[n+1], m, from ground acceleration and force at t[n]."""
         raise NotImplementedError(f"{type(self).__name__} has no method answer(ag_mps2, force_n)")
 
     def advance(self) -> None:
         """Do the rest of the step after the command has been sent."""
 
-    def freeze(self, force_n: float) -> None:
+    def freeze(self, force_n: Any) -> None:
         """Handle a tick in which a ramp or a hold controls the actuator: the part's time stops."""
 
     def report(self) -> Sequence[float]:
@@ -283,11 +300,15 @@ def spelled(made: Own) -> OwnClass:
 
 @dataclass(frozen=True)
 class PythonPartConfig:
-    """Settings of a numerical part that is a class in Python."""
+    """Settings of a numerical part that is a class in Python.
+
+    ``k_e_n_per_m`` and ``place`` are as for `fill_setup`.
+    """
 
     own: OwnClass
-    k_e_n_per_m: float
+    k_e_n_per_m: Stiffness
     period_s: float = PERIOD_S
+    place: Places = IN_ORDER
 
     kind: ClassVar[str] = "python"
     what: ClassVar[str] = "the numerical part"
@@ -302,6 +323,21 @@ class PythonPartConfig:
         kind = self.own.found(NumericalPart)
         return tuple(Recorded(name, unit) for name, unit in kind.responses.items())
 
+    @property
+    def interfaces(self) -> int:
+        """The number of its interfaces.
+
+        Raises:
+            CoreError: it cannot be imported, or the number is not a whole number from 1.
+            OwnCodeError: it raised an error when it was created.
+        """
+        found = self.own.made(NumericalPart).interfaces
+        if isinstance(found, bool) or not isinstance(found, int) or found < 1:
+            raise CoreError(
+                f"{self.own.name} has interfaces = {found!r}; it must be a whole number from 1"
+            )
+        return found
+
     def struct(self) -> list[Any]:
         """Return the ``rthyb_library_config`` of the C core, and the objects that must outlive it.
 
@@ -313,24 +349,23 @@ class PythonPartConfig:
             raise CoreError(
                 f"{self.own.name} has {len(names)} responses; at most {RESPONSES_MAX} are allowed"
             )
-        self.own.made(NumericalPart)
-        kept = fill_setup(cfg.setup, [], self.k_e_n_per_m, self.period_s)
+        kept = fill_setup(cfg, self, self.interfaces, [])
         calls = _part_calls(self, [one.name for one in names])
         for name, call in calls.items():
             setattr(cfg.calls, name, call)
-        cfg.interfaces, cfg.responses = 1, len(names)
+        cfg.responses = len(names)
         return [cfg, kept, calls]
 
     def plain(self) -> dict[str, Any]:
         """Return everything as plain values for a recording; `of_plain` restores it."""
         own = self.own.plain()
-        return {"kind": self.kind, **own, "k_e_n_per_m": self.k_e_n_per_m,
-                "period_s": self.period_s}  # fmt: skip
+        return {"kind": self.kind, **own, "period_s": self.period_s, **plain_interfaces(self)}
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> PythonPartConfig:
         """Return the settings that `plain` described; raises ``KeyError`` or similar."""
-        return cls(OwnClass.of_plain(plain), plain["k_e_n_per_m"], plain["period_s"])
+        own = OwnClass.of_plain(plain)
+        return cls(own, period_s=plain["period_s"], **interfaces_of_plain(plain))
 
 
 _PART_CALLS: Final = dict(ffi.typeof("rthyb_part_calls").fields)
@@ -339,15 +374,30 @@ _PART_CALLS: Final = dict(ffi.typeof("rthyb_part_calls").fields)
 def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any]:
     """Return the functions that C calls; each ``init`` creates a new object."""
     at: dict[str, NumericalPart] = {}
+    count = len(rows_of(config.k_e_n_per_m))
+
+    def forces(force_n: Any) -> Any:
+        return force_n[0] if count == 1 else np.array(ffi.unpack(force_n, count))
 
     def init(_state: Any, _setup: Any) -> int:
         part = config.own.made(NumericalPart)
-        part.begin(config.period_s, config.k_e_n_per_m)
+        stiffness = own_stiffness(config)
+        part.begin(config.period_s, stiffness[0][0] if count == 1 else np.array(stiffness))
         at["part"] = part
         return 0
 
     def answer(_state: Any, ag_mps2: float, force_n: Any, x_next_m: Any) -> int:
-        x_next_m[0] = at["part"].answer(ag_mps2, force_n[0])
+        found = at["part"].answer(ag_mps2, forces(force_n))
+        if count == 1:
+            x_next_m[0] = found
+            return 0
+        next_m = list(found)
+        if len(next_m) != count:
+            raise ValueError(
+                f"answer() returned {len(next_m)} displacements; it must return one for each of "
+                f"the {count} interfaces"
+            )
+        x_next_m[0:count] = next_m
         return 0
 
     def advance(_state: Any) -> int:
@@ -355,7 +405,7 @@ def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any
         return 0
 
     def freeze(_state: Any, force_n: Any) -> None:
-        at["part"].freeze(force_n[0])
+        at["part"].freeze(forces(force_n))
 
     def report(_state: Any, values: Any) -> None:
         reported = list(at["part"].report())

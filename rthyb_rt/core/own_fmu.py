@@ -20,12 +20,19 @@ from xml.etree import ElementTree
 
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.library import CoreError
+from rthyb_rt.core.own_interfaces import (
+    IN_ORDER,
+    Places,
+    Stiffness,
+    fill_setup,
+    interfaces_of_plain,
+    plain_interfaces,
+)
 from rthyb_rt.core.own_library import (
     Recorded,
     Values,
     address,
     check_meant,
-    fill_setup,
     hash_of,
     opened,
 )
@@ -201,19 +208,21 @@ def _variables(tree: ElementTree.Element) -> dict[str, Variable]:
 class FmuConfig:
     """Settings of a numerical part in an FMU, by the names of its variables.
 
-    ``parameters`` are start values by name; ``record`` lists further variables to record;
-    ``sha256`` is that of the required file, "" to accept any file.
+    ``force`` and ``displacement`` have one name for each interface, ``k_e_n_per_m`` and ``place``
+    are as for `fill_setup`. ``parameters`` are start values by name; ``record`` lists further
+    variables to record; ``sha256`` is that of the required file, "" to accept any file.
     """
 
     path: str
-    k_e_n_per_m: float
-    force: str
-    displacement: str
+    k_e_n_per_m: Stiffness
+    force: str | tuple[str, ...]
+    displacement: str | tuple[str, ...]
     ground_acceleration: str | None = None
     parameters: Values = ()
     record: tuple[str, ...] = ()
     period_s: float = PERIOD_S
     sha256: str = ""
+    place: Places = IN_ORDER
 
     kind: ClassVar[str] = "fmu"
     what: ClassVar[str] = "the FMU"
@@ -230,6 +239,11 @@ class FmuConfig:
         sha256 = hash_of(Path(self.path))
         check_meant(self.path, sha256, self.sha256, self.what)
         return unpacked(self.path, sha256)
+
+    @property
+    def interfaces(self) -> int:
+        """The number of its interfaces."""
+        return len(_several(self.force))
 
     @property
     def responses(self) -> tuple[Recorded, ...]:
@@ -258,9 +272,14 @@ class FmuConfig:
         names = [name for name, _ in self.parameters]
         if len(names) > lib.RTHYB_FMU_PARAMETERS_MAX:
             raise CoreError(f"parameters: at most {lib.RTHYB_FMU_PARAMETERS_MAX} can be set")
-        kept = fill_setup(cfg.setup, [v for _, v in self.parameters], self.k_e_n_per_m,
-                          self.period_s)  # fmt: skip
-        own.fmi, own.interfaces = fmu.fmi, 1
+        forces, displacements = _several(self.force), _several(self.displacement)
+        if len(forces) != len(displacements):
+            raise CoreError(
+                f"displacement: found {len(displacements)} outputs for {len(forces)} forces; each "
+                "interface has one input for its force and one output for its displacement"
+            )
+        kept = fill_setup(cfg, self, len(forces), [v for _, v in self.parameters])
+        own.fmi, own.interfaces = fmu.fmi, len(forces)
         resources = fmu.folder / "resources"
         texts = {
             "name": "rthyb", "token": fmu.token,
@@ -269,8 +288,10 @@ class FmuConfig:
         for key, text in texts.items():
             kept.append(ffi.new("char[]", text.encode()))
             setattr(own, key, kept[-1])
-        own.force[0] = fmu.reference(self.force, ("input",), "force")
-        own.displacement[0] = fmu.reference(self.displacement, ("output",), "displacement")
+        for i, name in enumerate(forces):
+            own.force[i] = fmu.reference(name, ("input",), "force")
+        for i, name in enumerate(displacements):
+            own.displacement[i] = fmu.reference(name, ("output",), "displacement")
         if self.ground_acceleration is not None:
             own.has_ground_acceleration = 1
             own.ground_acceleration = fmu.reference(
@@ -283,7 +304,7 @@ class FmuConfig:
         for i, name in enumerate(self.record):
             own.response[i] = fmu.reference(name, ("output", "local"), "record")
         self._fill_calls(own, cfg)
-        cfg.interfaces, cfg.responses = 1, own.responses
+        cfg.responses = own.responses
         return [cfg, kept, ffi.gc(own, lib.rthyb_fmu_close), own]
 
     def _fill_calls(self, own: Any, cfg: Any) -> None:
@@ -309,11 +330,11 @@ class FmuConfig:
     def plain(self) -> dict[str, Any]:
         """Return everything as plain values for a recording; `of_plain` restores it."""
         return {
-            "kind": self.kind, "path": self.path, "k_e_n_per_m": self.k_e_n_per_m,
-            "force": self.force, "displacement": self.displacement,
+            "kind": self.kind, "path": self.path, "force": _plain(self.force),
+            "displacement": _plain(self.displacement),
             "ground_acceleration": self.ground_acceleration, "parameters": dict(self.parameters),
             "record": list(self.record), "period_s": self.period_s,
-            "sha256": hash_of(Path(self.path)),
+            "sha256": hash_of(Path(self.path)), **plain_interfaces(self),
         }  # fmt: skip
 
     @classmethod
@@ -321,4 +342,15 @@ class FmuConfig:
         """Return the settings that `plain` described; raises ``KeyError`` or similar."""
         given = {key: value for key, value in plain.items() if key != "kind"}
         given["parameters"] = tuple(dict(given["parameters"]).items())
-        return cls(**given | {"record": tuple(given["record"])})
+        for name in ("force", "displacement"):
+            given[name] = given[name] if isinstance(given[name], str) else tuple(given[name])
+        given["record"] = tuple(given["record"])
+        return cls(**given | interfaces_of_plain(plain))
+
+
+def _several(names: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else names
+
+
+def _plain(names: str | tuple[str, ...]) -> str | list[str]:
+    return names if isinstance(names, str) else list(names)

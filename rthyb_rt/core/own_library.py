@@ -19,10 +19,20 @@ from typing import Any, ClassVar, Final
 
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.library import CoreError
+from rthyb_rt.core.own_interfaces import (
+    IN_ORDER,
+    Places,
+    Stiffness,
+    fill_setup,
+    interfaces_of_plain,
+    plain_interfaces,
+    rows_of,
+)
 from rthyb_rt.core.settings import fill_part
 from rthyb_rt.core.sizes import PERIOD_S
 
 LIBRARY_VERSION: Final[int] = lib.RTHYB_LIBRARY_VERSION
+FIRST_VERSION: Final[int] = lib.RTHYB_LIBRARY_VERSION_FIRST
 RESPONSES_MAX: Final[int] = lib.RTHYB_RESPONSES_MAX
 PREFIX: Final = "rthyb_part_"
 REQUIRED: Final = ("version", "interfaces", "state_bytes", "init", "answer")
@@ -143,10 +153,11 @@ def load(path: str) -> Library:
     _check_functions(library, place, functions)
     found = {name: at for name, at in functions.items() if at}
     version = ffi.cast("int32_t(*)(void)", found["version"])()
-    if version != LIBRARY_VERSION:
+    if not FIRST_VERSION <= version <= LIBRARY_VERSION:
         raise CoreError(
-            f"{place} was built for version {version} of the interface, but this program has "
-            f"version {LIBRARY_VERSION}: build it again with the rthyb_library.h of this program"
+            f"{place} was built for version {version} of the interface, but this program accepts "
+            f"versions {FIRST_VERSION} to {LIBRARY_VERSION}: build it again with the "
+            "rthyb_library.h of this program"
         )
     interfaces = ffi.cast("int32_t(*)(void)", found["interfaces"])()
     if not 1 <= interfaces <= lib.RTHYB_INTERFACES_MAX:
@@ -217,15 +228,16 @@ def _names(path: Path, found: Mapping[str, int]) -> tuple[tuple[str, ...], tuple
 class LibraryConfig:
     """Settings of a numerical part in a shared library.
 
-    ``parameters`` are given by name, all that the library requires; ``sha256`` is that of the
-    required file, "" to accept any file.
+    ``k_e_n_per_m`` and ``place`` as for `fill_setup`. ``parameters`` are given by name, all that
+    the library requires; ``sha256`` is that of the required file, "" to accept any file.
     """
 
     path: str
-    k_e_n_per_m: float
+    k_e_n_per_m: Stiffness
     parameters: Values = ()
     period_s: float = PERIOD_S
     sha256: str = ""
+    place: Places = IN_ORDER
 
     kind: ClassVar[str] = "library"
     what: ClassVar[str] = "the library"
@@ -246,6 +258,11 @@ class LibraryConfig:
         """The responses that are recorded."""
         return self.library.responses
 
+    @property
+    def interfaces(self) -> int:
+        """The number of its interfaces."""
+        return self.library.interfaces
+
     def values(self) -> list[float]:
         """Return its parameters in its own order.
 
@@ -262,7 +279,7 @@ class LibraryConfig:
             CoreError: the library cannot be loaded, or a parameter is missing.
         """
         library, cfg = self.library, ffi.new("rthyb_library_config *")
-        kept = fill_setup(cfg.setup, self.values(), self.k_e_n_per_m, self.period_s)
+        kept = fill_setup(cfg, self, library.interfaces, self.values())
         for name in _CALLS:
             ctype = ffi.typeof("rthyb_part_calls").fields
             setattr(cfg.calls, name, library.call(name, dict(ctype)[name].type))
@@ -273,22 +290,22 @@ class LibraryConfig:
                 f"{self.path}: {PREFIX}state_bytes returns {cfg.state_bytes}; it must be from 0 to "
                 f"{lib.RTHYB_LIBRARY_STATE_MAX}"
             )
-        cfg.interfaces, cfg.responses = library.interfaces, len(library.responses)
+        cfg.responses = len(library.responses)
         return [cfg, kept]
 
     def plain(self) -> dict[str, Any]:
         """Return everything as plain values for a recording; `of_plain` restores it."""
         return {
-            "kind": self.kind, "path": self.path, "k_e_n_per_m": self.k_e_n_per_m,
-            "parameters": dict(self.parameters), "period_s": self.period_s,
-            "sha256": self.library.sha256,
+            "kind": self.kind, "path": self.path, "parameters": dict(self.parameters),
+            "period_s": self.period_s, "sha256": self.library.sha256, **plain_interfaces(self),
         }  # fmt: skip
 
     @classmethod
     def of_plain(cls, plain: Mapping[str, Any]) -> LibraryConfig:
         """Return the settings that `plain` described; raises ``KeyError`` or similar."""
         given = {key: value for key, value in plain.items() if key != "kind"}
-        return cls(**given | {"parameters": tuple(dict(given["parameters"]).items())})
+        given |= {"parameters": tuple(dict(given["parameters"]).items())}
+        return cls(**given | interfaces_of_plain(plain))
 
 
 def ordered(given: Mapping[str, float], names: tuple[str, ...], of: str) -> list[float]:
@@ -305,14 +322,6 @@ def ordered(given: Mapping[str, float], names: tuple[str, ...], of: str) -> list
     if lacking:
         raise CoreError(f"the parameter {', '.join(lacking)} of {of} is missing; {takes}")
     return [float(given[name]) for name in names]
-
-
-def fill_setup(setup: Any, values: list[float], k_e_n_per_m: float, period_s: float) -> list[Any]:
-    """Fill a ``rthyb_part_setup``; return the objects that must outlive it."""
-    kept = [ffi.new("double[]", values or [0.0])]
-    kept.append(ffi.new("double[]", [k_e_n_per_m] * lib.RTHYB_INTERFACES_MAX))
-    setup.period_s, setup.parameter, setup.k_e_n_per_m = period_s, *kept
-    return kept
 
 
 # ---- the trial ----------------------------------------------------------------------------------
@@ -359,11 +368,12 @@ class _RejectedError(CoreError):
 
 
 def _try_out(
-    part: Any, k_e_n_per_m: float, period_s: float, steps: int = TRIAL_STEPS
+    part: Any, k_e_n_per_m: Stiffness, period_s: float, steps: int = TRIAL_STEPS
 ) -> LibraryTrial:
     """Run the trial of a ``rthyb_numerical``; arguments and errors as for `tried`."""
     found = ffi.new("rthyb_trial *")
-    lib.rthyb_part_try(part, period_s, k_e_n_per_m, steps, TRIAL_S, found)
+    k_e = ffi.new("double[]", [v for row in rows_of(k_e_n_per_m) for v in row])
+    lib.rthyb_part_try(part, period_s, k_e, steps, TRIAL_S, found)
     where = _STAGES.get(found.stage, "")
     if found.ended == lib.RTHYB_TRIAL_NOT_TRIED:
         raise CoreError(

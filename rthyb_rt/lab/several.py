@@ -272,7 +272,7 @@ def controller_config(
     test: TestFile, rig: AxesRig, derived: AxesDerived, end_tick: int
 ) -> core.ControllerConfig:
     """Return the core's settings; ``end_tick`` as for `experiment.controller_config`."""
-    first = derived.structure.first()
+    first = derived.first
     views = [
         experiment.controller_config(
             of_axis(test, name, first).model_copy(update={"limits": own.limits.limits}),

@@ -88,7 +88,10 @@ def balance(rec: Recording, s: AxesSummary | None) -> Plate:
 
     found = None if s is None else structure_balance.of_axes(rec, s.structure)
     if found is None:
-        why = "The test proper is too short, or does not begin where the structure is at rest."
+        why = (
+            "The test proper is too short, or does not begin where the structure is at rest, or "
+            "the numerical part is your own, whose energies are not known."
+        )
         return draw.Plate("balance", energy.TITLE, "", why, False)
     return energy.drawn(found)
 

@@ -10,7 +10,9 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rthyb_rt.config.numerical_structure import Structure
+from rthyb_rt.config.own_structure import OwnStructure
 from rthyb_rt.config.sparse_structure import SparseStructure
+from rthyb_rt.core.own_library import Recorded
 from rthyb_rt.core.sparse import Response
 from rthyb_rt.numbers import number, percent
 from rthyb_rt.record.recording import Recording
@@ -26,8 +28,12 @@ _UNITS = {"m": ("mm", 1e3), "N": ("kN", 1e-3), "rad": ("mrad", 1e3)}
 _WORDS = {"m": "displacements", "N": "forces", "rad": "rotations"}
 
 
-def plates(rec: Recording, structure: Structure | SparseStructure) -> list[draw.Plate]:
+def plates(
+    rec: Recording, structure: Structure | SparseStructure | OwnStructure
+) -> list[draw.Plate]:
     """Return the figures of a recording's structure, in the order of the report."""
+    if isinstance(structure, OwnStructure):
+        return curves(rec, structure.part.responses)
     found = [modes(structure)]
     if isinstance(structure, SparseStructure):
         responses = structure.part.responses
@@ -108,7 +114,7 @@ def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
     return found
 
 
-def curves(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
+def curves(rec: Recording, responses: Sequence[Response | Recorded]) -> list[draw.Plate]:
     """Return recorded quantities over time: those with the largest motion for each unit."""
     found = []
     t, running = rec.time_s(), rec.running()
@@ -142,5 +148,5 @@ def _finite(values: Floats) -> Floats:
     return np.asarray(values[np.isfinite(values)])
 
 
-def _has(rec: Recording, one: Response) -> bool:
+def _has(rec: Recording, one: Response | Recorded) -> bool:
     return one.name in (rec.samples.dtype.names or ())

@@ -1,7 +1,8 @@
 /* An oscillator m x'' + c x' = -m ag - f as an FMU for co-simulation, FMI 2 or 3 depending on the
  * macro FMI: the central difference of csrc/motion.c, one step per communication step. Variables by
- * reference: 0 ag, 1 f (inputs), 2 x (output), 3 m, 4 c (parameters), 5 v (local), 6 start. WRONG
- * is inserted into a step. */
+ * reference: 0 ag, 1 f (inputs), 2 x (output), 3 m, 4 c (parameters), 5 v (local), 6 start; and of a
+ * second, undamped mass beside it: 7 f2 (input), 8 x2 (output), 9 k between the two, 10 m2
+ * (parameters). WRONG is inserted into a step. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,22 +12,26 @@
 #define WRONG
 #endif
 
-enum { AG, F, X, M, C, V, START, COUNT };
+enum { AG, F, X, M, C, V, START, F2, X2, K, M2, COUNT };
 
 typedef struct {
     double value[COUNT];
-    double x, x1;
+    double x, x1, y, y1;
     int begun;
 } model;
 
 static int step(model *s, double h)
 {
-    const double *p = s->value, half = 0.5 * h * p[C];
-    const double net = -p[M] * p[AG] - p[F];
+    const double *p = s->value, half = 0.5 * h * p[C], spring = p[K] * (s->x - s->y);
+    const double net = -p[M] * p[AG] - p[F] - spring;
+    const double beside =
+        2.0 * s->y - s->y1 + h * h * (spring - p[M2] * p[AG] - p[F2]) / p[M2];
     const double next =
         s->x + ((p[M] - half) * (s->x - s->x1) + h * h * net) * (1.0 / (p[M] + half));
     s->x1 = s->x;
     s->x = s->value[X] = next;
+    s->y1 = s->y;
+    s->y = s->value[X2] = beside;
     s->value[V] = (s->x - s->x1) / h;
     WRONG;
     return 0;
@@ -35,7 +40,7 @@ static int step(model *s, double h)
 static model *make(void)
 {
     model *s = calloc(1, sizeof *s);
-    s->value[M] = 1000.0;
+    s->value[M] = s->value[M2] = 1000.0;
     return s;
 }
 
