@@ -106,11 +106,12 @@ test-opensees: $(TEST_READY)
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
 # busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.
+IN_GUEST := python -m pytest -rs -o cache_dir=/run/tmp/pytest -o faulthandler_timeout=240
 VM_TESTS := tests/vm $(wildcard $(addprefix tests/test_,loop.py links_socketcan.py realtime_vcan.py))
 test-vm: $(TEST_READY)
 	@$(BIN)/python -c 'import rthyb_rt._core'
-	@$(BIN)/python tests/vm/guest.py --timeout 1200 -- python -m pytest -p no:cacheprovider -rs \
-	    -o faulthandler_timeout=240 $(VM_TESTS)
+	@$(BIN)/python tests/vm/guest.py --timeout 1500 -- sh -c '$(IN_GUEST) $(VM_TESTS) || { echo "Once more, what has failed:"; \
+	    $(IN_GUEST) --last-failed --last-failed-no-failures none $(VM_TESTS); }'
 
 # A day of the service in three boots of a guest whose first process is systemd; it is installed from
 # a wheel, as in a lab, with the packages of .venv.

@@ -178,6 +178,17 @@ def test_what_does_not_fit_the_rig_is_told(old: str, new: str, said: str) -> Non
     assert any(re.search(said, one) for one in found), found
 
 
+def test_a_time_in_samples_is_told_once_where_it_stands() -> None:
+    left = 'command_position_m = "30 mm", '
+    given = RIG.replace(left, f"{left}sensor_stuck_samples = 64, ")
+    found = derived(f"{TEST}\n[limits]\nforce_stuck_samples = 128\n", given)
+    assert [note for note in found.notes if "samples" in note] == [
+        "test: limits.force_stuck_samples is deprecated: write force_stuck_s = 0.125, in s",
+        'rig "two-storeys", axis left: limits.sensor_stuck_samples is deprecated: write '
+        "sensor_stuck_s = 0.0625, in s",
+    ]
+
+
 def test_a_numerical_part_of_one_degree_is_not_for_two_axes() -> None:
     text = TEST[: TEST.index("[numerical")] + "[numerical]\nperiod_s = 1\ndamping_ratio = 0\n"
     assert "needs storeys, matrices from a file, or a part of your own" in faults(text)[0]

@@ -25,8 +25,9 @@ def missed(
     usual: list[RunOutcome],
     wide: list[RunOutcome] | None = None,
     yielding: list[RunOutcome] | None = None,
+    noisy: list[RunOutcome] | None = None,
 ) -> list[str]:
-    found = limits.goals(usual, wide or [], yielding or [])
+    found = limits.goals(usual, wide or [], yielding or [], noisy or [])
     return [goal.what for goal in found if not goal.met]
 
 
@@ -53,6 +54,14 @@ def test_a_specimen_that_yields_has_a_goal_of_its_own(rate_hz: int) -> None:
     assert missed([], yielding=outcomes(rate_hz, 1, GOOD | {"J4": 0.999 * most})) == []
     assert missed([], yielding=outcomes(rate_hz, 1, GOOD | {"J4": 1.001 * most})) == [
         f"{rate_hz} Hz, case 1, yielding: J4"
+    ]
+
+
+def test_a_command_made_rough_by_noisy_sensors_is_told() -> None:
+    most = limits.NOISY[1024]["high"]
+    assert missed([], noisy=outcomes(1024, 4, GOOD | {"high": 0.999 * most})) == []
+    assert missed([], noisy=outcomes(1024, 4, GOOD | {"high": 1.001 * most})) == [
+        "1024 Hz, case 4, noisy: high"
     ]
 
 

@@ -67,6 +67,9 @@ def plan() -> dict[str, list[BenchmarkRun]]:
         "yielding": benchmark_runs.planned(
             names, rates, [1, 4], ["elcentro"], benchmark_runs.seeds_of(2), yielding=True
         ),
+        "noise": benchmark_runs.planned(
+            RIVALS, [1024], [1, 4], ["elcentro"], benchmark_runs.seeds_of(20), noise=2.0
+        ),
     }
 
 
@@ -171,7 +174,9 @@ def parts(found: dict[str, list[RunOutcome]], facts: dict[str, Any]) -> dict[str
     for rate in cases.RATES:
         made[f"elcentro-{rate}"] = whole_table(lines, rate)
         made[f"paired-{rate}"] = paired_table(found["elcentro"], rate)
-    for part in [name for name in plan() if name in found and name != "elcentro"]:
+    if "noise" in found:
+        made["noise-1024"] = whole_table(benchmark_table.lines(found["noise"]), 1024)
+    for part in [name for name in plan() if name in found and name not in ("elcentro", "noise")]:
         lines, kind = benchmark_table.lines(found[part]), _case if part == "between" else _motion
         for rate in cases.RATES:
             own = [line for line in lines if line.rate_hz == rate]

@@ -31,6 +31,7 @@ class BenchmarkRun:
         plant: the seed of a perturbed plant, or `NOMINAL`.
         width: size of the perturbation, in the benchmark's standard deviations.
         yielding: whether the specimen yields.
+        noise: size of the sensors' noise, as a multiple of the benchmark's density.
     """
 
     entrant: str
@@ -40,6 +41,7 @@ class BenchmarkRun:
     plant: int = NOMINAL
     width: float = 1.0
     yielding: bool = False
+    noise: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -74,13 +76,14 @@ def planned(
     *,
     width: float = 1.0,
     yielding: bool = False,
+    noise: float = 1.0,
 ) -> list[BenchmarkRun]:
     """Return all combinations as runs, each on every plant.
 
     Args:
         entrants, rates, numbers, motions: values to combine; ``numbers`` are `cases.CASES`.
         seeds: seeds of plants, or `NOMINAL`; `seeds_of` returns the benchmark's.
-        width, yielding: as in `BenchmarkRun`.
+        width, yielding, noise: as in `BenchmarkRun`.
 
     Raises:
         InputError: there is no such entrant, rate, case, motion or plant.
@@ -98,7 +101,7 @@ def planned(
                 "--plant",
             )
     return [
-        BenchmarkRun(name, rate, case, motion, seed, width, yielding)
+        BenchmarkRun(name, rate, case, motion, seed, width, yielding, noise)
         for rate in rates
         for motion in motions
         for name in entrants
@@ -133,7 +136,9 @@ def prepared(run: BenchmarkRun) -> Setup:
     """Return a run as a test of this program, ready to run."""
     who = cases.entrant(run.entrant)
     seed = None if run.plant == NOMINAL else run.plant
-    rig = cases.rig_of(who, seed, run.rate_hz, width=run.width, yielding=run.yielding)
+    rig = cases.rig_of(
+        who, seed, run.rate_hz, width=run.width, yielding=run.yielding, noise=run.noise
+    )
     test = cases.test_of(who, run.case, run.rate_hz)
     return experiment.prepare(test, rig, record=cases.motion(run.motion))
 

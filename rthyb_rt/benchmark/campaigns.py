@@ -46,6 +46,7 @@ class BenchmarkCase(PlannedRun):
         words += [f"--case {run.case}", f"--motion {run.motion}", f"--plant {run.plant}"]
         words += [f"--width {run.width:g}"] if run.width != 1.0 else []
         words += ["--yielding"] if run.yielding else []
+        words += [f"--noise {run.noise:g}"] if run.noise != 1.0 else []
         return " ".join(words)
 
     def identity(self) -> Row:
@@ -117,6 +118,7 @@ def of(file: CampaignFile, path: Path) -> Plan:
             benchmark_runs.seeds_of(wanted.plants),
             width=wanted.width,
             yielding=wanted.yielding,
+            noise=wanted.noise,
         )
     except InputError as error:
         raise InputError(_placed(problem, path) for problem in error.problems) from error

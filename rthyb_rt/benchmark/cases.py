@@ -251,11 +251,18 @@ the plant; with twice as many, no criterion changes by more than .1 points."""
 
 
 def rig_of(
-    who: Entrant, seed: int | None, rate_hz: int, *, width: float = 1.0, yielding: bool = False
+    who: Entrant,
+    seed: int | None,
+    rate_hz: int,
+    *,
+    width: float = 1.0,
+    yielding: bool = False,
+    noise: float = 1.0,
 ) -> RigFile:
     """Return the plant of a run, with its sensors at that rate.
 
-    The noise of the sensors has the same density at every rate.
+    The noise of the sensors has the same density at every rate. What was measured at rest, which
+    the laws are set by, grows with it; the identified response does not.
 
     Args:
         who: the entrant, whose drive may have a loop.
@@ -263,6 +270,7 @@ def rig_of(
         rate_hz: one of `RATES`.
         width: factor on the stated standard deviations.
         yielding: whether the specimen's stiffness is a Bouc-Wen loop.
+        noise: factor on the benchmark's density of noise.
     """
     rig = plants.nominal() if seed is None else plants.drawn(seed, width)
     if who.loop is not None and isinstance(rig.actuator, ServoValve):
@@ -271,11 +279,10 @@ def rig_of(
         rig = rig.model_copy(update={"actuator": rig.actuator.model_copy(update=loop)})
     if yielding:
         rig = _yielding(rig)
-    return _at_rate(rig, rate_hz)
+    return _with_noise(rig, noise * (rate_hz / BENCHMARK_HZ) ** 0.5)
 
 
-def _at_rate(rig: RigFile, rate_hz: int) -> RigFile:
-    share = (rate_hz / BENCHMARK_HZ) ** 0.5
+def _with_noise(rig: RigFile, share: float) -> RigFile:
     sensors, found = rig.sensors, rig.identified
     displacement = {"noise_std_m": share * sensors.displacement.noise_std_m}
     force = {"noise_std_n": share * sensors.force.noise_std_n}

@@ -90,6 +90,12 @@ def rths(
     yielding: Annotated[
         bool, typer.Option("--yielding", help="Use a specimen that yields (Bouc-Wen, 1 mm).")
     ] = False,
+    noise: Annotated[
+        float,
+        typer.Option(
+            metavar="X", help="Size of the sensors' noise, as a multiple of the benchmark's."
+        ),
+    ] = 1.0,
     jobs: JobsOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -110,6 +116,8 @@ def rths(
     from rthyb_rt.campaign import pools
 
     _check_width(width, 10.0)
+    if not 0.0 <= noise <= 10.0:
+        raise typer.BadParameter(f"found {noise:g}; must be from 0 to 10", param_hint="--noise")
     wanted = benchmark_runs.planned(
         law or [one.name for one in cases.entrants()],
         rate or list(cases.RATES),
@@ -118,6 +126,7 @@ def rths(
         plant or benchmark_runs.seeds_of(plants),
         width=width,
         yielding=yielding,
+        noise=noise,
     )
     with terminal.sections("Benchmark") as progress:
         found = benchmark_runs.measured(

@@ -101,6 +101,7 @@ class Benchmark(Table):
     ] = 20
     width: Annotated[float, Range("", 0.0, 10.0, "the spread of the perturbed plants")] = 1.0
     yielding: bool = False
+    noise: Annotated[float, Range("", 0.0, 10.0, "the size of the sensors' noise")] = 1.0
 
 
 BENCHMARK_KEYS: Final = ("rate_hz", "motion", "law", "structure")

@@ -72,7 +72,8 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
     rate = Rate(test.test.sample_rate_hz)
     if problems:
         raise InputError(problems)
-    found, notes = list[Derived](), list[str]()
+    found, notes = list[Derived](), _deprecated(test, rig)
+    of_files = set(notes)
     structure, first = _structure(test, rig, rate, notes)
     if first.frequency_hz > 0.25 * rate.hz:
         raise InputError(
@@ -90,7 +91,7 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
             ]
             continue
         found.append(own)
-        notes += [f"axis {name}: {note}" for note in own.notes]
+        notes += [f"axis {name}: {note}" for note in own.notes if note not in of_files]
     if problems:
         raise InputError(problems)
     return AxesDerived(rate.hz, structure, first, tuple(found), rig.k_e, tuple(notes))
@@ -146,6 +147,14 @@ def _stated(numerical: Numerical) -> Mode:
     assert numerical.period_s is not None
     assert numerical.damping_ratio is not None
     return Mode(1.0 / numerical.period_s, numerical.damping_ratio, (), 1.0, 0.0)
+
+
+def _deprecated(test: TestFile, rig: AxesRig) -> list[str]:
+    """Return a note on each deprecated key of both files."""
+    whole = f'rig "{rig.rig.name}"'
+    places = [("test", test.limits), (whole, rig.limits)]
+    places += [(f"{whole}, axis {axis.name}", axis.limits) for axis in rig.axis]
+    return [f"{place}: {note}" for place, limits in places for note in limits.deprecated()]
 
 
 def in_order(test: TestFile, rig: AxesRig) -> TestFile:

@@ -32,6 +32,9 @@ SHORT = (
     *("--set", "limits.ramp_in_s=0.25", "--set", "limits.tare_s=0.125"),
 )
 TWO_S, LONG = ("--set", "test.duration_s=2"), ("--set", "test.duration_s=6")
+# An axis that comes to rest at a peak while the other one moves on may be left with more than the
+# rig's own 40 kN, and reset is then refused: at a third of the motion this cannot happen.
+GENTLE = ("--set", "ground_motion.pga_g=0.04")
 IN_TWO_S = 2048
 LINK = 'kind = "can"\nchannel = "{bus}"\nclock = "host"\nvirtual = true\n'
 
@@ -297,7 +300,7 @@ def test_pulled_bus_trips_the_service_which_names_the_axis_and_goes_on_after_res
 
     def attempt(made: Served) -> None:
         with ip_at_hand() as ip:
-            run_id = made.running(*LONG)
+            run_id = made.running(*LONG, *GENTLE)
             time.sleep(0.5)
             ip(f"link set {bus} down")
             rec = made.recorded(run_id)
