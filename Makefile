@@ -32,7 +32,7 @@ help:
 	@echo 'make install    the service of docs/service.md into this PC, as root (RIG=my-rig.toml)'
 	@echo "make reproduce  the paper's studies: figures, tables, accepted bands"
 	@echo 'make test       the test suite'
-	@echo 'make test-long  what of it takes long: whole stories of the diagnosis, every seed'
+	@echo 'make test-long  the long tests: each takes a second or more, some a minute'
 	@echo 'make test-opensees  structures held against OpenSees, which is installed for it'
 	@echo 'make test-vm    the tests that need a kernel with SocketCAN, in a guest machine'
 	@echo 'make test-systemd  the service as systemd runs it, in a guest machine'
@@ -87,8 +87,8 @@ test: $(TEST_READY)
 	    || { $(AGAIN) -m '$(CLOCKED)'; }
 	@$(BIN)/python -m pytest $(COMPARED) || { $(AGAIN) $(COMPARED); }
 
-# Single scenarios of ten seconds and more, which share next to nothing: whoever is done takes half of
-# what the other one has before it. One worker leaves a processor to something else.
+# Scenarios of a second to a minute, which share next to nothing: whoever is done takes half of what the
+# other one has before it. One worker leaves a processor to something else.
 WORKERS := 2
 test-long: $(TEST_READY)
 	@$(BIN)/python -m pytest -m long -n $(WORKERS) --dist worksteal $(call with_mark,long) || { $(AGAIN) -m long; }

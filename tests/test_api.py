@@ -56,6 +56,7 @@ def test_importing_the_package_costs_less_than_150_ms_of_processor() -> None:
     assert cost_s <= 0.15
 
 
+@pytest.mark.long
 def test_a_test_is_run_without_the_packages_that_draw_and_tabulate() -> None:
     code = (
         "import sys, rthyb_rt as rt; rec = rt.run(rt.Test('section5-T0.5', "
@@ -231,6 +232,7 @@ def test_run_that_a_limit_ends_is_no_error() -> None:
     assert rec.notices
 
 
+@pytest.mark.long
 def test_run_keeps_what_the_command_keeps(short: rt.Test, tmp_path: Path) -> None:
     rec = rt.run(short, out=tmp_path / "kept")
     assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == [
@@ -264,6 +266,7 @@ def test_progress_is_told(short: rt.Test) -> None:
     assert told[-1][0] == told[-1][1] == 5 * 1024
 
 
+@pytest.mark.long
 def test_check_says_what_the_command_says() -> None:
     done = subprocess.run(
         [*RTHYB, "check", str(config.builtin_test_path()), "--json"],
@@ -346,6 +349,7 @@ def test_measures_are_those_of_the_command_line(rec: rt.Recording) -> None:
     json.dumps(rec.measures)
 
 
+@pytest.mark.long
 def test_figures_are_those_of_the_report(rec: rt.Recording, tmp_path: Path) -> None:
     from rthyb_rt.report.figures import draw_all
 
@@ -391,6 +395,7 @@ def test_figures_of_one_notebook_share_no_names(rec: rt.Recording) -> None:
         assert {*re.findall(r'(?:url\(|href=")#([^)"]+)', page)} <= own
 
 
+@pytest.mark.long
 def test_recording_is_saved_exported_and_reported(rec: rt.Recording, tmp_path: Path) -> None:
     assert rt.open(rec.save(tmp_path / "recording.h5"))["x_meas_m"].tobytes() == (
         rec["x_meas_m"].tobytes()
@@ -406,6 +411,7 @@ def test_recording_is_saved_exported_and_reported(rec: rt.Recording, tmp_path: P
         rec.export(tmp_path / "all.xlsx")
 
 
+@pytest.mark.long
 @pytest.mark.speed
 def test_running_from_python_costs_what_the_command_costs() -> None:
     found = interface.run_and_command()
@@ -535,6 +541,7 @@ HALF_A_SECOND = rt.Test(
 )
 
 
+@pytest.mark.long
 def test_shortest_of_tests_has_a_report(tmp_path: Path) -> None:
     """In which no frequency is known well enough to be drawn."""
     rec = rt.run(HALF_A_SECOND, out=tmp_path / "run")

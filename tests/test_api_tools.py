@@ -39,6 +39,7 @@ def rec(short: rt.Test) -> rt.Recording:
 # ---- identification, replay, diagnosis ----------------------------------------------------------
 
 
+@pytest.mark.long
 def test_identification_is_that_of_the_command_line_and_fills_the_rig() -> None:
     found = rt.identify("delay-10-elastic", amplitude="1 mm", max_frequency=5.0)
     rig = config.load_rig(config.shipped_rig("delay-10-elastic"))

@@ -380,6 +380,7 @@ def test_a_recording_that_is_looked_at_has_all_that_its_report_has() -> None:
     assert status["cause"] == ending(rec)
 
 
+@pytest.mark.long
 def test_the_report_begins_with_what_must_not_be_missed() -> None:
     pytest.importorskip("matplotlib")
     from rthyb_rt.report import render

@@ -377,6 +377,7 @@ def owned() -> Iterator[ExitStack]:
         yield stack
 
 
+@pytest.mark.long
 @FAR_ENDS
 @pytest.mark.parametrize("what", ROWS)
 def test_row_of_the_fault_table(what: str, axis: int, owned: ExitStack, tmp_path: Path) -> None:

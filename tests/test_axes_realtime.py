@@ -254,6 +254,7 @@ def test_codecs_of_a_recording_are_of_as_many_axes() -> None:
 # ---- the command line ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_rthyb_run_takes_faults_on_a_named_axis(rthyb: Rthyb, tmp_path: Path) -> None:
     done = rthyb(
         "run", FRAME, "--set", "ground_motion.duration_s=1", "--set", "test.duration_s=2",
@@ -320,6 +321,7 @@ def test_rthyb_reset_tells_of_every_axis_or_of_the_one_that_is_named(
     assert "axis right: the drive follows" in one.err
 
 
+@pytest.mark.long
 def test_a_test_asks_for_the_commissioning_of_every_axis(
     rthyb: Rthyb, file: Path, stepped: None
 ) -> None:

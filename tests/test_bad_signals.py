@@ -386,6 +386,7 @@ def structure(integrator: Any = "central-difference") -> core.MotionConfig:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CONTROLLERS)
 @settings(max_examples=15, deadline=None, derandomize=True, database=None)
 @given(
@@ -442,6 +443,7 @@ def test_bad_pairs_are_as_good_as_lost_ones(name: str) -> None:
     np.testing.assert_array_equal(runs[0], runs[1])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CONTROLLERS)
 def test_test_with_faults_and_a_stuck_sensor_comes_back_to_the_undisturbed_one(name: str) -> None:
     ag = smooth_motion(30.0, 7, peak_m=0.4) * (time_s(30.0) < 20.0)

@@ -32,6 +32,7 @@ PUBLISHED = {
 # ---- the published table ------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("case", PUBLISHED)
 def test_the_benchmarks_own_controller_gives_its_published_table(case: int) -> None:
     """Peaks of a noisy reading are those of one noise: the published one must be one of many."""
@@ -108,6 +109,7 @@ def test_frequencies_are_the_published_ones() -> None:
         np.testing.assert_allclose(found, expected, rtol=3e-3)
 
 
+@pytest.mark.long
 def test_the_reference_is_the_whole_structure_on_all_storeys() -> None:
     """Against scipy's integrator of M a + C v + K x = -M ag, acceleration held over a sample."""
     setup = benchmark_runs.prepared(BenchmarkRun("none", 1024, 4, "elcentro"))
@@ -270,6 +272,7 @@ def test_the_motions_come_with_their_rests(
 # ---- many runs ----------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_more_processes_give_the_same_figures_in_the_same_order() -> None:
     wanted = benchmark_runs.planned(
         ["ats", "none"], [1024], [1, 4], ["elcentro"], benchmark_runs.seeds_of(1)

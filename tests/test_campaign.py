@@ -171,6 +171,7 @@ def test_slip_in_the_file_is_told_with_its_line_before_anything_runs(
 # ---- the runs -----------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_row_of_a_run_has_the_figures_of_rthyb_run(tmp_path: Path) -> None:
     case = campaign(tmp_path).cases[1]
     row = one_run.carry_out(case)
@@ -184,6 +185,7 @@ def test_row_of_a_run_has_the_figures_of_rthyb_run(tmp_path: Path) -> None:
         assert row[name] == measures[name]
 
 
+@pytest.mark.long
 def test_run_that_trips_is_kept_with_its_cause_and_runs_again_as_it_stands(tmp_path: Path) -> None:
     text = TWO_LAWS.replace('"alpha-beta"', '"none"').replace("[3]", "[8]")
     case = campaign(tmp_path, text).cases[1]
@@ -211,6 +213,7 @@ def test_noise_seeds_repeat_a_run_with_other_noise_alone(tmp_path: Path) -> None
     assert abs(one["tracking_nrmse"] / two["tracking_nrmse"] - 1.0) < 0.1
 
 
+@pytest.mark.long
 def test_processes_give_the_rows_that_one_process_gives(tmp_path: Path) -> None:
     found = whole_campaign.conduct(campaign(tmp_path), tmp_path / "out", jobs=2)
     assert found.rows == [one_run.carry_out(case) for case in found.plan.cases]
@@ -379,6 +382,7 @@ def deadly(repeats: list[int]) -> list[PlannedRun]:
     return [PlannedRun(n, {}, -1, repeat, "", "", ()) for n, repeat in enumerate(repeats)]
 
 
+@pytest.mark.long
 def test_process_that_dies_loses_no_run_and_doubles_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -411,6 +415,7 @@ def test_process_that_dies_while_the_next_run_is_handed_over_costs_no_run(
     assert handed.count(3) == 2
 
 
+@pytest.mark.long
 def test_run_that_kills_each_process_is_told_and_the_others_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -431,6 +436,7 @@ def test_processes_compute_with_one_thread_each(monkeypatch: pytest.MonkeyPatch)
     assert os.environ["OMP_NUM_THREADS"] == "7"
 
 
+@pytest.mark.long
 def test_campaign_ends_where_a_process_has_another_program_than_the_one_that_conducts(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -517,6 +523,7 @@ def test_page_leads_to_the_worst_run_and_says_why_one_ended_early(tmp_path: Path
     assert "rthyb run --set controller.type=alpha-beta --set test.duration_s=3" in html
 
 
+@pytest.mark.long
 def test_command_carries_out_the_example_and_tells_where_it_is_kept(tmp_path: Path) -> None:
     (tmp_path / "campaign.toml").write_text(TWO_LAWS)
     code = "import sys; from rthyb_rt import cli; sys.exit(cli.main(sys.argv[1:]))"

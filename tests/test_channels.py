@@ -131,6 +131,7 @@ def test_channels_come_back_from_the_file_with_unit_and_scale(tmp_path: Path) ->
         made_up(0.25).channel("oil_k")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", ["version-1-virtual", "version-1-stepped", "version-2-virtual", "version-2-stepped"]
 )
@@ -285,6 +286,7 @@ def test_a_recording_that_grows_has_channels_and_is_taken_up_with_them(tmp_path:
 # ---- from the core ------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_truth_of_a_virtual_rig_is_recorded_beside_what_its_sensors_say(
     tmp_path: Path, rthyb: Rthyb
 ) -> None:

@@ -167,6 +167,7 @@ def test_settings_of_test_and_rig_reach_the_recording(rthyb: Rthyb, tmp_path: Pa
     assert config.parse_rig(rec.rig_toml).actuator.model_dump()["delay_samples"] == 7
 
 
+@pytest.mark.long
 def test_json_is_alone_on_stdout_and_people_read_stderr(rthyb: Rthyb, tmp_path: Path) -> None:
     answer = rthyb("run", "--set", "test.duration_s=3", "--json")
     document = json.loads(answer.out)
@@ -191,6 +192,7 @@ def test_json_has_null_where_a_measure_does_not_exist(rthyb: Rthyb) -> None:
     assert json.loads(answer.out)["paths"]["report"] is None
 
 
+@pytest.mark.long
 def test_limit_ends_the_test_with_code_6_and_the_files_are_there(
     rthyb: Rthyb, tmp_path: Path
 ) -> None:
@@ -732,6 +734,7 @@ def test_recording_that_one_may_only_read_asks_where_its_report_goes(
     assert "is not writable; choose another path, such as --out" in answer.err
 
 
+@pytest.mark.long
 def test_report_is_written_for_an_older_recording(
     rthyb: Rthyb, recorded: Path, tmp_path: Path
 ) -> None:
@@ -814,6 +817,7 @@ def test_word_that_the_command_line_does_not_take_is_named_to_machines(
     assert problem["where"] == where
 
 
+@pytest.mark.long
 def test_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
     program = Path(sys.executable).with_name("rthyb")
     with subprocess.Popen(
@@ -825,6 +829,7 @@ def test_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
         assert process.stderr.read() == b""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("redirection", "code", "words"), [(">&-", 0, ""), (">/dev/full", 1, "No space left")]
 )
@@ -842,6 +847,7 @@ def test_output_that_goes_nowhere_does_not_lose_the_run(
     assert recording.open_run(tmp_path / "x").meta["end_reason"] == "completed"
 
 
+@pytest.mark.long
 def test_terminal_without_greek_letters_shows_the_result_all_the_same(tmp_path: Path) -> None:
     answer = shell("run", *SHORT, folder=tmp_path, PYTHONIOENCODING="ascii")
     assert answer.code == 0
@@ -867,12 +873,14 @@ def on_a_terminal(folder: Path, **environment: str) -> str:
     return text.decode()
 
 
+@pytest.mark.long
 def test_terminal_shows_progress_with_rate_and_time_left(tmp_path: Path) -> None:
     text = on_a_terminal(tmp_path)
     assert re.search(r"Testing .* 3 of 3 s .*x real time.*\d:\d\d:\d\d", text)
     assert "\x1b[1m" in text
 
 
+@pytest.mark.long
 def test_no_color_is_honoured_on_a_terminal(tmp_path: Path) -> None:
     text = on_a_terminal(tmp_path, NO_COLOR="1")
     assert "Tracking, NRMSE" in text

@@ -53,6 +53,7 @@ def signalled(module: str, name: str, signal: str) -> str:
 # ---- signals ------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_ctrl_c_while_the_recording_is_written_keeps_the_recording(tmp_path: Path) -> None:
     answer = python(signalled("recording", "write", "SIGINT"), *SHORT, folder=tmp_path)
     assert answer.code == 130
@@ -64,6 +65,7 @@ def test_ctrl_c_while_the_recording_is_written_keeps_the_recording(tmp_path: Pat
     assert "report.html" not in line
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("signal", "code", "words"),
     [
@@ -81,12 +83,14 @@ def test_test_that_is_stopped_leaves_no_half_folder(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_test_under_nohup_survives_the_closed_terminal(tmp_path: Path) -> None:
     ignore = "import signal\nsignal.signal(signal.SIGHUP, signal.SIG_IGN)\n"
     code = ignore + signalled("virtual_time", "run", "SIGHUP")
     assert python(code, *SHORT, folder=tmp_path).code == 0
 
 
+@pytest.mark.long
 def test_ctrl_c_that_a_library_swallows_is_obeyed_all_the_same(tmp_path: Path) -> None:
     swallow = (
         "import os, signal, weakref\nfrom rthyb_rt.lab import experiment\n"
@@ -301,6 +305,7 @@ def test_refusal_is_a_json_document_for_programs(
 # ---- streams ------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_reader_of_the_first_line_does_not_cost_the_report(tmp_path: Path) -> None:
     done = subprocess.run(
         ["bash", "-c", f'"{PROGRAM}" run --set test.duration_s=3 --out x | head -c 1;'
@@ -311,6 +316,7 @@ def test_reader_of_the_first_line_does_not_cost_the_report(tmp_path: Path) -> No
     assert (tmp_path / "x" / "report.html").exists()
 
 
+@pytest.mark.long
 def test_gone_reader_is_no_error_and_the_command_goes_on(tmp_path: Path) -> None:
     reader, writer = os.pipe()
     os.close(reader)
@@ -323,6 +329,7 @@ def test_gone_reader_is_no_error_and_the_command_goes_on(tmp_path: Path) -> None
     assert (done.returncode, done.stderr) == (6, b"")
 
 
+@pytest.mark.long
 def test_full_device_behind_stdout_is_told_with_the_place_of_the_recording(tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
@@ -336,6 +343,7 @@ def test_full_device_behind_stdout_is_told_with_the_place_of_the_recording(tmp_p
     assert "x/report.html" in line
 
 
+@pytest.mark.long
 def test_home_that_cannot_be_written_is_no_news(tmp_path: Path) -> None:
     home = {"HOME": "/dev/null/nobody", "XDG_CONFIG_HOME": "", "XDG_CACHE_HOME": ""}
     answer = python("", "run", "--set", "test.duration_s=3", "--out", "x", folder=tmp_path, **home)
@@ -343,6 +351,7 @@ def test_home_that_cannot_be_written_is_no_news(tmp_path: Path) -> None:
     assert (tmp_path / "x" / "report.html").exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_terminal_without_greek_letters_reads_ascii_in_their_place(
     tmp_path: Path, encoding: str
@@ -359,6 +368,7 @@ def test_terminal_without_greek_letters_reads_ascii_in_their_place(
     assert f"gamma alpha phi{squared} / (1 + phi{squared})" in text
 
 
+@pytest.mark.long
 def test_columns_stay_columns_without_greek_letters(tmp_path: Path) -> None:
     answer = python(
         "", "identify", "delay-10-elastic", "--max-frequency", "2", folder=tmp_path,
@@ -386,6 +396,7 @@ def test_every_sign_of_the_program_has_one_in_ascii() -> None:
     assert left <= {"\u00ef"}
 
 
+@pytest.mark.long
 def test_json_is_the_same_document_on_a_stream_without_greek_letters(tmp_path: Path) -> None:
     arguments = ("reproduce", "2.1", "--json", "--out")
     plain = python("", *arguments, "a", folder=tmp_path, PYTHONIOENCODING="ascii")
@@ -418,6 +429,7 @@ def on_a_terminal(columns: int, *arguments: str, folder: Path) -> str:
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text.decode()).replace("\r\n", "\n")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("columns", [40, 60, 80])
 def test_progress_stays_on_one_line(tmp_path: Path, columns: int) -> None:
     shown = on_a_terminal(columns, *SHORT, folder=tmp_path).split("section5")[0]
@@ -436,6 +448,7 @@ def wide(tmp_path_factory: pytest.TempPathFactory) -> str:
     return on_a_terminal(200, *SHORT, "--out", "a", folder=tmp_path_factory.mktemp("wide"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("columns", [40, 60, 80])
 def test_result_on_a_narrow_terminal_breaks_no_word(
     tmp_path: Path, columns: int, wide: str
@@ -447,6 +460,7 @@ def test_result_on_a_narrow_terminal_breaks_no_word(
     assert "Tracking, largest difference" in table
 
 
+@pytest.mark.long
 def test_table_of_many_columns_on_a_narrow_terminal_is_told_row_by_row(tmp_path: Path) -> None:
     text = on_a_terminal(
         40, "identify", "delay-10-elastic", "--max-frequency", "1", folder=tmp_path
@@ -472,6 +486,7 @@ def problems(answer: Answer) -> list[dict[str, str]]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("module", "name", "signal", "code", "words"),
     [
@@ -490,6 +505,7 @@ def test_interrupt_is_a_json_document_that_says_what_was_interrupted(
     assert problem["message"].startswith(words)
 
 
+@pytest.mark.long
 def test_interrupt_behind_the_result_adds_no_second_document(tmp_path: Path) -> None:
     late = (
         "import os, signal\nfrom rthyb_rt.cli import terminal\nreal = terminal.print_json\n"
@@ -555,6 +571,7 @@ def changed(*arguments, **options):
 """
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("module", "name", "code"),
     [("recording", "write", 0), ("summary", "summarize", 130)],
@@ -575,6 +592,7 @@ def test_impatient_ctrl_c_costs_no_recording_of_a_test_in_real_time(
         assert "interrupted; written: x/recording.h5" in answer.err
 
 
+@pytest.mark.long
 def test_recording_that_finds_no_disk_leaves_its_ring_and_the_line_to_type(tmp_path: Path) -> None:
     full = (
         "import errno\nfrom rthyb_rt.record import recording\nreal = recording.write\n"

@@ -127,6 +127,7 @@ def test_rig_file_without_stiffness_gets_one(rthyb: Rthyb, tmp_path: Path) -> No
     assert given.read_text(encoding="utf-8") == NO_STIFFNESS
 
 
+@pytest.mark.long
 def test_rig_file_is_replaced_only_when_out_names_it(rthyb: Rthyb, tmp_path: Path) -> None:
     given = tmp_path / "rig.toml"
     given.write_text(NO_STIFFNESS, encoding="utf-8")
@@ -197,6 +198,7 @@ def test_file_that_cannot_be_written_is_said(rthyb: Rthyb, tmp_path: Path) -> No
 # --- reproduce ------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("quick")
 def test_reproduce_prints_tables_and_says_where_the_page_is(rthyb: Rthyb, tmp_path: Path) -> None:
     answer = rthyb("reproduce")
@@ -232,6 +234,7 @@ def test_missed_band_is_exit_8_and_the_page_is_there(
     assert files(tmp_path) == ["here/index.html", "here/results.json"]
 
 
+@pytest.mark.long
 def test_section_4_2_without_the_record_says_so(
     rthyb: Rthyb, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -242,6 +245,7 @@ def test_section_4_2_without_the_record_says_so(
     assert "8 of 8 accepted bands are met" in answer.out
 
 
+@pytest.mark.long
 def test_record_file_is_used(rthyb: Rthyb, tmp_path: Path) -> None:
     motion = inelastic.tcu068()
     if motion is None:

@@ -806,6 +806,7 @@ def test_json_schema_covers_the_examples() -> None:
     assert {"type": "number", "minimum": 1e-3, "maximum": 1e9} in mass["anyOf"][0]["anyOf"]
 
 
+@pytest.mark.long
 def test_loading_configuration_imports_no_numerics() -> None:
     code = (
         "import sys, rthyb_rt.config; print(sorted({'numpy', 'h5py', 'scipy'} & set(sys.modules)))"

@@ -248,6 +248,7 @@ def links(draw: st.DrawFn) -> dict[str, Any]:
     return changes if changes["dbc"] else {**changes, "names": {}, "reset_state": None}
 
 
+@pytest.mark.long
 @given(tables(TestFile))
 @relaxed
 def test_resolved_test_reads_back_equal(data: dict[str, Any]) -> None:
@@ -255,6 +256,7 @@ def test_resolved_test_reads_back_equal(data: dict[str, Any]) -> None:
     assert config.parse_test(config.dump(test)) == test
 
 
+@pytest.mark.long
 @given(tables(RigFile))
 @relaxed
 def test_resolved_rig_reads_back_equal(data: dict[str, Any]) -> None:
@@ -264,6 +266,7 @@ def test_resolved_rig_reads_back_equal(data: dict[str, Any]) -> None:
     assert config.dump(config.parse_rig(text)) == text
 
 
+@pytest.mark.long
 @given(tables(RigFile))
 @relaxed
 def test_every_calibration_is_one_that_the_core_takes_and_its_command_comes_back(
@@ -299,6 +302,7 @@ def files_that_fit(draw: st.DrawFn) -> tuple[dict[str, Any], dict[str, Any]]:
     return rig, test
 
 
+@pytest.mark.long
 @given(files_that_fit())
 @settings(relaxed, max_examples=100)
 def test_resolved_limits_are_never_weaker_than_the_rigs(
@@ -320,6 +324,7 @@ def test_resolved_limits_are_never_weaker_than_the_rigs(
     assert not problems
 
 
+@pytest.mark.long
 @given(tables(Limits), tables(Limits))
 @settings(relaxed, max_examples=100)
 def test_limits_that_were_taken_are_within_the_rigs_and_others_are_named(
@@ -346,6 +351,7 @@ junk = st.recursive(
 )
 
 
+@pytest.mark.long
 @given(st.data())
 @relaxed
 def test_junk_in_any_place_is_refused_without_a_traceback(data: st.DataObject) -> None:
@@ -436,6 +442,7 @@ def numbered_files(draw: st.DrawFn) -> tuple[str, dict[tuple[str | int, ...], in
     return "\n".join(rows) + "\n", lines
 
 
+@pytest.mark.long
 @given(numbered_files(), st.sampled_from(["\n", "\r\n"]))
 @settings(deadline=None, max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 def test_each_key_is_found_on_its_line(

@@ -159,6 +159,7 @@ def joint_motion(
     return np.array(rows), np.array(forces)
 
 
+@pytest.mark.long
 def test_two_tables_at_one_specimen_move_as_their_joint_equations_say() -> None:
     u = commands(700)[300:]
     weak = {"stall_force_n": 12000.0, "oil_stiffness_n_per_m": 6e6}
@@ -176,6 +177,7 @@ def test_two_tables_at_one_specimen_move_as_their_joint_equations_say() -> None:
     assert np.abs(coarse - wanted).max() < 0.02 * felt
 
 
+@pytest.mark.long
 def test_a_table_beside_an_axis_that_is_led_feels_where_it_goes() -> None:
     u = commands(400)
     servo = ServoConfig(kind="second-order", natural_frequency_hz=12.0, damping_ratio=0.6)

@@ -21,6 +21,7 @@ from rthyb_rt.errors import InputError
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "diagnosis"
 
 
+@pytest.mark.long
 def test_the_augmented_model_predicts_another_recording(tmp_path):
     def friction(t, x, v, a):
         return 250.0 * np.tanh(v / 4e-4)
@@ -39,6 +40,7 @@ def test_the_augmented_model_predicts_another_recording(tmp_path):
     assert before > 3.0 * after
 
 
+@pytest.mark.long
 def test_a_users_own_effect_is_found_by_its_name(tmp_path):
     class Magnet(Effect):
         """A magnet at a place pulls the specimen to it."""
@@ -73,6 +75,7 @@ def test_a_users_own_effect_is_found_by_its_name(tmp_path):
     assert found(d, "magnet", "at_m") == pytest.approx(3e-3, rel=0.01)
 
 
+@pytest.mark.long
 def test_the_effect_of_the_users_guide_is_found_from_the_command_line(tmp_path, capsys):
     """The page of Python in docs/diagnosis.md, as it stands there."""
     guide = (Path(__file__).parents[1] / "docs" / "diagnosis.md").read_text(encoding="utf-8")
@@ -119,6 +122,7 @@ def test_an_effect_that_is_none_is_refused_with_its_line(text, words, tmp_path, 
 # ---- the command line ---------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_command_writes_answer_report_and_a_rig_that_loads(tmp_path, capsys):
     recording, toml = cases.write(
         tmp_path, cases.channels(lambda t, x, v, a: 130.0 * np.tanh(v / 4e-4))
@@ -254,6 +258,7 @@ def test_single_rows_lost_here_and_there_hide_nothing(tmp_path):
     assert found(d, "coulomb", "Fc_N") == pytest.approx(130.0, rel=0.02)
 
 
+@pytest.mark.long
 def test_gaps_that_leave_nothing_to_judge_allow_no_answer(tmp_path, monkeypatch):
     monkeypatch.setattr(cases, "FS", core.FS_HZ)
     columns = cases.channels()
@@ -283,12 +288,14 @@ def test_without_a_force_the_specimen_is_not_said_to_lack_nothing(tmp_path, caps
     assert "so this says nothing about the specimen" in said
 
 
+@pytest.mark.long
 def test_a_slip_of_the_pen_in_a_model_is_said(tmp_path):
     text = cases.baseline().replace("moving_mass", "mass")
     d = diagnosed(tmp_path, cases.channels(), text)
     assert any("specimen.mass (did you mean moving_mass?)" in note for note in d.notes)
 
 
+@pytest.mark.long
 def test_the_verdict_of_a_stop_is_a_sentence_of_the_laboratory(tmp_path, capsys):
     recording, toml = cases.write(
         tmp_path,

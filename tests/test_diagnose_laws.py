@@ -191,6 +191,7 @@ noise_std_n = 15
 """
 
 
+@pytest.mark.long
 def test_a_rig_file_may_have_nothing_but_a_loop_for_a_specimen(tmp_path, monkeypatch):
     monkeypatch.setattr(cases, "FS", core.FS_HZ)  # the rate of every rig file
 
@@ -220,6 +221,7 @@ def test_the_column_of_the_core_is_the_one_that_was_fitted(variant, tmp_path):
     np.testing.assert_allclose(found, fitted, atol=1e-9 * np.max(np.abs(fitted)))
 
 
+@pytest.mark.long
 def test_the_exponent_of_a_fluid_damper_is_found(tmp_path):
     d = diagnosed(tmp_path, lambda t, x, v, a: 400.0 * np.sign(v) * np.abs(v / 0.1) ** 0.35)
     (found,) = [c for c in d.candidates if c.name == "power_damping"]

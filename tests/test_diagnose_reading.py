@@ -544,6 +544,7 @@ def run(*arguments: object) -> int:
     return cli.main([str(a) for a in arguments])
 
 
+@pytest.mark.long
 def test_what_was_guessed_is_said_on_stderr_and_in_the_answer(tmp_path, capsys):
     whole = cases.channels()
     (tmp_path / "lab.txt").write_text(written(whole, "Zeit;x_cmd [mm];LVDT;f_meas [kN]", MM_KN))
@@ -633,6 +634,7 @@ SCALES = {
 FORMS = st.sampled_from(["{} [{}]", "{} ({})", "{}_{}", "{}[{}]", "{} / {}", "row"])
 
 
+@pytest.mark.long
 @quick(60)
 @given(data=st.data())
 def test_a_table_in_any_dialect_and_unit_reads_back_the_same_numbers(tmp_path, columns, data):
@@ -668,6 +670,7 @@ def test_never_a_traceback_from_any_text(tmp_path, text, coding):
         read(tmp_path, text.encode(coding))
 
 
+@pytest.mark.long
 @quick(150)
 @given(data=st.data())
 def test_never_a_traceback_from_a_table_that_something_happened_to(tmp_path, columns, data):
@@ -703,6 +706,7 @@ def test_readings_that_no_sensor_has_end_in_words(tmp_path, factor):
                 read(tmp_path, text, toml=toml)
 
 
+@pytest.mark.long
 def test_a_long_recording_is_read_in_seconds(tmp_path):
     n = 200_000
     values = np.column_stack([np.arange(n) / 1024.0, *np.random.default_rng(1).random((4, n))])

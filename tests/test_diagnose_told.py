@@ -97,6 +97,7 @@ def test_what_is_left_over_velocity_lies_around_the_law():
     assert np.std((rest.left - law)[rest.rows]) == pytest.approx(cases.F_STD, rel=0.1)
 
 
+@pytest.mark.long
 def test_of_friction_beside_a_hardening_spring_each_is_drawn_alone():
     d = diagnosed(hardening)
     assert sorted(d.effects) == ["coulomb", "cubic"]
@@ -107,6 +108,7 @@ def test_of_friction_beside_a_hardening_spring_each_is_drawn_alone():
     assert "Without a cubic spring: it does not follow velocity." in over_v.note
 
 
+@pytest.mark.long
 def test_a_forgotten_mass_is_a_line_over_acceleration():
     d = diagnosed(heavier)
     assert d.effects == ["inertia"]
@@ -128,6 +130,7 @@ def test_a_late_actuator_is_a_line_over_the_velocity_of_its_model():
     assert np.std((rest.left - law)[rest.rows]) == pytest.approx(cases.X_STD * 1e3, rel=0.1)
 
 
+@pytest.mark.long
 def test_laws_that_fit_alike_are_drawn_beside_one_another():
     d = diagnosed(softer, kind="sine")
     assert d.verdict == "ambiguous"
@@ -153,6 +156,7 @@ def written(d, folder: Path) -> str:
     return (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.long
 def test_an_explained_recording_raises_no_alarm_on_its_page(tmp_path):
     text = written(diagnosed(friction), tmp_path)
     assert '<span class="state found">explained</span>' in text
@@ -291,6 +295,7 @@ def test_the_ledger_comes_on_demand(tmp_path, capsys):
 # ---- the terminal --------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_terminal_says_the_error_on_a_second_recording(tmp_path, capsys):
     recording, toml = cases.write(tmp_path, cases.channels(friction))
     second, _ = cases.write(
@@ -308,6 +313,7 @@ def test_the_terminal_says_the_error_on_a_second_recording(tmp_path, capsys):
     assert "--heldout" not in told
 
 
+@pytest.mark.long
 def test_the_terminal_says_how_to_have_an_answer_judged(tmp_path, capsys):
     recording, toml = cases.write(tmp_path, cases.channels(friction))
     assert run("diagnose", recording, "--model", toml) == 8
@@ -317,6 +323,7 @@ def test_the_terminal_says_how_to_have_an_answer_judged(tmp_path, capsys):
     assert "--heldout" not in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_a_late_load_cell_is_said_to_be_in_no_rig_file(tmp_path, capsys):
     recording, toml = cases.write(tmp_path, of_late_load_cell())
     assert run("diagnose", recording, "--model", toml, "--report", tmp_path / "r") == 8

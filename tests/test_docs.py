@@ -313,6 +313,7 @@ def test_flags_and_states_of_the_guide_are_those_of_the_core() -> None:
     assert ", ".join(f"{i} {name}" for i, name in enumerate(STATES)) in page
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("section", studies.SECTIONS)
 def test_paper_tables_are_what_the_studies_compute(section: str, paper: list[Study]) -> None:
     pytest.importorskip("pyslammer", reason="Section 4.2 needs the record TCU068")
@@ -357,6 +358,7 @@ def test_result_table_is_that_of_the_built_in_test(name: str) -> None:
     assert compared >= 5
 
 
+@pytest.mark.long
 def test_check_table_is_that_of_the_specimen_of_the_guide(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -434,6 +436,7 @@ def test_make_targets_of_the_guide_exist() -> None:
 # ---- equations ----------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_functions_named_beside_the_equations_exist() -> None:
     sources = [*(ROOT / "csrc").glob("*.[ch]"), *(ROOT / "rthyb_rt").rglob("*.py")]
     code = "\n".join(read(source) for source in sources)

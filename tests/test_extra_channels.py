@@ -357,6 +357,7 @@ def test_an_identification_records_them_too() -> None:
     assert found.alpha == pytest.approx(17, rel=0.05)
 
 
+@pytest.mark.long
 def test_the_report_shows_them_with_their_units(virtual: Recording) -> None:
     page = render(virtual)
     assert "Extra channel table_acceleration" in page

@@ -368,6 +368,7 @@ def built_in_recording() -> Recording:
 # ---- all the ways a test goes -------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_history_goes_through_run_replay_report_and_export(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

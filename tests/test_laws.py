@@ -58,6 +58,7 @@ def test_every_file_of_a_law_is_one_that_the_program_has() -> None:
     assert {"none", "paper", "robust", "alpha-beta"} <= set(LAWS)
 
 
+@pytest.mark.long
 def test_no_module_asks_for_a_law_by_its_name() -> None:
     """What a law needs is in its own table. Old recordings and the paper's studies name some.
 

@@ -355,6 +355,7 @@ def test_parameters_that_changed_in_mid_run_change_again_where_they_did() -> Non
 KINDS = ["drop", "corrupt", "duplicate", "reorder", "jump", "delay", "not-finite", "stuck"]
 
 
+@pytest.mark.long
 @given(
     script=st.lists(
         st.tuples(
@@ -490,6 +491,7 @@ OUTPUTS = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*OUTPUTS, "x_read_m", "f_read_n"])
 @pytest.mark.parametrize("row", [30, 450, 470, -2])
 def test_flipped_bit_is_found_in_its_row(recorded: Bench, name: str, row: int) -> None:

@@ -64,6 +64,7 @@ def bench_at(rate_hz: int, medium: str = "socketpair", **more: object) -> Bench:
 # ---- an ordinary day ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("medium", ["socketpair", "pty"])
 def test_a_test_goes_from_idle_back_to_idle(rate_hz: int, medium: str) -> None:
     with bench_at(rate_hz, medium) as bench:

@@ -218,6 +218,7 @@ def test_weights_of_the_paper_are_unstable_on_the_benchmarks_actuator(
     assert "remove controller.w1 and w2" in text
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate", [1024, 4096])
 @pytest.mark.parametrize("law", ["alpha-beta", "robust", "gain-alpha-beta", "inverse"])
 def test_defaults_are_stable_on_the_benchmarks_actuator_with_room_to_spare(
@@ -302,6 +303,7 @@ def test_a_rig_that_would_push_more_than_the_margin_is_unstable() -> None:
         assert any(not loop.stable() for loop in loops) == unstable
 
 
+@pytest.mark.long
 def test_uncompensated_shaking_table_grows_at_the_structures_own_frequency() -> None:
     verdict = judged(table("none"))
     assert verdict.unstable

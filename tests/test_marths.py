@@ -156,6 +156,7 @@ def test_newmark_gives_what_an_exact_solution_gives() -> None:
     assert error < 1e-3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", ["none", "rodeac", "matrix-inverse"])
 def test_kr_alpha_and_newmark_agree_on_the_response(law: str) -> None:
     runs = [
@@ -192,6 +193,7 @@ def signals(error: float) -> marths.MarthsSignals:
     return found
 
 
+@pytest.mark.long
 def test_figures_of_a_run_that_is_wrong_by_a_known_share() -> None:
     figures = marths.figures(MarthsRun("none", "elcentro"), signals(0.02))
     for name in ("J2", "J3"):
@@ -205,6 +207,7 @@ def test_figures_of_a_run_that_is_wrong_by_a_known_share() -> None:
     assert list(figures) == names
 
 
+@pytest.mark.long
 def test_forces_of_the_actuators_do_the_specimens_work() -> None:
     found = signals(0.0)
     for n in range(len(found.force)):
@@ -221,6 +224,7 @@ def test_forces_of_the_actuators_do_the_specimens_work() -> None:
 # ---- what is known of it -------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_without_compensation_the_actuators_err_by_half() -> None:
     figures = marths.measure(MarthsRun("none", "elcentro")).figures
     assert of(figures, "J2") == pytest.approx([53, 32.5], abs=0.5)
@@ -241,6 +245,7 @@ def test_rodeac_is_what_another_derivation_of_it_is() -> None:
     assert of(figures, "J7") == pytest.approx([9.6, 8.5], abs=0.1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("integrator", marths.PARTS)
 @pytest.mark.parametrize("plant", [marths.NOMINAL, 8001, 8012])
 def test_our_own_keeps_to_what_is_wanted_of_it(plant: int, integrator: str) -> None:

@@ -121,6 +121,7 @@ def test_an_inverse_is_as_it_was_written_down() -> None:
 # ---- learning ------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_gain_delay_and_curvature_of_coupled_axes_are_found() -> None:
     u = shaken(40.0)
     lead = taught(MatrixLead(config(**LOOSE)), u, axes_of(TERMS, u))
@@ -132,6 +133,7 @@ def test_gain_delay_and_curvature_of_coupled_axes_are_found() -> None:
     assert error.std() < 1e-4 * x.std()
 
 
+@pytest.mark.long
 def test_four_axes_are_learnt_together() -> None:
     rng = np.random.default_rng(17)
     terms = np.stack(
@@ -197,6 +199,7 @@ def test_one_axis_learns_and_leads_as_the_law_of_one_axis_does() -> None:
     assert abs(lead.matrices[0, 0, 0] - 1.07) < 0.01
 
 
+@pytest.mark.long
 def test_noise_of_the_sensors_does_not_bend_the_matrices() -> None:
     noise_m = 2e-5
     u = shaken(60.0)
@@ -218,6 +221,7 @@ def test_axes_that_the_inverse_undoes_leave_nothing_to_learn() -> None:
     assert np.abs(lead.matrices - UNIT).max() < 1e-9
 
 
+@pytest.mark.long
 def test_what_the_inverse_leaves_is_learnt() -> None:
     inverse = MatrixInverse((20.0,), np.array([[[1.0, -0.1], [-0.1, 1.0]], 0.2 * np.eye(2)]))
     left = TERMS * [[[0.3]], [[0.3]], [[0.3]]]

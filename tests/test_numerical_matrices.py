@@ -196,6 +196,7 @@ def test_the_critical_delay_of_one_degree_of_freedom_is_the_known_one() -> None:
     assert margins.largest_followed_delay(new, lead, 60) == expected_most
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("force_delay", [0, 1])
 def test_a_delay_beyond_the_critical_one_grows_and_one_below_does_not(force_delay: int) -> None:
     part = frame("rk4", taken_out=True, force_delay=force_delay)
@@ -291,6 +292,7 @@ def test_a_frame_on_a_late_rig_follows_its_reference(integrator: str) -> None:
     assert figures.setup.critical_delay_samples is not None
 
 
+@pytest.mark.long
 def test_a_recording_of_a_frame_replays_bit_for_bit(rthyb: Rthyb, tmp_path: Path) -> None:
     text = TEST.replace("[ground", "free_vibration_s = 1\n[ground").replace(
         "factor = 0.4", "factor = 0.4\nduration_s = 4"

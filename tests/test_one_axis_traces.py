@@ -164,6 +164,7 @@ TRACES: Final = traces()
 _KEPT: Final[dict[str, Any]] = json.loads(STORED.read_text()) if STORED.exists() else {}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", TRACES)
 def test_one_axis_does_what_it_did(name: str) -> None:
     if _KEPT["last_digits"] != last_digits():
@@ -174,6 +175,7 @@ def test_one_axis_does_what_it_did(name: str) -> None:
     )
 
 
+@pytest.mark.long
 def test_the_traces_are_worth_keeping() -> None:
     """Between them they have every state, lost pairs, gaps, limits of the command and trips."""
     rows = [TRACES[name]() for name in TRACES if name.startswith(("troubles", "wire"))]

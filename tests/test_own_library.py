@@ -222,6 +222,7 @@ IN_REAL_TIME = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", IN_REAL_TIME)
 def test_what_a_step_must_not_do_in_real_time_it_may_in_virtual_time(
     build: Build, what: str

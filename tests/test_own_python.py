@@ -91,6 +91,7 @@ def test_a_test_with_classes_of_ones_own_is_written_as_toml_and_reads_back_equal
     assert rt.Rig.from_toml(test.rig.to_toml()) == test.rig
 
 
+@pytest.mark.long
 def test_a_sweep_over_settings_of_a_law_runs_in_processes_of_their_own(tmp_path: Path) -> None:
     test = SHORT.with_(controller=own_parts.Inverse(0.01))
     found = rt.sweep(
@@ -103,6 +104,7 @@ def test_a_sweep_over_settings_of_a_law_runs_in_processes_of_their_own(tmp_path:
     assert errors[0] > 1.5 * errors[1]
 
 
+@pytest.mark.long
 def test_a_run_of_a_sweep_whose_law_fails_is_a_row_that_names_file_and_line(tmp_path: Path) -> None:
     test = SHORT.with_(controller=own_parts.Inverse(0.01))
     key = "controller.python.settings.fails_at"
@@ -321,6 +323,7 @@ def test_an_effect_of_ones_own_is_found_and_leaves_the_catalogue_as_it_was(
     assert effects.catalogue() == before
 
 
+@pytest.mark.long
 def test_an_error_in_an_effect_names_its_line(pulled: rt.Recording) -> None:
     with pytest.raises(KeyError) as caught:
         rt.diagnose(pulled, SHORT.rig, effects=[Broken()])

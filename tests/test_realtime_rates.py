@@ -104,6 +104,7 @@ def test_its_recording_is_replayed_bit_for_bit(rate_hz: int) -> None:
     assert found.identical
 
 
+@pytest.mark.long
 def test_through_a_command_and_its_report(rthyb: Rthyb, tmp_path: Path) -> None:
     out = tmp_path / "run"
     answer = rthyb(
@@ -226,6 +227,7 @@ def test_a_jog_is_as_fast_at_every_rate(rate_hz: int) -> None:
     assert 0.9 * 4e-3 < speed[log["state"][1:] == STATE["RUNNING"]].max() <= 4e-3 * 1.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate_hz", [256, 2048])
 def test_a_rig_is_commissioned_at_its_rate(rate_hz: int) -> None:
     with at(rig_at(rate_hz)) as there:

@@ -169,6 +169,7 @@ for write, name in (
 """
 
 
+@pytest.mark.long
 def test_full_disk_is_one_clear_message_and_nothing_is_left(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, str(tmp_path)],

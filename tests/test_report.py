@@ -291,6 +291,7 @@ class Links(HTMLParser):
                 self.found.append(f"{tag} {name}={value}")
 
 
+@pytest.mark.long
 def test_page_asks_nothing_of_the_network(page: str) -> None:
     links = Links()
     links.feed(page)
@@ -360,18 +361,21 @@ def test_head_of_the_page_says_what_was_tested_on_what(page: str) -> None:
         assert f"<span>{figure}</span>" in head
 
 
+@pytest.mark.long
 def test_window_of_the_tangent_stiffness_stands_in_the_head() -> None:
     rec = recording(1.0)
     rec.test_toml = rec.test_toml.replace("window_periods = 0.1", "window_samples = 51")
     assert "T0 = 51 samples" in render(rec).replace("\N{NO-BREAK SPACE}", " ")
 
 
+@pytest.mark.long
 def test_scale_kept_as_text_has_no_more_digits_than_a_reader_wants() -> None:
     rec = recording(1.0)
     rec.ground_motion["scale"] = "0.1254626434978985"
     assert "<td>0.125463</td>" in render(rec)
 
 
+@pytest.mark.long
 def test_settings_cannot_break_out_of_the_page() -> None:
     rec = recording(1.0)
     rec.test_toml += '\n# <script>alert("x")</script>'
@@ -386,6 +390,7 @@ def test_identified_delay_is_drawn_and_far_bounds_are_named(page: str) -> None:
     assert "Outside the figure: bounds 0 and 60." in page
 
 
+@pytest.mark.long
 def test_bound_that_is_reached_is_drawn() -> None:
     rec = recording(2.0)
     rec.samples["alpha"][500:] = 60.0
@@ -394,6 +399,7 @@ def test_bound_that_is_reached_is_drawn() -> None:
     assert "lower bound 0" in page
 
 
+@pytest.mark.long
 def test_test_without_compensation_has_no_empty_figures() -> None:
     rec = recording(2.0)
     rec.test_toml = rec.test_toml.replace('type = "paper"', 'type = "none"')
@@ -404,6 +410,7 @@ def test_test_without_compensation_has_no_empty_figures() -> None:
     assert len(drawings(page)) == 13
 
 
+@pytest.mark.long
 def test_fixed_delay_is_told_in_words() -> None:
     rec = recording(2.0)
     rec.test_toml = rec.test_toml.replace(
@@ -469,6 +476,7 @@ def curvature(rec: Recording) -> None:
     rec.samples["beta"] = np.linspace(0.0, 144.5, len(rec.samples))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "change",
     [
@@ -496,6 +504,7 @@ def test_report_of_any_test_is_whole(change: Callable[[Recording], None]) -> Non
     assert all(row.value for row in result_table(rec))
 
 
+@pytest.mark.long
 def test_diverged_test_keeps_its_readable_part() -> None:
     rec = recording(20.0)
     clean = np.max(np.abs(rec.samples["x_num_m"]))
@@ -566,6 +575,7 @@ def test_axis_takes_everything_that_is_not_far_off() -> None:
 # --- surroundings -----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_report_is_written_in_one_piece(tmp_path: Path) -> None:
     write_report(recording(1.0), tmp_path / "run" / "report.html")
     assert [file.name for file in (tmp_path / "run").iterdir()] == ["report.html"]
@@ -581,6 +591,7 @@ def test_report_without_matplotlib_names_the_remedy(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_result_table_needs_neither_matplotlib_nor_h5py() -> None:
     code = (
         "import sys, rthyb_rt.analysis.summary, rthyb_rt.record.recording, rthyb_rt.report; "
@@ -592,11 +603,13 @@ def test_result_table_needs_neither_matplotlib_nor_h5py() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.long
 def test_two_reports_of_one_recording_are_the_same_bytes() -> None:
     rec = recording(2.0)
     assert render(rec) == render(rec)
 
 
+@pytest.mark.long
 def test_how_the_station_ended_stands_in_words_and_not_as_a_dict_of_python() -> None:
     rec = recording()
     rec.meta["station"] = {"state": "IDLE", "cause_value": 0.0, "indicated": []}
@@ -613,6 +626,7 @@ def test_on_a_narrow_screen_half_figures_are_no_wider_than_beside_one_another(pa
 # --- the chart of the first figure ------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_chart_that_can_be_enlarged_holds_the_signals_themselves() -> None:
     rec = recording(3.0)
     rec.samples["x_meas_m"][40] = np.nan
@@ -654,6 +668,7 @@ def test_browser_draws_the_chart_without_a_network_and_keeps_the_drawing_for_pap
 # --- files for a paper ------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_figures_and_tables_are_files_of_their_own_and_twice_the_same(tmp_path: Path) -> None:
     rec = recording(3.0)
     written = write_files(rec, tmp_path / "one")
@@ -669,6 +684,7 @@ def test_figures_and_tables_are_files_of_their_own_and_twice_the_same(tmp_path: 
         assert path.read_bytes() == (tmp_path / "one" / path.name).read_bytes(), path.name
 
 
+@pytest.mark.long
 def test_table_of_latex_has_every_row_and_no_letter_that_latex_takes_otherwise(
     tmp_path: Path,
 ) -> None:
@@ -684,6 +700,7 @@ def test_table_of_latex_has_every_row_and_no_letter_that_latex_takes_otherwise(
     )
 
 
+@pytest.mark.long
 def test_measures_as_csv_are_those_of_json(tmp_path: Path) -> None:
     rec = recording(3.0)
     write_files(rec, tmp_path)

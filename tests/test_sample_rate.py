@@ -366,6 +366,7 @@ def test_the_papers_section_4_2_converges_with_the_rate() -> None:
     assert off[1] / off[2] == pytest.approx(3, rel=0.15)
 
 
+@pytest.mark.long
 def test_the_reference_of_a_yielding_structure_converges_to_the_equations() -> None:
     """Bouc-Wen of Section 4.2 (Eqn 4.1-4.2) by an adaptive Runge-Kutta method of order 8."""
     path = ROOT / "examples" / "section4.2.toml"
@@ -426,6 +427,7 @@ def fast() -> Recording:
     return virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
 
 
+@pytest.mark.long
 def test_a_recording_at_4096_hz_replays_and_is_reported(fast: Recording, tmp_path: Path) -> None:
     recording.write(tmp_path / "recording.h5", fast)
     rec = recording.read(tmp_path / "recording.h5")
@@ -445,6 +447,7 @@ def test_a_recording_at_4096_hz_replays_and_is_reported(fast: Recording, tmp_pat
     np.testing.assert_allclose(steps, 1 / 4096, rtol=1e-6)
 
 
+@pytest.mark.long
 def test_a_recording_at_4096_hz_is_diagnosed_with_its_rig_file(
     fast: Recording, tmp_path: Path, rthyb: Rthyb
 ) -> None:
@@ -457,6 +460,7 @@ def test_a_recording_at_4096_hz_is_diagnosed_with_its_rig_file(
     assert "Nothing is missing" in answer.out
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate_hz", [256.0, 4096.0])
 def test_the_check_of_a_test_says_the_same_times(rate_hz: float, rthyb: Rthyb) -> None:
     path = ROOT / "examples" / "section5-T0.5.toml"

@@ -60,6 +60,7 @@ def test_nothing_of_the_program_and_of_the_first_generator_is_used() -> None:
 # ---- free bodies -------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_linear_body_swings_as_in_its_closed_form() -> None:
     zeta, t = 0.05, np.arange(30000) * H
     wd = W0 * math.sqrt(1 - zeta**2)
@@ -117,6 +118,7 @@ def test_a_body_on_a_stop_springs_back_with_what_it_came_with() -> None:
 # ---- laws along a motion -----------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_energies_of_a_cycle_of_sliders() -> None:
     _, x = cycles(0.01)
     fc, ks = 500.0, 2e6
@@ -237,6 +239,7 @@ def response(f: float, a: Actuator) -> complex:
     return complex(np.mean(x[part] * turn) / np.mean(u[part] * turn))
 
 
+@pytest.mark.long
 def test_a_second_order_actuator_has_its_transfer_function() -> None:
     a = Actuator("second", 0.00437, 24.0, 0.7, 1.04)
     for f in (2.0, 8.0):
@@ -285,6 +288,7 @@ def test_a_hydraulic_actuator_follows_a_ramp_at_the_gain_of_its_loop() -> None:
     assert_allclose(late, 0.05 / motion._LOOP_GAIN * (1 / share - 1), rtol=0.15)
 
 
+@pytest.mark.long
 def test_the_closed_loop_is_the_whole_structure() -> None:
     """A fast actuator, compensated: numerical mass and specimen swing as one body."""
     t = np.arange(6 * 1024) * DT
@@ -387,6 +391,7 @@ def test_windows_of_a_burst() -> None:
 # ---- whole cases -------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["single", "cancel", "dormant"])
 def test_a_case_is_written_as_the_format_says_and_scores(kind: str, tmp_path: Path) -> None:
     (folder,) = second.generate(kind, "normal", 5, 1, tmp_path)
@@ -417,6 +422,7 @@ def test_a_servo_that_its_oil_column_cannot_carry_is_drawn_anew() -> None:
         assert np.max(np.abs(run.fine[0])) < 0.05
 
 
+@pytest.mark.long
 def test_a_seed_gives_the_same_case_again() -> None:
     one, two = (second.make("single", "hard", 8, 1, Counter()) for _ in range(2))
     assert [e.params for e in one.effects] == [e.params for e in two.effects]

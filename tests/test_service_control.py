@@ -656,6 +656,7 @@ def damaged(draw: st.DrawFn) -> bytes:
 messages = st.binary(max_size=200) | damaged() | calls.map(lambda c: json.dumps(c).encode())
 
 
+@pytest.mark.long
 @settings(max_examples=FUZZ, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(message=messages, peer=st.sampled_from([STRANGER, LOOKER, OPERATOR]))
 def test_whatever_comes_is_answered_and_moves_nothing(

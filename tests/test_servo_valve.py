@@ -209,6 +209,7 @@ def test_a_valve_without_a_mass_to_push_is_refused_by_the_file() -> None:
 # --- perturbed plants ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_plants_are_drawn_with_the_stated_deviations_and_by_their_seed() -> None:
     plants = [benchmark.drawn(seed) for seed in range(2000)]
     assert benchmark.drawn(7) == plants[7]

@@ -119,6 +119,7 @@ def test_slips_of_the_pen_are_named_all_at_once_with_line_value_and_range() -> N
     assert [p.where.split(":")[1] for p in caught.value.problems] == [str(n) for n in range(14, 21)]
 
 
+@pytest.mark.long
 def test_json_schema_takes_a_limit_as_a_number_a_text_and_a_table() -> None:
     jsonschema = pytest.importorskip("jsonschema", reason="comes with pyslammer")
     schema = config.json_schema("test")

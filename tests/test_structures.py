@@ -141,6 +141,7 @@ def test_a_recording_of_ten_storeys_replays_bit_for_bit(
     assert found.identical
 
 
+@pytest.mark.long
 def test_the_report_draws_modes_storeys_and_what_was_recorded(
     ten: tuple[experiment.Setup, Any],
 ) -> None:
@@ -153,6 +154,7 @@ def test_the_report_draws_modes_storeys_and_what_was_recorded(
     assert "7 others, with smaller peaks" in plates["recorded-forces"].note
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rows", [0, 5, 3000])
 def test_the_report_bears_rows_of_which_the_channels_are_not_known(
     rows: int, ten: tuple[experiment.Setup, Any]

@@ -39,6 +39,7 @@ def value(study: Study, quantity: str, case: str = "", group: str = "") -> float
 # --- bands ------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", studies.SECTIONS)
 def test_every_accepted_band_is_met(paper: list[Study], key: str) -> None:
     study = section(paper, key)

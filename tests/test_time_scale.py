@@ -198,6 +198,7 @@ def test_a_test_of_too_many_hours_is_refused_with_what_would_fit() -> None:
     assert "test.time_scale" in str(error.value)
 
 
+@pytest.mark.long
 def test_the_report_of_a_slow_test_has_the_structures_own_period_and_ground_motion() -> None:
     setup = experiment.prepare(slow_test(ONE.format("cr"), 10.0), rig_of())
     rec = virtual_time.run(setup)

@@ -203,6 +203,7 @@ def test_a_force_that_only_dips_below_its_limit_begins_no_new_count() -> None:
     assert beyond == QUARTER_S
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("reaction", ["hold", "ramp-out", "trip"])
 @pytest.mark.parametrize("seed", range(6))
 def test_no_force_stays_beyond_its_limit_for_longer_than_stated(
@@ -353,6 +354,7 @@ def test_a_force_that_jumps_is_not_used_and_ramps_out() -> None:
     assert lab.row["code"] & STATUS["sensor_jump"]
 
 
+@pytest.mark.long
 def test_the_whole_shipped_test_meets_none_of_the_derived_limits() -> None:
     lab = Lab().running(0)
     lab.until("IDLE", "TRIPPED", most=60000)

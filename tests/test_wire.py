@@ -784,6 +784,7 @@ def layouts(draw: st.DrawFn) -> tuple[str, dict[str, tuple[float, float]]]:
     return dbc_text(*parts, tail="\n".join(floats)), ranges
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(layouts(), st.data())
 def test_any_layout_packs_and_unpacks_as_cantools_does(
@@ -1164,6 +1165,7 @@ def compiled(*arguments: str | Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.long
 def test_a_million_frames_of_all_kinds_break_nothing(tmp_path: Path) -> None:
     """The invariants are in tests/fuzz/fuzz_wire.c; built with ASan and UBSan."""
     program = tmp_path / "fuzz_wire"
