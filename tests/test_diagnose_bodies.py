@@ -9,7 +9,13 @@ import diagnose_cases as cases
 import numpy as np
 import pytest
 from diagnose_answers import diagnosed, found, holds
-from scipy import signal
+from scipy import optimize, signal
+
+from rthyb_rt.diagnose import effects, engine, force, reading, remainder
+from rthyb_rt.diagnose.case import Case
+from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import Member, Problem, refine, solve
 
 MASS, SPRING, DASHPOT = 6700.0, 4.5e5, 3600.0
 
@@ -18,14 +24,10 @@ def rows(seconds: float) -> int:
     return round(seconds * cases.FS)
 
 
-def of_a_free_body(
-    x: np.ndarray,
-    push: np.ndarray,
-    a: np.ndarray,
-    folder: Path,
-    x_std: float = 4e-6,
-    f_std: float = 0.4,
-):
+def free_body(
+    x: np.ndarray, push: np.ndarray, a: np.ndarray, x_std: float = 4e-6, f_std: float = 0.4
+) -> tuple[dict[str, np.ndarray], str]:
+    """Return the columns of a recording of a body under a force, and its model."""
     rng = np.random.default_rng(7)
     n = x.size
     columns = {
@@ -38,7 +40,11 @@ def of_a_free_body(
         family='"forced"', k=SPRING, c=DASHPOT, moving_mass=MASS, c_tol=0.1
     ).replace(f"f_std = {cases.F_STD}", f"f_std = {f_std}")
     head, _, tail = model.partition("[actuator]")
-    return diagnosed(folder, columns, head + "[noise]" + tail.partition("[noise]")[2])
+    return columns, head + "[noise]" + tail.partition("[noise]")[2]
+
+
+def of_a_free_body(x: np.ndarray, push: np.ndarray, a: np.ndarray, folder: Path, **noise: float):
+    return diagnosed(folder, *free_body(x, push, a, **noise))
 
 
 EITHER = [pytest.param("inertia", marks=pytest.mark.long), "stiffness"]
@@ -214,3 +220,57 @@ def test_a_body_that_moves_as_simulated_lacks_no_force_whatever_its_sensors_hum(
     slow *= 1e-6 / np.std(slow)
     d = of_a_free_body(y[:, 0] + slow, push, a + 50.0 * slow, tmp_path, x_std=3e-7)
     assert (d.verdict == "none") == known
+
+
+def proposed(case: Case, name: str) -> force.Search:
+    """Return a law in its plain form, as if the force balance had named it."""
+    motion = engine.motion_of(case, None)
+    assert motion is not None
+    law = effects.catalogue()[name]
+    problem = Problem(case, engine.context_of(case, motion), motion, [law])
+    null, best = solve(problem, [], []), refine(problem, [Member(law, Trial())])
+    assert null is not None
+    assert best is not None
+    return force.Search(problem, null, [best], best, [], 1.0, 1.0, 1.0, 1.0, 1.0)
+
+
+def test_a_law_from_the_balance_of_forces_is_judged_by_the_motion_that_it_makes(tmp_path):
+    """A hardening spring makes its body's motion to the noise; a damper in its place does not.
+
+    What the model alone leaves is compared with scipy's fit of a linear body.
+    """
+    n, k3, x_std = rows(8.0), 4e7, 4e-6
+    push, fine = swept(n, 0.5, 0.1)
+    x, a = moved_body(900.0 * fine, lambda x, v: SPRING * x + k3 * x**3 + DASHPOT * v, MASS, n)
+    columns, model = free_body(x, 900.0 * push, a, x_std)
+    recording, toml = cases.write(tmp_path, columns, model)
+    case = reading.read_case(recording, reading.read_model(toml))
+    made = {}
+    for name in ("cubic", "quad_damping"):
+        search = proposed(case, name)
+        made[name] = remainder.reproduced(search, search.problem.ctx)
+    right, wrong = made["cubic"], made["quad_damping"]
+    assert right is not None
+    assert wrong is not None
+    assert right.after == pytest.approx(0.0, abs=0.1)
+    assert wrong.after > 0.3 * wrong.before
+
+    def linear(p: np.ndarray) -> np.ndarray:
+        """Return the misfit of a linear body in noise, and of its priors as the model has them."""
+        k, c, mass = SPRING * p[0], DASHPOT * p[1], MASS * p[2]
+        body = signal.StateSpace(
+            [[0, 1], [-k / mass, -c / mass]], [[0], [1 / mass]], np.eye(2), np.zeros((2, 1))
+        )
+        _, y, _ = signal.lsim(body, 900.0 * push, columns["t"], p[3:5])
+        late = y[:, 0] - 5e-5 * p[5] * y[:, 1]
+        prior = [(p[0] - 1) / 0.01, (p[1] - 1) / 0.1, (p[2] - 1) / POLICY.mass_blur, p[5]]
+        return np.r_[(columns["x_meas"] - late) / x_std, prior]
+
+    reach = POLICY.nuisance_reach * np.array([POLICY.mass_blur, 1.0])
+    far = np.array([0.5, 0.9, reach[0], 0.1, 1.0, reach[1]])
+    start = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+    scale = [0.01, 0.1, 0.01, 1e-4, 1e-3, 1.0]
+    least = optimize.least_squares(linear, start, bounds=(start - far, start + far), x_scale=scale)
+    assert right.before == pytest.approx(wrong.before, rel=1e-3)
+    # A fit far above the noise ends where a step gains little: see `freebody.LITTLE`.
+    assert 0.98 < right.before / (2.0 * least.cost / n - 1.0) < 1.5

@@ -343,14 +343,18 @@ def test_a_weight_that_moves_a_body_far_off_its_zero_is_named() -> None:
     assert decided(a_zero(), zero=20.0).best.names == ("bias",)
 
 
-def test_zero_error_of_the_displacement_passes_for_no_law_on_a_load_cell_either() -> None:
-    """Through the spring it is a constant force; a law has to explain more than that."""
-    both = evidence(of("bias", chi2=1000.0), of("cubic", chi2=990.0), null=2000.0)
+@pytest.mark.parametrize("judged", ["force", "motion"])
+def test_zero_error_of_the_displacement_passes_for_no_other_law_either(judged: Any) -> None:
+    """Through the spring it is a constant force; a law has to explain more than that.
+
+    In the force of a load cell as in the simulated motion of a body without one.
+    """
+    both = evidence(of("bias", chi2=1000.0), of("cubic", chi2=990.0), null=2000.0, judged=judged)
     found = decided(both, zero=1.0)
     assert found.best.names == ()
     assert fired(found) == {"off zero", "beside zero"}
     assert decided(both, zero=20.0).best.names == ("cubic",)
-    better = evidence(of("bias", chi2=1000.0), of("cubic", chi2=900.0), null=2000.0)
+    better = replace(both, sets=(both.sets[0], of("cubic", chi2=900.0)))
     assert decided(better, zero=1.0).best.names == ("cubic",)
     assert decided(replace(both, setting=replace(both.setting, naive=True)), zero=1.0).best.parts
 

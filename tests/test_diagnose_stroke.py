@@ -64,8 +64,18 @@ def test_second_mode_beside_a_damper_is_what_it_is(beside: str) -> None:
     assert stroke.gain(problem, fit) < POLICY.same_evidence
 
 
-def test_mass_alone_and_sets_without_one_are_not_asked() -> None:
-    """A spring that changes a little is the form of the law."""
+@pytest.mark.parametrize("times", [3.0, 15.0])
+def test_mass_alone_is_compared_where_only_a_softer_spring_reaches_the_noise(times: float) -> None:
+    """A spring that changes a little is the form of the law, however little noise there is."""
+    gains = [
+        stroke.gain(*fitted(lambda t, x, v, own=own: times * riding(own), "second_mode"))
+        for own in (SOFTER, 0.1 * SOFTER, 0.0)
+    ]
+    assert gains[0] > 5.0 * POLICY.same_evidence
+    assert gains[1:] == [-np.inf, -np.inf]
+
+
+def test_mass_near_the_noise_and_sets_without_one_are_not_compared() -> None:
     force = riding(SOFTER)
     assert stroke.gain(*fitted(lambda t, x, v: force, "second_mode")) == -np.inf
     plain = fitted(lambda t, x, v: 2e3 * v + 60.0 * np.sign(v), "coulomb", "viscous")

@@ -471,7 +471,7 @@ def off_zero(court: Court, of: Hypothesis) -> bool:
         if found < wanted:
             return court.refuse("off zero", of, part=part.name, found=found, wanted=wanted)
     alone = next((h for n in sorted(zeros) if (h := court.by_names.get((n,))) is not None), None)
-    if alone is None or setting.judged != "force" or not zeros.isdisjoint(of.names):
+    if alone is None or not zeros.isdisjoint(of.names):
         return True
     if court.ask("zero", alone, (0,)) ** 2 >= alone.price:
         return True

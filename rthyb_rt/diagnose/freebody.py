@@ -133,13 +133,17 @@ class Body:
 
     def quick(self, fit: Fit) -> bool:
         """Return whether every effect is one element of the core, and no loop of many springs."""
+        return self.in_core(fit) and having(lambda e: e.many_springs).isdisjoint(fit.names)
+
+    def in_core(self, fit: Fit) -> bool:
+        """Return whether every effect of the specimen is elements of the core.
+
+        The force of others is known only along a motion that is known already.
+        """
         rest = Augmented(
             self.case.model, self.case.model, fit.members, fit.betas, None, self.ctx.all_ranges
         ).elements(self.case.model.mass)[2]
-        slow = having(lambda e: e.many_springs)
-        return not any(m.name in slow or not m.effect.sensor for m, _ in rest) and not any(
-            n in slow for n in fit.names
-        )
+        return all(m.effect.sensor for m, _ in rest)
 
     def distinct(self, fit: Fit) -> bool:
         """Return whether no effect of the set is another one of it under a different name."""

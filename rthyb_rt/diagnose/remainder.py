@@ -10,12 +10,13 @@ import numpy as np
 from rthyb_rt.diagnose import estimate, evidence, noise, steady, stroke, varying, verdict
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
-from rthyb_rt.diagnose.force import RIVALS, Search
+from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search
+from rthyb_rt.diagnose.freebody import Body, judged
 from rthyb_rt.diagnose.intervals import SIDES, Sure
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, nrmse, output_error, predict
 from rthyb_rt.diagnose.select import Fit, Problem, leaning
-from rthyb_rt.diagnose.verdict import Asked, Left, Rounded, Simulated
+from rthyb_rt.diagnose.verdict import Asked, Left, Reproduced, Rounded, Simulated
 
 
 def left_by(search: Search, fit: Fit) -> Floats:
@@ -170,6 +171,44 @@ def simulated(search: Search) -> Simulated | None:
     )
 
 
+def reproduced(search: Search, ctx: Context) -> Reproduced | None:
+    """Return how the best set, and the model alone, simulate a body without load cell.
+
+    None if the recording is not of such a body, or if an effect of the set acts from some time on
+    or with another channel: its force is known only along a motion.
+    """
+    case, fit = search.problem.case, search.best
+    if not judged(case):
+        return None
+    body = Body(case, ctx)
+    if not body.in_core(fit):
+        return None
+
+    alone, found = (_settled(body, search.problem, f) for f in (search.null, fit))
+
+    def excess(of: Fit | None) -> float:
+        return np.inf if of is None else of.chi2 / body.rows.size - 1.0
+
+    def quiet(of: Fit | None) -> bool:
+        return of is not None and body.quiet(of)
+
+    bent = bend(search.problem, alone) if alone is not None else np.inf
+    return Reproduced(excess(alone), excess(found), bent, quiet(alone), quiet(found))
+
+
+def _settled(body: Body, problem: Problem, fit: Fit) -> Fit | None:
+    """Return a set fitted to its simulated motion, again as long as that improves it clearly."""
+    found = body.settled(problem, fit)
+    for _ in range(AGAIN):
+        if found is None or found.chi2 < POLICY.motion_met_alone * body.rows.size:
+            break
+        more = body.settled(problem, found)
+        if more is None or more.chi2 > (1.0 - SETTLED) * found.chi2:
+            break
+        found = more
+    return found
+
+
 def strength(search: Search, ctx: Context) -> float | None:
     """Return the squared ratio of a single effect's size to its standard deviation."""
     fit = search.best
@@ -191,6 +230,8 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
         return by_the_sheet(search)
     if what == "simulated":
         return simulated(search)
+    if what == "reproduced":
+        return None if ctx is None else reproduced(search, ctx)
     if what == "changes":
         return {c.part: c.deviations for c in steady.changes(search.problem, search.best)}
     if what == "varying":

@@ -5,18 +5,20 @@ their stroke, a mass on a membrane hardens: the frequency changes with the ampli
 Nayfeh and Mook, Nonlinear Oscillations, 1979, ch. 4). If such a mass is assumed to be linear, a
 second law absorbs the difference: a hum at the same frequency, a play, a further damper. A set of
 several laws that includes such a mass is therefore compared with this mass alone, with a cubic
-spring fitted. The latter has no name; if it explains more, the set is not the answer. A mass alone
-is not compared in this way: there, a small change of the spring is only an error in the form of its
-law.
+spring fitted. The latter has no name; if it explains more, the set is not the answer. Where a mass
+alone was found, a change of its spring always explains a little more; that is an error in the form
+of the law, unless it is more than such an error may be and leaves nothing but noise.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from rthyb_rt.diagnose import evidence
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.select import Fit, Member, Problem, penalty
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import Fit, Member, Problem, penalty, solve
 from rthyb_rt.diagnose.steady import left, standing
 
 BEGUN = [(f, change) for f in (-0.02, 0.0, 0.03) for change in (-0.04, -0.01, 0.01, 0.03)]
@@ -30,18 +32,40 @@ TRIED = 4
 
 
 def gain(problem: Problem, fit: Fit) -> float:
-    """Return the additional gain of such a mass over a set of several laws, in chi-squared.
+    """Return the additional gain of such a mass over a set with a linear one, in chi-squared.
 
     Including prices, and divided by the inflation due to correlated rows; minus infinity if the set
-    has no such mass with others, or no slopes.
+    has no such mass or no slopes, or if it is a mass alone whose residual is noise or due to the
+    form of its law.
     """
-    own = standing(problem, fit) if len(fit.members) > 1 else None
+    own = standing(problem, fit)
     if own is None:
         return -np.inf
     rivals = [_least(problem, m) for m in fit.members if not m.effect.late]
     rival = min((r for r in rivals if r is not None), default=np.inf)
+    if len(fit.members) == 1:
+        if not (_ends_at_noise(problem, rival, fit.chi2) and _no_form(problem, rival, fit.chi2)):
+            return -np.inf
+        # Neighbours of its law in the motion of the specimen are no part of its own stroke.
+        own = fit.chi2 + evidence.cost(problem, fit), own[1]
     # Mass, frequency, damping, and the change of the spring.
     return (own[0] - rival - penalty(problem.ln_n, 4)) / own[1]
+
+
+def _ends_at_noise(problem: Problem, one: float, other: float) -> bool:
+    """Return whether a chi-squared reaches the noise and another one does not.
+
+    As in `decide.Court.ends_at_noise`, with the noise as it is in evidence that was scaled down.
+    """
+    noise = problem.y.size * problem.estimate.share / problem.loudness**2
+    left = other - noise
+    return left > POLICY.form_seen * noise and one - noise < POLICY.noise_reached * left
+
+
+def _no_form(problem: Problem, one: float, other: float) -> bool:
+    """Return whether two chi-squared differ by more than the form of a law may explain."""
+    null = solve(problem, [], [])
+    return null is not None and other - one > POLICY.form_alone * (null.chi2 - other)
 
 
 def _least(problem: Problem, member: Member) -> float | None:

@@ -15,7 +15,9 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 
 Said = Literal["none", "explained", "ambiguous", "unknown"]
 Names = tuple[str, ...]
-Asked = Literal["sheet", "simulated", "strength", "changes", "varying", "stroke"]
+Asked = Literal[
+    "sheet", "simulated", "reproduced", "strength", "changes", "varying", "stroke"
+]  # fmt: skip
 
 
 # ---- evidence -----------------------------------------------------------------------------------
@@ -126,17 +128,36 @@ class Simulated:
 
 
 @dataclass(frozen=True)
+class Reproduced:
+    """A free body's motion by a set from the force balance, fitted to its displacement.
+
+    Attributes:
+        before, after: misfit of the model alone and of the set, beyond noise, in noise power;
+            infinite if the motion diverges.
+        bent: largest change of a stated value by the model alone, in standard deviations.
+        quiet_before, quiet: whether that misfit is within the displacement's data sheet.
+    """
+
+    before: float
+    after: float
+    bent: float = 0.0
+    quiet_before: bool = False
+    quiet: bool = False
+
+
+@dataclass(frozen=True)
 class Seen:
     """Everything known for the verdict.
 
     Attributes:
         known: answers to what was asked: "sheet", whether the residual of the set is within the
-            load cell's data sheet; "simulated", None if the motion is not decisive; "strength", the
-            squared ratio of a single effect's size to the standard deviation of its interval; None
-            if it has no size; "changes", how far beyond chance the set's parameters differ in a
-            part of the recording, by the description of that part, in standard deviations;
-            "varying", the additional gain of a coefficient that changes periodically with time, in
-            chi-squared; "stroke", the same for a mass whose own spring changes with its stroke.
+            load cell's data sheet; "simulated" and "reproduced", None if the motion is not
+            decisive; "strength", the squared ratio of a single effect's size to the standard
+            deviation of its interval; None if it has no size; "changes", how far beyond chance the
+            set's parameters differ in a part of the recording, by the description of that part, in
+            standard deviations; "varying", the additional gain of a coefficient that changes
+            periodically with time, in chi-squared; "stroke", the same for a mass whose own spring
+            changes with its stroke.
     """
 
     force: Left | None = None
@@ -298,6 +319,29 @@ def motion(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     return False, True
 
 
+def reproduced(court: _Court, left: Left, named: bool, known: bool) -> Turn:
+    """A set that the force balance names must reproduce the motion of a body without load cell.
+
+    Its force was inferred from that motion: the balance proposes, the simulation decides. A set
+    that leaves more of the motion than the form of its laws may is at most part of the answer.
+    """
+    policy = court.policy
+    if left.moved or not named:
+        return named, known
+    made: Reproduced | None = court.ask("reproduced")
+    if made is None:
+        return named, known
+
+    def met(excess: float, quiet: bool) -> bool:
+        return quiet or excess < policy.motion_met - 1.0
+
+    share, most = made.after / max(made.before, 1e-12), of_size(policy.left_moved, left.size)
+    if met(made.after, made.quiet) or share < most:
+        return named, known
+    court.rules("reproduced", left.names, share, most)
+    return False, met(made.before, made.quiet_before) and within(made.bent, policy)
+
+
 def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     """A single effect beside noise is no finding if noise of this colour may produce it.
 
@@ -340,7 +384,7 @@ def beside_nameless(
 
     For the same sets as `steady`, with a minimum number of laws. "varying": a coefficient that
     changes periodically with time; "stroke": one mass on a softening spring instead of a second
-    mode together with another law.
+    mode, alone or together with another law.
     """
 
     def rule(court: _Court, left: Left, named: bool, known: bool) -> Turn:
@@ -377,8 +421,8 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
-    "blur": blur, "motion": motion, "chance": chance, "steady": steady,
-    "varying": beside_nameless("varying", 0), "stroke": beside_nameless("stroke", 2),
+    "blur": blur, "motion": motion, "reproduced": reproduced, "chance": chance, "steady": steady,
+    "varying": beside_nameless("varying", 0), "stroke": beside_nameless("stroke", 1),
     "steps": steps,
 }  # fmt: skip
 """Rules that withdraw the set of the force, or declare its residual explained, in order."""

@@ -467,6 +467,8 @@ TURNED = {
     "blur": "the best set is no larger than the uncertainty of the estimated motion",
     "motion": "the model alone simulates the measured motion, within its tolerances and the "
     "sensor's noise",
+    "reproduced": "the best set, found in the balance of forces, does not reproduce the measured "
+    "motion when it is simulated",
     "chance": "the best set is no larger than what noise of this spectrum produces by chance",
     "steady": "the parameters of the best set differ between parts of the recording",
     **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},
