@@ -86,6 +86,22 @@ def test_the_form_of_a_law_is_no_change_of_its_numbers(part: float) -> None:
     assert max(found.values()) < POLICY.changed_numbers
 
 
+@pytest.mark.parametrize("power", [0.8, 1.0, 1.3, 1.6])
+def test_wear_by_another_law_of_travel_is_no_change_of_its_numbers(power: float) -> None:
+    def lost(t: Floats, x: Floats, v: Floats) -> Floats:
+        travel = np.cumsum(np.abs(np.diff(x, prepend=x[0])))
+        return 0.12 * K * x * np.expm1(-((travel / (0.3 * travel[-1])) ** power))
+
+    found = changes_of(lost, "degradation")
+    assert max(found.values()) < POLICY.changed_numbers
+
+
+def test_a_spring_that_breaks_at_once_does_not_wear() -> None:
+    found = changes_of(lambda t, x, v: -0.1 * K * x * (t > 4.0), "degradation")
+    assert max(found, key=found.__getitem__) == SECOND_HALF
+    assert found[SECOND_HALF] > POLICY.changed_numbers
+
+
 @pytest.mark.parametrize("share", [0.02, 0.05, 0.08])
 def test_a_damper_that_warms_by_some_per_cent_is_still_that_damper(share: float) -> None:
     found = changes_of(lambda t, x, v: 2e3 * v * (1.0 - share * (t > 4.0)), "viscous")

@@ -24,7 +24,7 @@ def neighbours(force: Floats, over: list[tuple[Floats, float]]) -> list[Floats]:
 
     Args:
         force: force of the law, (n,).
-        over: displacement, velocity, each (n,), with their ranges.
+        over: displacement, velocity, travel, each (n,), with their ranges.
     """
     out = []
     for values, reach in over:

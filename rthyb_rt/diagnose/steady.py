@@ -5,9 +5,10 @@ different parameters early and late, or in fast and slow motion, and the residua
 enough to pass for noise nevertheless. The rows of a recording are therefore divided by time and by
 motion, each part gets parameters of its own, and the gain is compared with chance (Chow,
 Econometrica 28 (1960) 591). The right law is only approximate, too: its `form.neighbours` are
-included, as large as a form may be off, and what they also explain is no evidence. Nor is a slight
-warming or wear of the
-specimen: parameters may differ by some per cent.
+included, as large as a form may be off, and what they also explain is no evidence; those of a law
+that wears with travel are functions of the travel as well, else its form would differ between early
+and late motion. Nor is a slight warming or wear of the specimen: parameters may differ by some per
+cent.
 """
 
 from __future__ import annotations
@@ -119,11 +120,16 @@ def _near(problem: Problem, fit: Fit) -> Floats:
     """Return the neighbours of the laws of a set, whitened, (rows, m)."""
     ctx = problem.ctx
     over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
+    # Whether wear follows the travel, the work or the number of cycles is its form.
+    half = 0.5 * float(ctx.travel[-1]) or 1.0
+    worn = [*over, (ctx.travel - half, half)]
     columns = [
         problem.seen(column)
         for i, member in enumerate(fit.members)
         if not member.effect.sensor
-        for column in neighbours(evidence.contribution(problem, fit, i), over)
+        for column in neighbours(
+            evidence.contribution(problem, fit, i), worn if member.effect.wears else over
+        )
     ]
     return np.column_stack(columns) if columns else np.zeros((fit.residual.size, 0))
 

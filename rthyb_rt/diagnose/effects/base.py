@@ -191,6 +191,7 @@ class Effect:
         also: name of the law to which it is equivalent in parallel with a spring of free stiffness.
         of_spring: its parameter that is a fraction of the existing spring.
         replaces_spring: its element includes the model's spring.
+        wears: its force changes with the travel so far.
         many_springs: it is simulated as many elements, or evaluates its force repeatedly.
         zero: it is the zero of the load cell, which a rig file has.
         wanders: it is a zero that changes with time.
@@ -230,6 +231,7 @@ class Effect:
     also = ""
     of_spring = ""
     replaces_spring = False
+    wears = False
     many_springs = False
     zero = False
     wanders = False

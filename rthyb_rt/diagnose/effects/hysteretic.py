@@ -403,6 +403,7 @@ class Degradation(Effect):
     fingerprint = "residual in phase with displacement that grows during the test"
     static = True
     many_springs = True
+    wears = True
     replaces_spring = True
     of_spring = "loss"
     shown_by = LARGE
@@ -488,6 +489,7 @@ class WornColumn(Effect):
     shown_by = LARGE
     signs = "+"
     complete = True
+    wears = True
 
     @property
     def names(self) -> tuple[str, ...]:
