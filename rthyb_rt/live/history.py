@@ -93,8 +93,8 @@ def _of_axes(
             "x_num_m": wanted[:, k],
             **{name: numbered(name, k, ".") for name in ("x_cmd_m", "x_meas_m", "f_meas_n")},
             "alpha": numbered("alpha", k, "_"),
-            # The tangent stiffness is a matrix of directions.
-            "k_t_n_per_m": nothing,
+            # The tangent stiffness is that of a direction: with axis k, that of direction k.
+            "k_t_n_per_m": numbered("k_t_n_per_m", k, "_") if k < directions else nothing,
             "energy_error_j": samples["energy_error_j"],
         }
         for k in range(axes)

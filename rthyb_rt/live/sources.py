@@ -17,6 +17,7 @@ from rthyb_rt import core, numbers
 from rthyb_rt.analysis import several_axes, summary
 from rthyb_rt.analysis.attention import WINDOW_S, AxesJudge, Judge
 from rthyb_rt.analysis.notices import attention_in_words, axis_attention_in_words
+from rthyb_rt.config import AxesRig
 from rthyb_rt.core import RUNNING, STATES, Channel
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.errors import InputError, RthybError
@@ -178,6 +179,7 @@ class _Session:
         reference: the reference simulation, empty without one: shape (n,), or (n, axes).
         extras: extra channels of the rig.
         axes: names of the axes, if several.
+        directions: names of the directions, with the unit of their stiffness, if several.
         tie: kinematics from the interface to the axes.
     """
 
@@ -186,6 +188,7 @@ class _Session:
     reference: NDArray[np.float64]
     extras: tuple[Channel, ...] = ()
     axes: tuple[str, ...] = ()
+    directions: tuple[dict[str, str], ...] = ()
     tie: Kinematics | None = None
 
     @classmethod
@@ -202,6 +205,7 @@ class _Session:
                 reference.axis_m,
                 rec.extras(),
                 axes=rec.axis_names,
+                directions=_directions(rig),
                 tie=rig.core_kinematics(),
             )
         given = summary.setup(rec)
@@ -432,6 +436,9 @@ class LiveSource:
             newest = None if self._reader is None else self._reader.newest()
             found["axes"] = list(self._axes())
             found["now"] = None if newest is None else self._now(newest)
+        session = self._session
+        if session is not None and session.identity == self._held:
+            found["directions"] = list(session.directions)
         return found | {
             "mode": "ring" if self.socket is None else "service",
             "reachable": self.socket is None or service is not None,
@@ -532,9 +539,18 @@ def _nothing() -> dict[str, Any]:
         "counters": [],
         "now": None,
         "axes": [],
+        "directions": [],
         "ended": False,
         "end_reason": "",
     }
+
+
+def _directions(rig: AxesRig) -> tuple[dict[str, str], ...]:
+    """Return name and unit of stiffness of each direction, as plotted: a millionth of SI units."""
+    return tuple(
+        {"name": name, "unit": "MN m/rad" if turns else "kN/mm"}
+        for name, turns in zip(rig.directions, rig.kinematics.turns(), strict=True)
+    )
 
 
 def _of_service(found: dict[str, Any]) -> dict[str, Any]:
@@ -565,11 +581,15 @@ def _of_service(found: dict[str, Any]) -> dict[str, Any]:
 def _now_of(found: dict[str, Any]) -> list[float | None]:
     """Return the channels of the newest record, axis by axis, as reported by the service.
 
-    The tangent stiffness exists for one axis only; with several it is a matrix of directions.
+    The tangent stiffness of several axes is that of the direction of the same number.
     """
     newest = found["newest"]
     axes = (found.get("axes") or {}).values()
-    each = [{**newest, "k_t_n_per_m": None, **own} for own in axes] or [newest]
+    stiff = [one.get("k_t") for one in (found.get("directions") or {}).values()]
+    stiff += [None] * (len(axes) - len(stiff))
+    each = [
+        {**newest, "k_t_n_per_m": k_t, **own} for k_t, own in zip(stiff, axes, strict=False)
+    ] or [newest]
     return [value for one in each for value in _now(one)]
 
 
@@ -674,7 +694,9 @@ class PastSource:
         self.fs_hz = rec.fs_hz
         self.history = History(samples.size)
         at = _positions(samples["tick"])
-        tie = several_axes.files(rec)[0].core_kinematics() if rec.axis_names else None
+        rig = several_axes.files(rec)[0] if rec.axis_names else None
+        self._directions = () if rig is None else _directions(rig)
+        tie = None if rig is None else rig.core_kinematics()
         self.history.append(at, channels(samples, tie), samples["state"].astype(np.uint8))
         self.zero = int(at[np.argmax(rec.running())])
         self._tally = Tally()
@@ -716,6 +738,7 @@ class PastSource:
             "state": self.state,
             "cause": self._cause,
             "axes": list(self._rec.axis_names),
+            "directions": list(self._directions),
             "attention": self._alarms,
             "test": str(meta.get("test_name", "")),
             "ended": True,

@@ -54,9 +54,9 @@ def _wanted(rig: AxesRig, row: np.void | None) -> list[float | None]:
 
 
 def of_directions(engine: Engine) -> dict[str, dict[str, Any]]:
-    """Return the command of the numerical part by direction of the interface; {} for one axis.
+    """Return command and tangent stiffness by direction of the interface; {} for one axis.
 
-    ``x_num`` is in ``unit``, m or rad.
+    ``x_num``, of the numerical part, is in ``unit``, m or rad; ``k_t`` in N or N m per unit.
     """
     rig = engine.rig
     if not isinstance(rig, AxesRig):
@@ -64,6 +64,7 @@ def of_directions(engine: Engine) -> dict[str, dict[str, Any]]:
     return {
         name: {
             "x_num": _value(engine.newest, f"x_num_m_{j}" if j else "x_num_m"),
+            "k_t": _value(engine.newest, f"k_t_n_per_m_{j}" if j else "k_t_n_per_m"),
             "unit": "rad" if turns else "m",
         }
         for j, (name, turns) in enumerate(zip(rig.directions, rig.kinematics.turns(), strict=True))

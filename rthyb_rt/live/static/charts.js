@@ -55,7 +55,8 @@ export class TimeChart {
     this.steady = new Steady(range.least, range.symmetric);
     figure.innerHTML = "";
     const caption = document.createElement("figcaption");
-    caption.append(element("b", title), element("span", unit, "unit"));
+    this.unit = element("span", unit, "unit");
+    caption.append(element("b", title), this.unit);
     this.outputs = series.map((one) => this.#key(caption, one, series.length > 1));
     this.plot = element("div", "", "plot");
     figure.append(caption, this.plot);
@@ -112,6 +113,8 @@ export class TimeChart {
       this.outputs[i].value = value === null || value === undefined ? "" : text(value, one.digits);
     });
   }
+
+  name(unit) { if (this.unit.textContent !== unit) this.unit.textContent = unit; }
 
   draw(store, range) {
     this.range = range;

@@ -6,6 +6,7 @@ import { NO_STATE, OUTLINE, Store, connect } from "./stream.js";
 const CHANNEL = { command: 0, sent: 1, measured: 2, tracking: 3, force: 4, alpha: 5, stiffness: 6, energy: 7 };
 const STILL_MS = 1000, NUMBERS_MS = 200, SURE_MS = 4000, SURE_AFTER_MS = 600, ANSWER_MS = 8000, LEAST_S = 0.05;
 const LOOK_MS = 500, DEAF_LOOKS = 8;
+const STIFFNESS_CHART = 4;
 const SLOW = [CHANNEL.alpha, CHANNEL.stiffness, CHANNEL.energy];
 const $ = (id) => document.getElementById(id);
 
@@ -96,7 +97,7 @@ function numbers(values) {
   put("e", CHANNEL.tracking, 3, `peak ${text(peak(CHANNEL.tracking), 3)}`);
   put("f", CHANNEL.force, 2, `peak ${text(peak(CHANNEL.force), 2)}`);
   put("a", CHANNEL.alpha, 1, values[CHANNEL.alpha] === null ? "" : `${text(values[CHANNEL.alpha] / hello.fs_hz * 1000, 1)} ms`);
-  put("k", CHANNEL.stiffness, 3, "");
+  put("k", CHANNEL.stiffness, 3, $("s-k").textContent);
   put("w", CHANNEL.energy, 2, "");
 }
 
@@ -187,6 +188,7 @@ function onStatus(found) {
   histogram.draw(hello.edges_us, wake.counts, wake.p99_us);
   enable();
   showAxes(found.axes);
+  nameStiffness();
   if (store.head && found.now && !(following && flows())) numbers(newest());
   tell();
 }
@@ -207,8 +209,18 @@ function showAxes(names) {
 function turnTo(k) {
   axis = k;
   [...$("axes").children].forEach((button, i) => button.setAttribute("aria-current", String(i === k)));
+  nameStiffness();
   store.clear();
   ask(true);
+}
+
+// With several axes the tangent stiffness belongs to a direction, which must be named with its unit.
+function nameStiffness() {
+  const own = status && axes.length ? (status.directions || [])[axis] : null;
+  const unit = own ? own.unit : "kN/mm";
+  $("u-k").textContent = unit;
+  charts[STIFFNESS_CHART].name(own ? `${unit}, direction ${own.name}` : axes.length ? "no direction" : unit);
+  $("s-k").textContent = own ? own.name : "";
 }
 
 // Only new sentences, so that a screen reader announces each once.
