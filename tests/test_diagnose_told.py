@@ -16,6 +16,7 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
+import rthyb_rt as rt
 from rthyb_rt import cli
 from rthyb_rt.diagnose import catalogue, decide, engine, laws, page, reading, why, words
 from rthyb_rt.diagnose.outcome import finish
@@ -252,6 +253,38 @@ def test_the_ledger_says_what_noise_was_believed_and_how_far_numbers_moved():
     moved = re.match(r"adjusted by ([\d.]+) %; 1.00 % stated", told["tolerance, stiffness"])
     assert moved is not None
     assert float(moved[1]) == pytest.approx(0.4, abs=0.1)
+
+
+def test_the_ledger_of_readings_without_noise_says_so_and_has_no_figures_of_twenty_digits():
+    """The rig has no noise, and the model states none: a delay of two samples is then a lot."""
+    model = rt.Rig("delay-10-elastic")
+    short = {"duration_s": 8, "start_s": 1}
+    late = model.with_({"actuator.delay_samples": 12})
+    done = rt.run(rt.Test("section5-T0.5", rig=late, ground_motion=short))
+    with TemporaryDirectory() as folder:
+        path = done.save(Path(folder) / "recording.h5")
+        known = reading.read_model(model.save(Path(folder) / "rig.toml"))
+        d = engine.diagnose(reading.read_case(path, known))
+    told = dict(why.facts(d))
+    for what in ("noise of the displacement", "noise of the force"):
+        assert "free of noise, and the resolution of their sensor is not known" in told[what]
+    for says in told.values():
+        assert re.search(r"\d{7}", says.replace("\u202f", "")) is None, says
+    assert "free of noise" not in dict(why.facts(diagnosed()))["noise of the force"]
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [
+        (0.0, "0.00"),
+        (-12.34, "−12.3"),
+        (439642.4, "439\u202f642"),
+        (7293436859852527.0, "7.29·10¹⁵"),
+        (-2.5e21, "−2.50·10²¹"),
+    ],
+)
+def test_evidence_has_as_many_digits_as_say_something(value: float, says: str):
+    assert why.count(value) == says
 
 
 def test_the_ledger_of_a_right_model_names_nothing():

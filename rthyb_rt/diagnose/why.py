@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import effects, evidence, redundant
 from rthyb_rt.diagnose import force as forces
@@ -21,7 +22,9 @@ from rthyb_rt.diagnose.remainder import bend, left_of
 from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Solved
 from rthyb_rt.diagnose.verdict import allowed, within
 from rthyb_rt.diagnose.words import called, quantity, value_text
+from rthyb_rt.numbers import number
 
+Floats = NDArray[np.float64]
 Fate = Literal["named", "as good", "lost", "dropped", "refused"]
 
 
@@ -147,7 +150,12 @@ def figures(row: dict[str, Any]) -> str:
 
 
 def count(value: float) -> str:
-    """Return a number in chi-squared as a whole number with separated thousands."""
+    """Return a number in chi-squared as a whole number with separated thousands.
+
+    From a million on, as three digits and a power of ten: more say nothing to a reader.
+    """
+    if abs(value) >= 1e6:
+        return number(value)
     digits = 2 if abs(value) < 9.95 else 1 if abs(value) < 99.5 else 0
     return f"{value:,.{digits}f}".replace("-", "−").replace(",", "\u202f")
 
@@ -547,12 +555,24 @@ def _verdict(d: Diagnosis) -> str:
     }.get(d.verdict, d.verdict)
 
 
-def _noise(believed: float, sheet: float | None, unit: str, coloured: bool) -> str:
+NOISE_FREE = 2.0**-24
+"""A step of a 24-bit converter, relative to its range: readings with less noise are simulated."""
+
+
+def _noise(
+    believed: float, sheet: float | None, unit: str, coloured: bool, readings: Floats | None
+) -> str:
     text = f"{quantity(believed, unit)} assumed"
     if coloured:
         text = f"coloured; for white noise, {text}"
     if not sheet:
-        return f"{text}; the model states no noise"
+        text = f"{text}; the model states no noise"
+        if readings is not None and believed < NOISE_FREE * float(np.nanmax(np.abs(readings))):
+            text += (
+                ". The readings are free of noise, and the resolution of their sensor is not "
+                "known: multiples of this noise are very large numbers"
+            )
+        return text
     return f"{text}, {quantity(sheet, unit)} stated"
 
 
@@ -561,7 +581,13 @@ def _facts_of_displacement(d: Diagnosis, disp: Displacement) -> list[tuple[str, 
     rows = [
         (
             "noise of the displacement",
-            _noise(task.sigma, d.case.model.x_std, "m", task.own is not None),
+            _noise(
+                task.sigma,
+                d.case.model.x_std,
+                "m",
+                task.own is not None,
+                d.case.channels.get("x_meas"),
+            ),
         ),
         ("rows evaluated, actuator", f"{task.rows.size} of {d.case.t.size}"),
         (
@@ -597,7 +623,10 @@ def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]
         motion = "simulated with each set and compared with the measured motion"
     looked = f", using one in {problem.thin}" if problem.thin > 1 else ""
     rows = [
-        ("noise of the force", _noise(found.sigma_n, model.f_std, "N", found.coloured)),
+        (
+            "noise of the force",
+            _noise(found.sigma_n, model.f_std, "N", found.coloured, d.case.channels.get("f_meas")),
+        ),
         ("motion", motion),
         ("rows evaluated, force", f"{int(found.rows.sum())} of {d.case.t.size}{looked}"),
         (
