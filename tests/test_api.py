@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import html
 import inspect
 import json
 import re
@@ -337,7 +339,43 @@ def test_package_that_is_missing_is_named_with_its_remedy(
         rec.to_pandas()
     with pytest.raises(rt.InputError, match=r"a figure needs matplotlib.*rthyb-rt\[report\]"):
         rec.plot.response()
-    assert "rthyb-rt[report]" in rec._repr_html_()
+    # Of all figures, the one that the report draws in the browser needs no matplotlib.
+    with pytest.raises(rt.InputError, match=r"without it, plot.displacement\(\) alone is drawn"):
+        rec.plot.hysteresis()
+    assert "<iframe" in rec._repr_html_()
+
+
+def test_without_matplotlib_the_displacement_is_the_chart_of_the_report(
+    rec: rt.Recording, tmp_path: Path
+) -> None:
+    """In a process of its own, where nothing has imported matplotlib or jinja2 before."""
+    rec.save(tmp_path / "recording.h5")
+    script = (
+        "import sys; sys.modules['matplotlib'] = sys.modules['jinja2'] = None; "
+        "import rthyb_rt as rt; rec = rt.open('recording.h5'); plot = rec.plot.displacement(); "
+        "plot.save('chart.html'); print(plot._repr_html_())\n"
+        "try: plot.save('chart.svg')\n"
+        "except rt.InputError as error: print(error, file=sys.stderr)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    shown = re.fullmatch(
+        r'<iframe title="Displacement" srcdoc="([^"]*)" [^>]*></iframe>\n', done.stdout
+    )
+    assert shown is not None
+    page = html.unescape(shown[1])
+    assert page == (tmp_path / "chart.html").read_text(encoding="utf-8")
+    assert "://" not in re.sub(r"https?://[^ ]*(uPlot|w3\.org)[^ ]*", "", page)
+    told = json.loads(re.search(r'id="zoom-data">(.*?)</script>', page, re.S)[1])  # type: ignore[index]
+    measured = next(s for s in told["panels"][1]["series"] if s["label"] == "measured")
+    values = np.frombuffer(base64.b64decode(measured["data"]), "<i2") * told["panels"][1]["scale"]
+    every = round(told["step"] * rec.fs_hz)
+    np.testing.assert_allclose(
+        values, 1e3 * rec["x_meas_m"][::every], atol=told["panels"][1]["scale"]
+    )
+    assert "chart.svg: found the file name extension" in done.stderr
+    assert "rthyb-rt[report]" in done.stderr
 
 
 def test_measures_are_those_of_the_command_line(rec: rt.Recording) -> None:

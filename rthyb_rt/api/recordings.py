@@ -124,6 +124,42 @@ class Plot:
         return f'<figure style="{width}">{svg}{caption}</figure>'
 
 
+class _Chart(Plot):
+    """The interactive figure of the report, in place of a figure that needs matplotlib."""
+
+    def __init__(self, key: str, title: str, page: str) -> None:
+        super().__init__(key, title, "Drag across the chart to zoom in.", "", None)
+        self._page = page
+
+    def save(self, path: Place) -> Path:
+        """Write the chart as a page of its own.
+
+        Raises:
+            InputError: the file name does not end in .html or .htm.
+            RthybError: the file cannot be written.
+        """
+        from rthyb_rt.report.html import PAGE_NAMES, write_page
+
+        target = path_of(path, "plot.save", "the file to write, plot.html")
+        if target.suffix not in PAGE_NAMES:
+            raise InputError(
+                f"found the file name extension {written(target.suffix)}; without matplotlib this "
+                "figure is a page, .html or .htm; images need pip install 'rthyb-rt[report]'",
+                str(target),
+            )
+        write_page(target, lambda: self._page)
+        return target
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        # In a frame, so that the ids of several charts on one page do not interfere.
+        return (
+            f'<iframe title="{escape(self.title)}" srcdoc="{escape(self._page)}" '
+            'style="width:100%;height:34em;border:0"></iframe>'
+        )
+
+
 def plot_of(plate: Plate) -> Plot:
     """Return a figure of the report as a `Plot`."""
     return Plot(plate.key, plate.title, plate.note, plate.svg, plate.figure)
@@ -132,7 +168,9 @@ def plot_of(plate: Plate) -> Plot:
 class Plots:
     """The figures of the report; each is created when its method is called.
 
-    Every method returns a `Plot`, and raises `InputError` if matplotlib is not installed.
+    Every method returns a `Plot`, and raises `InputError` if matplotlib is not installed. Only
+    `displacement` can do without: it is then the interactive chart of the report, which a notebook
+    shows and which `Plot.save` writes as a page.
     """
 
     def __init__(self, recording: Recording) -> None:
@@ -141,12 +179,33 @@ class Plots:
     def _drawn(self, key: str) -> Plot:
         from rthyb_rt.report.html import extra_needed
 
-        with extra_needed("a figure"):
-            from rthyb_rt.report.figures import draw_one
+        try:
+            with extra_needed("a figure"):
+                from rthyb_rt.report.figures import draw_one
+        except InputError as error:
+            chart = None if self._of.axis_names else self._interactive(key)
+            if chart is None:
+                raise InputError(
+                    f"{error.problems[0].message}; without it, plot.displacement() alone is drawn, "
+                    "for tests on one axis",
+                    f"plot.{key}",
+                ) from None
+            return chart
         plate = draw_one(self._of.raw, self._of.summary, key)
         if plate is None:
             return Plot(key, key, "The recording has no reference simulation.", "", None)
         return plot_of(plate)
+
+    def _interactive(self, key: str) -> Plot | None:
+        """Return the chart of the report that is drawn in the browser; None: not this figure."""
+        from rthyb_rt.report import zoom
+
+        if key != zoom.KEY:
+            return None
+        of = self._of
+        made = zoom.parts(of.raw, of.summary, (float("nan"), float("nan")))
+        title = "Displacement"
+        return None if made is None else _Chart(key, title, zoom.page(f"{of.name}: {title}", made))
 
     def displacement(self) -> Plot:
         """Plot ground acceleration, command, compensated command and measured displacement."""
@@ -662,6 +721,14 @@ class Recording(Mapping[str, NDArray[Any]]):
             f"{self.fs_hz:g} Hz, {errors}>"
         )
 
+    def _figure(self) -> Plot:
+        """Return the response; the displacement if there is no reference, or no matplotlib."""
+        try:
+            plot = self.plot.response()
+        except InputError:
+            return self.plot.displacement()
+        return plot if plot.svg else self.plot.displacement()
+
     def _repr_html_(self) -> str:
         """Return verdict, notices, table and figure for a notebook."""
         from html import escape
@@ -669,8 +736,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         parts = [f"<p><b>{escape(self.name)}</b>: {escape(self.verdict)}</p>"]
         parts += [f"<p>{escape(text)}</p>" for text in self.notices]
         try:
-            plot = self.plot.response()
-            parts.append((plot if plot.svg else self.plot.displacement())._repr_html_())
+            parts.append(self._figure()._repr_html_())
         except InputError as error:
             parts.append(f"<p>{escape(str(error))}</p>")
         return "".join([*parts, html_table(self.table)])

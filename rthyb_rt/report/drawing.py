@@ -18,23 +18,20 @@ from matplotlib.transforms import offset_copy
 from numpy.typing import NDArray
 
 from rthyb_rt.numbers import number
+from rthyb_rt.report.colours import BLACK as BLACK
+from rthyb_rt.report.colours import BLUE as BLUE
+from rthyb_rt.report.colours import GREEN as GREEN
+from rthyb_rt.report.colours import GREY as GREY
+from rthyb_rt.report.colours import ORANGE as ORANGE
+from rthyb_rt.report.colours import PALE as PALE
+from rthyb_rt.report.colours import PURPLE as PURPLE
+from rthyb_rt.report.colours import RED as RED
 from rthyb_rt.report.decimate import envelope, robust_limit, trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Floats = NDArray[np.float64]
-
-# Okabe & Ito (2008): distinguishable with any colour vision; dashes help in black and white.
-BLACK, ORANGE, GREEN, BLUE, RED, PURPLE = (
-    "#1a1a1a",
-    "#e69f00",
-    "#009e73",
-    "#0072b2",
-    "#d55e00",
-    "#cc79a7",
-)
-GREY, PALE = "#7a7a7a", "#f1f1ee"
 
 FULL_WIDTH_IN, HALF_WIDTH_IN = 7.1, 3.45
 LEFT_IN, RIGHT_IN, TOP_IN, BOTTOM_IN = 0.46, 0.12, 0.24, 0.34

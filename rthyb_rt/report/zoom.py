@@ -7,8 +7,10 @@ the chart replaces it.
 from __future__ import annotations
 
 import base64
+import html
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.analysis.summary import Summary
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.report import drawing as draw
+from rthyb_rt.report import colours
 from rthyb_rt.report.decimate import robust_limit
 
 Floats = NDArray[np.float64]
@@ -48,6 +50,40 @@ def parts(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> di
     }
 
 
+def page(title: str, made: Mapping[str, str]) -> str:
+    """Return the chart as a page of its own, which needs neither matplotlib nor a network.
+
+    Args:
+        title: title of the page.
+        made: style, script and data, from `parts`.
+    """
+    return _PAGE.format(title=html.escape(title), **made)
+
+
+_PAGE: Final = """<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title}</title>
+<style>{style}
+body {{ font: 13px/1.4 "Liberation Sans", Arial, sans-serif; margin: 8px; color: #1a1a1a; }}
+figure, p {{ margin: 0; }}
+.u-legend {{ font: 12px/1.4 "Liberation Sans", Arial, sans-serif; text-align: left; width: auto; }}
+.u-legend th {{ font-weight: 400; }}
+</style>
+</head>
+<body>
+<figure id="figure-displacement"></figure>
+<script type="application/json" id="zoom-data">{data}</script>
+<script>
+{script}
+</script>
+</body>
+</html>
+"""
+
+
 def chart(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> dict[str, Any]:
     """Return the signals of the chart: 16 bits per value, scaled, of every n-th row.
 
@@ -59,15 +95,17 @@ def chart(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> di
     with np.errstate(over="ignore", invalid="ignore"):
         every = math.ceil(len(rec.samples) / MOST_ROWS)
         samples = rec.samples[::every]
-        ground = _panel("ground acceleration, g", [(samples["ag_mps2"] / 9.80665, draw.GREY, 1.0,
+        ground = _panel("ground acceleration, g", [(samples["ag_mps2"] / 9.80665, colours.GREY, 1.0,
                                                     "ground")])  # fmt: skip
         # The command is a thin line on a broad line of the measurement, as in the static figure.
         signals = [
-            (samples["x_meas_m"] * 1e3, draw.BLUE, 2.5, "measured"),
-            (samples["x_num_m"] * 1e3, draw.BLACK, 1.0, "command"),
+            (samples["x_meas_m"] * 1e3, colours.BLUE, 2.5, "measured"),
+            (samples["x_num_m"] * 1e3, colours.BLACK, 1.0, "command"),
         ]
         if summary.setup.plc_enabled:
-            signals.insert(0, (samples["x_cmd_m"] * 1e3, draw.ORANGE, 1.5, "compensated command"))
+            signals.insert(
+                0, (samples["x_cmd_m"] * 1e3, colours.ORANGE, 1.5, "compensated command")
+            )
         moved = _panel("displacement, mm", signals)
     panels = [{**moved, "height": 300}]
     if not summary.setup.history:  # which moves without a ground motion
