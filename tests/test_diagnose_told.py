@@ -255,6 +255,7 @@ def test_the_ledger_says_what_noise_was_believed_and_how_far_numbers_moved():
     assert float(moved[1]) == pytest.approx(0.4, abs=0.1)
 
 
+@pytest.mark.long
 def test_the_ledger_of_readings_without_noise_says_so_and_has_no_figures_of_twenty_digits():
     """The rig has no noise, and the model states none: a delay of two samples is then a lot."""
     model = rt.Rig("delay-10-elastic")

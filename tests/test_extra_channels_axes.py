@@ -344,6 +344,7 @@ def test_each_axis_finds_its_signals_in_its_own_dbc_file(tmp_path: Path) -> None
     assert [c.name for c in several.at_rest(given).channels[:2]] == ["left_tilt", "right_tilt"]
 
 
+@pytest.mark.long
 def test_the_frame_records_a_second_sensor_from_the_command_line(
     rthyb: Rthyb, tmp_path: Path
 ) -> None:

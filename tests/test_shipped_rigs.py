@@ -117,6 +117,7 @@ def test_the_sweep_of_a_first_order_lag_is_its_transfer_function() -> None:
     assert np.allclose(said.delay_at_frequency_s, -np.angle(g) / omega, atol=5e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*ONE_AXIS, "two-axis-frame"])
 def test_check_judges_the_loop_of_every_shipped_rig(name: str) -> None:
     if name == "two-axis-frame":
