@@ -216,10 +216,7 @@ def test_one_axis_in_a_list_is_told_where_its_tables_belong(rig: rt.Rig) -> None
 
 
 def test_what_is_of_one_axis_says_so(rig: rt.Rig, rec: rt.Recording, tmp_path: Path) -> None:
-    found = rt.check(rt.Test.from_toml(SHORT), rig)
     for call in (
-        found.plots,
-        lambda: found.report(tmp_path / "check.html"),
         lambda: rec.summary,
         rec.plot.tracking,
         lambda: rec.export(tmp_path / "one.csv"),

@@ -15,13 +15,18 @@ import pytest
 from axes_bench import SIDES, SPECIMEN, column, columns, controller, rig, shaking
 from command_line import Rthyb
 from kernels import Floats
+from numpy.typing import NDArray
+from scipy.signal import cont2discrete
 from station_courses import Courses
 from test_axes import run_virtual
+from test_axes_roots import growth_of
 
 from rthyb_rt import config, core
+from rthyb_rt.analysis import axes_roots, loop_stability
 from rthyb_rt.analysis import several_axes as analysis
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.deriving_axes import derive_axes
+from rthyb_rt.config.rate import STANDARD
 from rthyb_rt.core import AxisConfig, AxisReading, CoreError
 from rthyb_rt.core.coupled_rig import CoupledRig, CoupledRigConfig
 from rthyb_rt.core.kinematics import Kinematics
@@ -34,6 +39,8 @@ from rthyb_rt.lab.realtime import replaying
 from rthyb_rt.record import axis_export
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig import identify_axes
+
+Complexes = NDArray[np.complex128]
 
 THREE = np.array([[1.0, 0.2], [1.0, 0.1], [1.0, -0.3]])
 """Three axes from x (m) and theta (rad)."""
@@ -656,19 +663,74 @@ def test_two_actuators_in_parallel_move_one_storey() -> None:
     assert replaying.replay(rec).identical
 
 
-def test_check_says_why_the_roots_of_the_loop_are_not_computed(
+SWEPT_HZ = np.array([0.5, 1, 2, 3, 4, 6, 8, 10, 15, 20, 30, 40])
+H = 1.0 / core.FS_HZ
+
+
+def second_order(hz: float) -> Complexes:
+    """Closed form of an actuator with a damping ratio of 0.7 whose commands are held, (k,)."""
+    w = 2 * np.pi * hz
+    free, driven = np.array([[0.0, 1.0], [-w * w, -1.4 * w]]), np.array([[0.0], [w * w]])
+    a, b, c, *_ = cont2discrete((free, driven, np.array([[1.0, 0.0]]), np.zeros((1, 1))), H)
+    at = np.exp(2j * np.pi * SWEPT_HZ * H)
+    return np.array([(c @ np.linalg.solve(z * np.eye(2) - a, b))[0, 0] for z in at])
+
+
+def swept(extra: str = "") -> str:
+    """The rig with the response of every actuator, and more keys of its kinematics."""
+    text = RIG
+    for hz in (20, 22, 20):
+        g = second_order(hz)
+        late = -np.unwrap(np.angle(g)) / (2 * np.pi * SWEPT_HZ)
+        known = (
+            f"identified = {{ alpha = {late[1] / H:.6g}, delay_s = {late[1]:.6g}, "
+            f"frequency_hz = {SWEPT_HZ.tolist()}, amplitude = {np.abs(g).tolist()}, "
+            f"delay_at_frequency_s = {late.tolist()} }}"
+        )
+        text = text.replace("identified = { alpha = 11.0, delay_s = 0.011 }", known, 1)
+    return text.replace("[specimen]", f"{extra}\n[specimen]")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "extra", ["", "forces = [[1, 0.3, 0.7], [0, 0.4, 0.6]]", "displacements = GIVEN"]
+)
+def test_motion_decays_as_the_largest_root_of_redundant_actuators_says(extra: str) -> None:
+    weights = [[1, 0, 0], [-1, 0.2, 0.8]]
+    rig = read(swept(extra.replace("GIVEN", str(weights))))
+    text = TEST.replace("ratio = 0.05", "ratio = 0.1").replace('"paper"', '"none"')
+    text = text.replace('"0.1 g"', '"0.05 g"').replace('"6 s"', '"4 s"')
+    text = text.replace('name = "redundant"', 'name = "redundant"\nfree_vibration_s = 20')
+    setup = several.prepare(config.parse_test(text, "test.toml"), rig)
+    verdict = loop_stability.judge(setup)
+    assert verdict is not None
+    assert not verdict.unstable
+    grown = growth_of(setup, verdict.frequency_hz)
+    assert grown - 1.0 == pytest.approx(verdict.radius - 1.0, rel=0.05)
+
+
+def test_responses_of_redundant_axes_are_those_of_each_in_parallel() -> None:
+    rig = read(swept())
+    axes = axes_roots.each_alone(rig, STANDARD)
+    assert axes is not None
+    found = axes.system.response(np.exp(2j * np.pi * SWEPT_HZ * H))
+    each = np.stack([second_order(hz) for hz in (20, 22, 20)], axis=-1)
+    matrix = np.array([[1.0, 0.0], [1.0, 1.0], [1.0, 1.0]])
+    moved = np.linalg.pinv(matrix) * each[:, None, :]
+    np.testing.assert_allclose(found[:, :2], moved, atol=2e-3)
+    np.testing.assert_allclose(found[:, 2:], np.array(rig.k_e) @ moved, atol=2e-3 * 8e6)
+
+
+def test_check_shows_roots_of_redundant_actuators_or_says_what_is_missing(
     tmp_path: Path, rthyb: Rthyb
 ) -> None:
-    """Nor is the model of the loop, which knows nothing of attachments, asked."""
-    text = RIG + (
-        "[identified]\nfrequency_hz = [1, 2, 3, 4, 5, 6, 8, 10]\n"
-        f"real = {[np.eye(3).tolist()] * 8}\nimaginary = {[(-0.01 * np.eye(3)).tolist()] * 8}\n"
-        "rest_noise_displacement_m = [5e-6, 5e-6, 5e-6]\n"
-    )
-    (tmp_path / "floor.toml").write_text(text, encoding="utf-8")
     (tmp_path / "test.toml").write_text(TEST, encoding="utf-8")
-    done = rthyb("check", str(tmp_path / "test.toml"))
-    assert done.code == 0, done.err
-    shown = " ".join(done.out.split())
-    assert "Largest root not computed the actuators are redundant" in shown
-    assert "Axis middle" in shown
+    shown = []
+    for text in (RIG, swept()):
+        (tmp_path / "floor.toml").write_text(text, encoding="utf-8")
+        done = rthyb("check", str(tmp_path / "test.toml"))
+        assert done.code == 0, done.err
+        shown.append(" ".join(done.out.split()))
+    assert "Largest root not computed the rig file has no identified response" in shown[0]
+    assert "Axis middle" in shown[0]
+    assert re.search(r"Largest root [01]\.\d{5} at .* rig known up to 40 Hz", shown[1])

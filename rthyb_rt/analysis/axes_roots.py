@@ -10,13 +10,17 @@ damping and mass, LP the low-pass and tau V the delay of the force compensation,
 The axes are known at the frequencies of a sweep only. There x_m and the force Z x_m are fitted by
 real poles behind a common delay, which is stable by construction; beyond the sweep the model rolls
 off. If no fit follows the sweep, the loop is not judged.
+
+Redundant actuators are identified one by one, so G is diagonal, and the model of each is used
+without a further fit. The forces by which they oppose each other have no resultant along the
+interface, and load cells that are not in line with the actuators do not measure them.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -33,7 +37,7 @@ from rthyb_rt.core.matrix_lead import MatrixInverse, MatrixLeadConfig
 from rthyb_rt.core.sparse import SparseConfig
 
 if TYPE_CHECKING:
-    from rthyb_rt.config import AxesRig
+    from rthyb_rt.config import AxesRig, Rate
     from rthyb_rt.lab.experiment import Setup
 
 Floats = NDArray[np.float64]
@@ -219,6 +223,77 @@ def fitted_axes(rig: AxesRig, found: MatrixResponse, period_s: float) -> Axes | 
     return Axes(system.times(both), float(f[-1]), error)
 
 
+def each_alone(rig: AxesRig, rate: Rate) -> Axes | None:
+    """Return redundant axes by the model of each; None if one of them has none.
+
+    Args:
+        rig: the rig, whose axes were identified before they were attached to the specimen.
+        rate: rate of the commands.
+    """
+    views = [rig.of_axis(name) for name in rig.names]
+    models = [response.plant(view) for view in views]
+    tie, size = rig.core_kinematics(), len(rig.k_e)
+    weights, back = tie.weights(), tie.back()
+    impedance = [
+        np.zeros((size, size)) if rows is None else np.array(rows, dtype=np.float64)
+        for rows in (rig.k_e, rig.specimen.damping, rig.specimen.mass)
+    ]
+    whole = constant(np.zeros((2 * size, len(views))))
+    errors, swept_hz = [0.0], []
+    for i, (model, view) in enumerate(zip(models, views, strict=True)):
+        if model is None:
+            return None
+        hold = response.hold_of(view)
+        # Displacement, velocity and acceleration are the forces of a unit impedance.
+        unit = [
+            loop_roots.rig(
+                replace(model, stiffness_n_per_m=k, damping_n_s_per_m=c, mass_kg=m),
+                rate.period_s,
+                hold,
+            )
+            for k, c, m in np.eye(3).tolist()
+        ]
+        motion = loop_roots.Block(
+            unit[0].a,
+            unit[0].b,
+            np.vstack([one.c[1] for one in unit]),
+            np.array([one.d[1] for one in unit]),
+        )
+        outputs = np.zeros((2 * size, 3))
+        outputs[:size, 0] = weights[:, i]
+        outputs[size:] = np.column_stack([by @ back[:, i] for by in impedance])
+        chosen = constant(np.eye(len(views))[i : i + 1])
+        whole = whole.plus(chosen.then(on_each(motion, 1)).times(outputs))
+        errors.append(model.error)
+        swept_hz.append(model.swept_hz)
+    return Axes(whole, min(swept_hz), max(errors))
+
+
+def is_swept(rig: AxesRig) -> bool:
+    """Return whether a rig file has the responses from which the loop is judged."""
+    if not rig.is_redundant:
+        return rig.identified is not None
+    found = [rig.of_axis(name).identified for name in rig.names]
+    return all(one is not None and len(one.frequency_hz) > 1 for one in found)
+
+
+def axes_and_laws(setup: Setup) -> tuple[Axes, list[System]] | None:
+    """Return the axes of a test, and its control laws with their initial settings and as adapted.
+
+    None if the response of the axes is not known, or no model follows it.
+    """
+    assert setup.group is not None
+    rig = setup.group.rig
+    if rig.is_redundant:
+        alone = each_alone(rig, setup.rate)
+        return None if alone is None else (alone, laws(setup, None))
+    if rig.identified is None:
+        return None
+    found = response_of_rig(rig, rig.identified, setup.rate)
+    axes = fitted_axes(rig, found, setup.controller.period_s)
+    return None if axes is None else (axes, laws(setup, found))
+
+
 def _stacked(values: Complexes) -> Floats:
     """Return the real parts, and below them the imaginary ones."""
     return np.concatenate([values.real, values.imag])
@@ -275,13 +350,14 @@ def inverse_law(inverse: MatrixInverse, h: float) -> System:
     return _mixed(block, np.asarray(inverse.coefficients, np.float64))
 
 
-def laws(setup: Setup, found: MatrixResponse) -> list[System]:
+def laws(setup: Setup, found: MatrixResponse | None) -> list[System]:
     """Return the control laws of a test with their initial settings, and as adapted."""
     config, h = setup.controller, setup.controller.period_s
     count = len(config.axes)
     if not config.lead_enabled:
         return [constant(np.eye(count))]
     if config.matrix_lead is not None:
+        assert found is not None
         own = config.matrix_lead
         first = np.zeros((3, count, count)) if own.first is None else np.asarray(own.first)
         adapted = fitted_terms(found, h, own.roll_off_hz, coupled=own.coupled, before=own.inverse)
@@ -374,24 +450,19 @@ def loop_of(config: ControllerConfig, axes: Axes, law: System, jacobian: Floats)
 def judge(setup: Setup) -> LoopVerdict | None:
     """Return the stability of the loop of a test; None if the axes' response is not known.
 
-    None for redundant actuators: the forces by which they oppose each other are no part of the
-    model of the loop.
-
     The worse of the laws' initial settings and those to which the response leads them.
     """
     assert setup.group is not None
     rig, config = setup.group.rig, setup.controller
-    if rig.identified is None or rig.is_redundant:
-        return None
     if not isinstance(config.numerical, SparseConfig):
         return None
-    found = response_of_rig(rig, rig.identified, setup.rate)
-    axes = fitted_axes(rig, found, config.period_s)
-    if axes is None:
+    known = axes_and_laws(setup)
+    if known is None:
         return None
+    axes, states = known
     jacobian = rig.core_kinematics().jacobian()
     verdicts = [
         loop_roots.verdict(loop_of(config, axes, law, jacobian), setup.rate, axes.swept_hz)
-        for law in laws(setup, found)
+        for law in states
     ]
     return max(verdicts, key=loop_roots.badness, default=None)

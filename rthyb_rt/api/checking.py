@@ -11,7 +11,6 @@ from rthyb_rt.api.files import Place, Rig, Test, path_of
 from rthyb_rt.api.recordings import Named, Plot, plot_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config import AxesRig
-from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.checking.checked_axes import ExaminedAxes
@@ -59,41 +58,31 @@ class Check:
     def plots(self) -> dict[str, Plot]:
         """Plot ``stability`` (delays), ``nyquist`` (loop) and ``tracking`` (expected tracking).
 
+        On a rig with several axes, ``tracking-0``, ``tracking-1`` and so on are those of each
+        direction.
+
         Raises:
-            InputError: matplotlib is not installed, or the rig has several axes.
+            InputError: matplotlib is not installed.
         """
         from rthyb_rt.report.html import extra_needed
 
-        found = self._of_one_axis("plots")
         with extra_needed("a figure"):
             from rthyb_rt.checking.drawings import plates
-        return {one.key: plot_of(one) for one in plates(found.setup)}
+        return {one.key: plot_of(one) for one in plates(self._found.setup)}
 
     def report(self, path: Place) -> Path:
         """Write tables, warnings, notes and figures to one HTML file.
 
         Raises:
-            InputError: the file name does not end in .html or .htm, matplotlib or jinja2 is not
-                installed, or the rig has several axes.
+            InputError: the file name does not end in .html or .htm, or matplotlib or jinja2 is not
+                installed.
             RthybError: the file cannot be written.
         """
         from rthyb_rt.checking import check_page
 
         target = path_of(path, "report", "the page to write, check.html")
-        check_page.write(self._of_one_axis("report"), target)
+        check_page.write(self._found, target)
         return target
-
-    def _of_one_axis(self, what: str) -> Examined:
-        from rthyb_rt.checking.examined import Examined
-
-        if not isinstance(self._found, Examined):
-            names = ", ".join(self._found.group.rig.names)
-            raise InputError(
-                "the plots of a check exist only for a rig with one axis, but this rig has the "
-                f"axes {names}; its figures, table and notes are available",
-                what,
-            )
-        return self._found
 
     def __repr__(self) -> str:
         setup = self._found.setup

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING
 from rthyb_rt.report.html import environment, extra_needed, sheets, write_page
 
 if TYPE_CHECKING:
+    from rthyb_rt.checking.checked_axes import ExaminedAxes
     from rthyb_rt.checking.examined import Examined
 
 _HERE = Path(__file__).parent
 
 
-def write(found: Examined, path: Path) -> None:
+def write(found: Examined | ExaminedAxes, path: Path) -> None:
     """Write the page.
 
     Raises:
@@ -24,7 +25,7 @@ def write(found: Examined, path: Path) -> None:
     write_page(path, lambda: render(found))
 
 
-def render(found: Examined) -> str:
+def render(found: Examined | ExaminedAxes) -> str:
     """Return the page as HTML; errors as for `write`."""
     with extra_needed("a figure of a check"):
         from rthyb_rt.checking.drawings import plates
@@ -32,7 +33,7 @@ def render(found: Examined) -> str:
         template = environment(_HERE).get_template("check.html.j2")
     return template.render(
         test=found.setup.test.test.name,
-        rig=found.setup.rig.rig.name,
+        rig=found.setup.rig_file.rig.name,
         warnings=found.warnings,
         notes=found.notes,
         tables=found.tables(),

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rthyb_rt.analysis import loop_stability
+from rthyb_rt.analysis import axes_roots, loop_stability
 from rthyb_rt.analysis.loop_roots import LoopVerdict
 from rthyb_rt.checking.check_tables import loop_rows
 from rthyb_rt.checking.remarks import within_reach
@@ -51,12 +51,9 @@ class ExaminedAxes:
         return [self._structure(), *axes, self._directions(), self._loop()]
 
     def _loop(self) -> Rows:
-        rig = self.group.rig
-        if rig.is_redundant:
-            return [("Largest root", "not computed", "the actuators are redundant")]
         if isinstance(self.group.derived.structure, OwnStructure):
             return [("Largest root", "not computed", "the matrices of your own part are not known")]
-        return loop_rows(self.loop, swept=rig.identified is not None)
+        return loop_rows(self.loop, swept=axes_roots.is_swept(self.group.rig))
 
     def _structure(self) -> Rows:
         derived = self.group.derived

@@ -18,6 +18,8 @@ Complexes = NDArray[np.complex128]
 
 PERIODS: Final = 33
 """Number of periods on the map, from a quarter to four times that of the test: eight per octave."""
+BEGINS_ADAPTED: Final = ("as it begins", "once adapted")
+"""Names of the states of a control law, in the order of its settings."""
 LINES: Final = 2000
 """Number of frequencies for the loop."""
 
@@ -98,14 +100,19 @@ def nyquist(setup: Setup) -> ByFrequency | None:
     found = {
         name: loop_roots.loop_of(setup.controller, model, law, hold) for name, law in laws.items()
     }
-    peaks = np.concatenate([np.abs(np.angle(loop.roots(0.0))) for loop in found.values()])
-    peaks = peaks[(peaks > 1e-4) & (peaks < math.pi)]
-    near = np.concatenate([peaks * (1.0 + by) for by in np.linspace(-0.05, 0.05, 201)])
-    theta = np.unique(np.concatenate([np.geomspace(2e-4, math.pi, LINES), near]))
-    theta = theta[theta <= math.pi]
+    theta = angles_near(np.concatenate([loop.roots(0.0) for loop in found.values()]))
     z = np.exp(1j * theta)
     curves = {name: loop.opened(z) for name, loop in found.items()}
     return ByFrequency(theta / (2.0 * math.pi * h), curves, model.swept_hz)
+
+
+def angles_near(roots: Complexes) -> Floats:
+    """Return angles up to half the sample rate that resolve the resonances of roots, (k,), rad."""
+    peaks = np.abs(np.angle(roots))
+    peaks = peaks[(peaks > 1e-4) & (peaks < math.pi)]
+    near = np.concatenate([peaks * (1.0 + by) for by in np.linspace(-0.05, 0.05, 201)])
+    theta = np.unique(np.concatenate([np.geomspace(2e-4, math.pi, LINES), near]))
+    return np.asarray(theta[theta <= math.pi])
 
 
 def tracking(setup: Setup) -> ByFrequency | None:
@@ -135,5 +142,4 @@ def _known(
     if not config.lead_enabled:
         return model, {"as it begins": loop_roots.gain(1.0)}, hold
     found = loop_roots.laws(config.law, model, config.period_s, hold)
-    names = ("as it begins", "once adapted")
-    return model, dict(zip(names, found, strict=False)), hold
+    return model, dict(zip(BEGINS_ADAPTED, found, strict=False)), hold

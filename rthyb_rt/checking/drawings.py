@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,15 +20,23 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+NYQUIST = "Nyquist plot of the whole loop"
 
 _UNKNOWN = "The rig's response is not known; rthyb identify finds it."
-_COLOURS = (draw.BLUE, draw.GREEN)
+COLOURS = (draw.BLUE, draw.GREEN)
 _REACH = 2.2
 """Range on either side of zero in the Nyquist plot; points beyond it are not critical."""
 
 
 def plates(setup: Setup) -> list[draw.Plate]:
     """Return all figures, in the order of the page."""
+    if setup.group is not None:
+        # Imported here, because that module depends on this one.
+        from rthyb_rt.checking import axes_drawings
+
+        return axes_drawings.plates(setup, setup.group)
     return [stability(setup), nyquist(setup), tracking(setup)]
 
 
@@ -61,7 +70,7 @@ def stability(setup: Setup) -> draw.Plate:
             axes.axhline(delay_ms, color=draw.RED, linewidth=0.7, dashes=(5, 2))
             axes.plot([found.period_s], [delay_ms], "o", color=draw.RED, markersize=5.0,
                       label="this test")  # fmt: skip
-        _logarithmic(axes, found.periods_s)
+        logarithmic(axes, found.periods_s)
         draw.set_range(axes, 0.0, top)
         draw.head(axes, "delay of the rig, ms", below=True)
         draw.x_label(axes, "period of the structure, s")
@@ -82,15 +91,25 @@ def _milliseconds(seconds: float) -> str:
 
 def nyquist(setup: Setup) -> draw.Plate:
     """Draw the Nyquist plot of the whole loop, opened at the rig, around -1."""
-    title, found = "Nyquist plot of the whole loop", curves.nyquist(setup)
+    found = curves.nyquist(setup)
     if found is None:
-        return draw.Plate("nyquist", title, "", _UNKNOWN, True)
+        return draw.Plate("nyquist", NYQUIST, "", _UNKNOWN, True)
+    note = (
+        "Loop opened at the rig, from 0 Hz to half the sample rate; cross: −1, which the "
+        "curve of a stable loop does not encircle. The rig is known up to "
+        f"{found.swept_hz:g} Hz."
+    )
+    return nyquist_plate(found.curves, note)
+
+
+def nyquist_plate(curves_by_name: Mapping[str, Complexes], note: str) -> draw.Plate:
+    """Draw curves of the complex plane around -1."""
     with rc_context(draw.STYLE):
         paper = draw.Paper("nyquist", draw.HALF_WIDTH_IN, (2.44,), bottom_in=draw.LEGEND_IN)
         (axes,) = paper.axes
         turn = np.linspace(0.0, 2.0 * math.pi, 200)
         axes.plot(np.cos(turn), np.sin(turn), color=draw.GREY, linewidth=0.4)
-        for (name, loop), colour in zip(found.curves.items(), _COLOURS, strict=False):
+        for (name, loop), colour in zip(curves_by_name.items(), COLOURS, strict=False):
             inside = np.where(np.abs(loop) < 3.0 * _REACH, loop, np.nan)
             axes.plot(inside.real, inside.imag, color=colour, linewidth=0.9, label=name)
         axes.plot([-1.0], [0.0], "+", color=draw.RED, markersize=8.0)
@@ -100,12 +119,7 @@ def nyquist(setup: Setup) -> draw.Plate:
         axes.grid(axis="x")
         draw.head(axes, "imaginary part", below=True)
         draw.x_label(axes, "real part")
-        note = (
-            "Loop opened at the rig, from 0 Hz to half the sample rate; cross: −1, which the "
-            "curve of a stable loop does not encircle. The rig is known up to "
-            f"{found.swept_hz:g} Hz."
-        )
-        return paper.plate(title, note)
+        return paper.plate(NYQUIST, note)
 
 
 def tracking(setup: Setup) -> draw.Plate:
@@ -117,20 +131,7 @@ def tracking(setup: Setup) -> draw.Plate:
         below_in = draw.room_below(3, 2)
         paper = draw.Paper("tracking", draw.HALF_WIDTH_IN, (1.0, 1.0), bottom_in=below_in)
         gain, delay = paper.axes
-        gains, delays = [], []
-        for (name, g), colour in zip(found.curves.items(), (draw.GREY, *_COLOURS), strict=False):
-            gains.append(np.abs(g))
-            late = -np.unwrap(np.angle(g)) / (2.0 * math.pi * found.frequency_hz)
-            delays.append(1e3 * late)
-            gain.plot(found.frequency_hz, gains[-1], color=colour, linewidth=0.9)
-            delay.plot(found.frequency_hz, delays[-1], color=colour, linewidth=0.9, label=name)
-        gain.axhline(1.0, color=draw.RED, linewidth=0.7, dashes=(5, 2))
-        delay.axhline(0.0, color=draw.RED, linewidth=0.7, dashes=(5, 2))
-        draw.fit_range(gain, *gains, np.ones(1), limit=3.0, ticks=4)
-        draw.fit_range(delay, *delays, np.zeros(1), limit=200.0, ticks=4)
-        _logarithmic(delay, found.frequency_hz)
-        draw.head(gain, "gain")
-        draw.head(delay, "delay, ms")
+        draw_tracking(gain, delay, found.frequency_hz, found.curves)
         draw.legend_below(delay, 2)
         draw.x_label(delay, "frequency, Hz")
         note = (
@@ -140,7 +141,37 @@ def tracking(setup: Setup) -> draw.Plate:
         return paper.plate(title, note)
 
 
-def _logarithmic(axes: Axes, values: Floats) -> None:
+def draw_tracking(
+    gain: Axes,
+    delay: Axes,
+    frequency_hz: Floats,
+    responses: Mapping[str, Complexes],
+    *,
+    named: bool = True,
+) -> None:
+    """Draw gain and delay of responses to a command over a logarithmic abscissa.
+
+    If ``named``, the curves of the delay have the names of the responses.
+    """
+    gains, delays = [], []
+    for (name, g), colour in zip(responses.items(), (draw.GREY, *COLOURS), strict=False):
+        gains.append(np.abs(g))
+        late = -np.unwrap(np.angle(g)) / (2.0 * math.pi * frequency_hz)
+        delays.append(1e3 * late)
+        gain.plot(frequency_hz, gains[-1], color=colour, linewidth=0.9)
+        label = name if named else None
+        delay.plot(frequency_hz, delays[-1], color=colour, linewidth=0.9, label=label)
+    gain.axhline(1.0, color=draw.RED, linewidth=0.7, dashes=(5, 2))
+    delay.axhline(0.0, color=draw.RED, linewidth=0.7, dashes=(5, 2))
+    draw.fit_range(gain, *gains, np.ones(1), limit=3.0, ticks=4)
+    draw.fit_range(delay, *delays, np.zeros(1), limit=200.0, ticks=4)
+    logarithmic(delay, frequency_hz)
+    draw.head(gain, "gain")
+    draw.head(delay, "delay, ms")
+
+
+def logarithmic(axes: Axes, values: Floats) -> None:
+    """Give an abscissa with these values a logarithmic scale with plain numbers."""
     axes.set_xscale("log")
     axes.set_xlim(float(values[0]), float(values[-1]))
     decades = [d * 10.0**e for e in range(-3, 4) for d in (1, 2, 5)]

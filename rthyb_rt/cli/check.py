@@ -9,7 +9,6 @@ import typer
 
 from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
-from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.checking.checked_axes import ExaminedAxes
@@ -59,23 +58,27 @@ def check(
         page_file(plot)
     test_file, rig_file = load_any(test, rig, settings)
     if isinstance(rig_file, AxesRig):
-        if plot is not None:
-            raise InputError("plots exist only for a rig with one axis; omit the option", "--plot")
         axes = examine_axes(test_file, rig_file)
         _print_axes(axes, terminal.people(as_json))
+        _write_page(axes, plot, terminal.people(as_json))
         if as_json:
             terminal.print_json(axes.document())
         return
     found = examine(test_file, rig_file, rig or test_file.rig)
     _print(found, terminal.people(as_json))
-    if plot is not None:
-        from rthyb_rt.checking import check_page
-
-        check_page.write(found, plot)
-        interrupts.wrote(plot)
-        print(f"\nPage      {plot}", file=terminal.people(as_json))
+    _write_page(found, plot, terminal.people(as_json))
     if as_json:
         terminal.print_json(found.document())
+
+
+def _write_page(found: Examined | ExaminedAxes, plot: Path | None, file: IO[str]) -> None:
+    if plot is None:
+        return
+    from rthyb_rt.checking import check_page
+
+    check_page.write(found, plot)
+    interrupts.wrote(plot)
+    print(f"\nPage      {plot}", file=file)
 
 
 def _print(found: Examined, file: IO[str]) -> None:
