@@ -64,19 +64,25 @@ def test_second_mode_beside_a_damper_is_what_it_is(beside: str) -> None:
     assert stroke.gain(problem, fit) < POLICY.same_evidence
 
 
-@pytest.mark.parametrize("times", [3.0, 15.0])
-def test_mass_alone_is_compared_where_only_a_softer_spring_reaches_the_noise(times: float) -> None:
-    """A spring that changes a little is the form of the law, however little noise there is."""
-    gains = [
-        stroke.gain(*fitted(lambda t, x, v, own=own: times * riding(own), "second_mode"))
-        for own in (SOFTER, 0.1 * SOFTER, 0.0)
-    ]
-    assert gains[0] > 5.0 * POLICY.same_evidence
-    assert gains[1:] == [-np.inf, -np.inf]
+@pytest.mark.parametrize(("times", "seed"), [(1.3, 8), (3.0, 1), (15.0, 1)])
+def test_mass_alone_is_compared_where_only_a_softer_spring_reaches_the_noise(
+    times: float, seed: int
+) -> None:
+    """A spring that changes a little is the form of the law, however little noise there is.
+
+    In one of them the noise is a standard deviation more than expected, all of which is left.
+    """
+
+    def gain(per_m2: float) -> float:
+        force = times * riding(per_m2)
+        return stroke.gain(*fitted(lambda t, x, v: force, "second_mode", seed=seed))
+
+    assert gain(SOFTER) > 5.0 * POLICY.same_evidence
+    assert gain(0.1 * SOFTER) == gain(0.0) == -np.inf
 
 
 def test_mass_near_the_noise_and_sets_without_one_are_not_compared() -> None:
-    force = riding(SOFTER)
+    force = 0.5 * riding(SOFTER)
     assert stroke.gain(*fitted(lambda t, x, v: force, "second_mode")) == -np.inf
     plain = fitted(lambda t, x, v: 2e3 * v + 60.0 * np.sign(v), "coulomb", "viscous")
     assert stroke.gain(*plain) == -np.inf

@@ -56,10 +56,14 @@ def _ends_at_noise(problem: Problem, one: float, other: float) -> bool:
     """Return whether a chi-squared reaches the noise and another one does not.
 
     As in `decide.Court.ends_at_noise`, with the noise as it is in evidence that was scaled down.
+    The chi-squared of noise alone scatters by ``sqrt(2 n)``: one that is no farther away has
+    reached the noise, and one within three times this may be noise.
     """
-    noise = problem.y.size * problem.estimate.share / problem.loudness**2
+    rows = problem.y.size * problem.estimate.share
+    noise, chance = rows / problem.loudness**2, float(np.sqrt(2.0 / rows))
     left = other - noise
-    return left > POLICY.form_seen * noise and one - noise < POLICY.noise_reached * left
+    beyond = max(POLICY.form_seen, POLICY.power_scatter * chance) * noise
+    return left > beyond and one - noise < max(POLICY.noise_reached * left, chance * noise)
 
 
 def _no_form(problem: Problem, one: float, other: float) -> bool:
