@@ -11,8 +11,8 @@ typedef const rthyb_library_config config;
 
 typedef struct {
     double x[RTHYB_INTERFACES_MAX], x1[RTHYB_INTERFACES_MAX], x2[RTHYB_INTERFACES_MAX];
-    double force
-        [RTHYB_INTERFACES_MAX]; /* in the order of the part; the others in that of the program */
+    /* In the order of the part; the displacements are in that of the program. */
+    double force[RTHYB_INTERFACES_MAX];
     double excitation;
     int64_t refused; /* return value of its init */
 } library_state;

@@ -60,6 +60,7 @@ def every_case(program: Path) -> subprocess.CompletedProcess[str]:
     return run(program)
 
 
+@pytest.mark.long
 def test_no_sample_of_any_controller_on_any_rig_allocates_or_calls_the_kernel(
     every_case: subprocess.CompletedProcess[str],
 ) -> None:
@@ -100,6 +101,7 @@ def loop_program(objects: dict[str, Path], tmp_path_factory: pytest.TempPathFact
 CLOCKS = {"host": lib.RTHYB_CLOCK_HOST, "link": lib.RTHYB_CLOCK_LINK}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_no_tick_from_start_to_join_allocates_or_calls_anything_but_clock_and_link(
     loop_program: Path, clock: str
@@ -193,6 +195,7 @@ def sample_path(symbols: Symbols) -> set[str]:
     return files
 
 
+@pytest.mark.long
 def test_the_sample_path_calls_nothing_but_arithmetic_and_copies(
     symbols: Symbols, sample_path: set[str]
 ) -> None:

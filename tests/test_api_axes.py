@@ -40,6 +40,7 @@ def test_a_test_on_two_axes_runs_and_tells_of_each(rec: rt.Recording) -> None:
         assert rec.measures["axes"][name]["peak_measured_m"] == pytest.approx(peak)
 
 
+@pytest.mark.long
 def test_what_was_kept_is_opened_as_it_was(rig: rt.Rig, rec: rt.Recording, tmp_path: Path) -> None:
     again = rt.open(rec.save(tmp_path / "recording.h5"))
     assert again.measures == rec.measures
@@ -161,6 +162,7 @@ def test_an_identification_of_several_axes_is_that_of_the_command_line(
     assert repr(found).startswith("<AxesIdentification two-storeys: delays left ")
 
 
+@pytest.mark.long
 def test_a_sweep_over_an_axis_has_the_figures_of_the_runs(rig: rt.Rig, tmp_path: Path) -> None:
     key = "rig.axis.right.actuator.delay_samples"
     test = rt.Test.from_toml(SHORT, rig).with_({"test.duration_s": 1, "controller.type": "none"})
@@ -185,6 +187,7 @@ def test_a_sweep_over_an_axis_has_the_figures_of_the_runs(rig: rt.Rig, tmp_path:
     assert "directions.ground-floor.tracking_nrmse_median" in found.statistics()[0]
 
 
+@pytest.mark.long
 def test_a_sweep_says_which_axis_ended_a_run_and_what_no_axis_has(
     rig: rt.Rig, tmp_path: Path
 ) -> None:
@@ -199,6 +202,7 @@ def test_a_sweep_says_which_axis_ended_a_run_and_what_no_axis_has(
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.long
 def test_plants_are_drawn_about_the_values_of_a_named_axis(rig: rt.Rig, tmp_path: Path) -> None:
     test = rt.Test.from_toml(SHORT, rig).with_({"test.duration_s": 0.5})
     key = "rig.axis.left.actuator.natural_frequency_hz"

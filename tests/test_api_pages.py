@@ -37,6 +37,7 @@ def same(shown: str, printed: str) -> bool:
     return all(a == pytest.approx(b, rel=0.02) for a, b in values)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", GUIDES)
 def test_code_of_the_page_runs_as_it_is_written_and_prints_what_stands_below_it(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

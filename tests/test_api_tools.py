@@ -66,6 +66,7 @@ def test_recording_replays_bit_for_bit_and_a_changed_one_does_not(rec: rt.Record
     assert (found.first_row, found.field) == (row, "x_cmd_m")
 
 
+@pytest.mark.long
 def test_diagnosis_names_the_friction_that_a_rig_has_and_its_model_has_not(tmp_path: Path) -> None:
     model = rt.Rig("delay-10-elastic")
     real = model.with_({"specimen": [*model["specimen"], {"element": "coulomb", "fc_n": "400 N"}]})
@@ -88,6 +89,7 @@ def test_diagnosis_names_the_friction_that_a_rig_has_and_its_model_has_not(tmp_p
     assert again.effects == found.effects
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("hidden", [True, False])
 def test_a_recording_of_another_control_law_is_diagnosed_as_one_of_ours(hidden: bool) -> None:
     model = rt.Rig("delay-10-elastic")
@@ -101,6 +103,7 @@ def test_a_recording_of_another_control_law_is_diagnosed_as_one_of_ours(hidden: 
     assert found.effects == (["coulomb"] if hidden else [])
 
 
+@pytest.mark.long
 def test_the_room_of_the_diagnosis_is_the_public_function_however_it_was_imported() -> None:
     code = (
         "import rthyb_rt as rt; first = rt.diagnose; import rthyb_rt.diagnose.policy; "
@@ -149,6 +152,7 @@ def test_recordings_of_two_rates_are_compared_at_the_lower_one(
 # ---- sweeps -------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_sweep_has_a_row_for_every_combination_and_seed(short: rt.Test, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     found = rt.sweep(
@@ -172,6 +176,7 @@ def test_sweep_has_a_row_for_every_combination_and_seed(short: rt.Test, tmp_path
     assert (tmp_path / "laws" / "index.html").is_file()
 
 
+@pytest.mark.long
 def test_statistics_are_over_the_seeds_of_each_combination(short: rt.Test, tmp_path: Path) -> None:
     found = rt.sweep(short, LAWS, repeat_seeds=3, out=tmp_path / "laws", jobs=1)
     for one in found.statistics("tracking_nrmse"):
@@ -188,6 +193,7 @@ def test_statistics_are_over_the_seeds_of_each_combination(short: rt.Test, tmp_p
         found.statistics("tracking")
 
 
+@pytest.mark.long
 def test_run_that_fails_or_trips_is_named_and_ends_no_other(short: rt.Test, tmp_path: Path) -> None:
     found = rt.sweep(
         short, {"controller.w1": [3, 1], "limits.force_n": ["15 kN", "1 kN"]},
@@ -204,6 +210,7 @@ def test_run_that_fails_or_trips_is_named_and_ends_no_other(short: rt.Test, tmp_
         found.recording(0)
 
 
+@pytest.mark.long
 def test_rigs_are_swept_by_name_and_as_objects(short: rt.Test, tmp_path: Path) -> None:
     rigs = [rt.Rig("delay-10-elastic").with_(actuator={"delay_samples": n}) for n in (5, 6)]
     free = short.with_({"limits.force_n": None})
@@ -216,6 +223,7 @@ def test_rigs_are_swept_by_name_and_as_objects(short: rt.Test, tmp_path: Path) -
     assert found.recording(2).rig["rig.name"] == "first-order-5hz"
 
 
+@pytest.mark.long
 def test_lists_go_together_and_plants_are_drawn(short: rt.Test, tmp_path: Path) -> None:
     found = rt.sweep(
         short, together=[{"controller.w1": [3, 4], "controller.w2": [2, 2.5]}],
@@ -228,6 +236,7 @@ def test_lists_go_together_and_plants_are_drawn(short: rt.Test, tmp_path: Path) 
     assert len({row["tracking_nrmse"] for row in found.rows}) == 6
 
 
+@pytest.mark.long
 def test_sweep_goes_on_where_it_was_and_is_not_mixed_with_another(
     short: rt.Test, tmp_path: Path
 ) -> None:
@@ -336,6 +345,7 @@ def never_lost_or_doubled(tmp_path: Path, kills: list[tuple[str, int, float]]) -
         assert not list((tmp_path / "killed" / row["folder"]).glob(".*"))
 
 
+@pytest.mark.long
 def test_script_that_is_killed_at_any_moment_goes_on_without_a_lost_or_doubled_run(
     tmp_path: Path,
 ) -> None:
@@ -356,6 +366,7 @@ def test_script_that_is_killed_again_and_again_loses_and_doubles_no_run(
     never_lost_or_doubled(tmp_path, kills)
 
 
+@pytest.mark.long
 def test_sweep_is_computed_by_a_dask_client(short: rt.Test, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     here = rt.sweep(short, LAWS, out=tmp_path / "here", jobs=1)

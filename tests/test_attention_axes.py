@@ -91,6 +91,7 @@ def test_commands_that_a_limit_reduced_are_told() -> None:
     assert any(one.startswith(text) and "reduced by a limit" in one for one in alarms(rec))
 
 
+@pytest.mark.long
 def test_the_live_view_says_of_a_running_test_which_axis_does_not_follow(tmp_path: Path) -> None:
     whole = told_live(bare(), 18.0, tmp_path)
     assert [text.split(DEPARTED)[0] for text in whole] == ["Axis left ", "Axis right "]
@@ -100,6 +101,7 @@ def test_the_live_view_says_of_a_running_test_which_axis_does_not_follow(tmp_pat
     assert PastSource(bare()).status()["attention"] == alarms(bare())
 
 
+@pytest.mark.long
 def test_the_report_of_several_axes_begins_with_what_must_not_be_missed() -> None:
     pytest.importorskip("matplotlib")
     from rthyb_rt.report.several import render
@@ -116,6 +118,7 @@ def test_the_document_of_a_run_has_the_axes_that_did_not_follow() -> None:
     assert set(told[0]) == {"axis", "kind", "value", "allowed", "from_s", "to_s"}
 
 
+@pytest.mark.long
 def test_the_shipped_frame_of_two_actuators_follows_its_reference() -> None:
     """Its limits once reduced 98 % of the commands, and the lower axis was 26 % off."""
     test = config.load_test(EXAMPLE, {})

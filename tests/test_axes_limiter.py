@@ -46,6 +46,7 @@ class Pushed:
         return np.diff(np.array(self.sent), axis=0)
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(velocity=st.tuples(LIMIT, LIMIT), clamp=st.tuples(CLAMP, CLAMP), forces=FORCES)
 def test_without_acceleration_limits_every_step_leads_straight_to_what_is_wanted(
@@ -72,6 +73,7 @@ def test_without_acceleration_limits_every_step_leads_straight_to_what_is_wanted
                 assert abs(lab.sent[k + 1][axis]) <= clamp[axis] * (1 + 1e-12)
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(
     velocity=st.tuples(LIMIT, LIMIT),
@@ -116,6 +118,7 @@ def test_an_axis_that_stays_behind_holds_the_others_on_the_straight_way() -> Non
     assert abs(steps[1]) < 0.5 * H
 
 
+@pytest.mark.long
 @settings(max_examples=150, deadline=None)
 @given(
     velocity=st.tuples(LIMIT, LIMIT),

@@ -279,6 +279,7 @@ def linked(setup: Setup, **link: Any) -> Setup:
     return dataclasses.replace(setup, group=group)
 
 
+@pytest.mark.long
 def test_unstable_loop_of_two_axes_is_refused_where_one_of_them_is_real(tmp_path: Path) -> None:
     setup = frame(tmp_path, "none", damping="{ ratio = 0.001, modes = [1, 2] }")
     with pytest.raises(InputError, match="the motion will grow: its largest root is 1") as caught:

@@ -135,6 +135,7 @@ def rubbing(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 def test_the_axis_that_feels_a_friction_is_told_it_and_the_other_one_nothing(
     rthyb: Rthyb, rubbing: Path, tmp_path: Path
 ) -> None:
@@ -172,6 +173,7 @@ def test_the_axis_that_feels_a_friction_is_told_it_and_the_other_one_nothing(
     }
 
 
+@pytest.mark.long
 def test_one_axis_alone_has_the_answer_of_one_axis(rthyb: Rthyb, rubbing: Path) -> None:
     model = rubbing / "rig.toml"
     done = rthyb("diagnose", rubbing, "--model", model, "--axis", "right", "--json")
@@ -223,6 +225,7 @@ def test_the_error_of_a_zero_counts_the_sensors_of_the_other_axes(
     assert case.axis == "right"
 
 
+@pytest.mark.long
 def test_friction_that_the_model_lacks_is_found_in_the_export_of_its_axis(
     rthyb: Rthyb, rubbing: Path, tmp_path: Path
 ) -> None:

@@ -46,6 +46,7 @@ def test_the_whole_benchmark_is_one_campaign_with_every_law_that_there_is() -> N
     assert len({case.command() for case in found}) == len(found)
 
 
+@pytest.mark.long
 def test_the_campaign_and_the_command_give_the_same_figures(rthyb: Rthyb, tmp_path: Path) -> None:
     rows = whole_campaign.conduct(sliced(tmp_path), tmp_path / "out", jobs=1).rows
     words = "--law inverse --law none --rate 1024 --motion kobe --case 2 --plants 1 --jobs 1 --json"

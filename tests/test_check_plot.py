@@ -112,6 +112,7 @@ def test_compensation_is_predicted_to_take_the_delay_away(setup: Setup) -> None:
     assert np.abs(delays("once adapted")).max() < 1e-3
 
 
+@pytest.mark.long
 def test_page_has_its_three_figures_and_asks_nothing_of_the_network(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -125,6 +126,7 @@ def test_page_has_its_three_figures_and_asks_nothing_of_the_network(
     assert set(rt.check(path).plots()) == {"stability", "nyquist", "tracking"}
 
 
+@pytest.mark.long
 def test_rig_without_a_known_response_and_many_storeys_say_why_there_is_no_figure() -> None:
     bare = rt.Rig("delay-10-elastic").with_({"identified": None})
     plots = rt.check(rt.Test("section5-T0.5", rig=bare, controller={"alpha0": 10})).plots()

@@ -20,6 +20,7 @@ def swept(folder: Path, *words: str) -> int:
     return cli.main(["sweep", *words, *SHORT, "--out", str(folder)])
 
 
+@pytest.mark.long
 def test_every_value_meets_every_other_and_numbers_stay_numbers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -38,6 +39,7 @@ def test_every_value_meets_every_other_and_numbers_stay_numbers(
     assert found["rows"][-1]["response_nrmse"] == wanted.measures["response_nrmse"]
 
 
+@pytest.mark.long
 def test_statistics_over_the_seeds_are_those_of_the_table(tmp_path: Path) -> None:
     out = tmp_path / "swept"
     assert swept(out, *LAWS, "--repeat-seeds", "3") == 0
@@ -57,6 +59,7 @@ def test_statistics_over_the_seeds_are_those_of_the_table(tmp_path: Path) -> Non
         assert one["runs"] == one["completed"] == "3"
 
 
+@pytest.mark.long
 def test_runs_that_end_early_are_named_and_the_exit_code_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -69,6 +72,7 @@ def test_runs_that_end_early_are_named_and_the_exit_code_says_so(
     assert "Run 2 failed: --set controller.w1: w1 = 1" in printed
 
 
+@pytest.mark.long
 def test_interrupted_sweep_goes_on_and_no_run_is_lost_or_doubled(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

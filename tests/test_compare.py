@@ -190,6 +190,7 @@ def test_table_without_units_is_refused_in_the_words_of_whoever_asks(
         rt.compare(kept, path)
 
 
+@pytest.mark.long
 def test_kept_runs_of_a_sweep_stand_beside_one_another(short: rt.Test, tmp_path: Path) -> None:
     over = {"controller.rfc.enabled": [True, False]}
     rt.sweep(short, over, out=tmp_path / "swept", keep="all", jobs=1)

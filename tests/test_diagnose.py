@@ -39,6 +39,7 @@ def test_dry_friction_is_named_with_its_size(tmp_path):
     assert holds(d, "coulomb", "Fc_N", 130.0)
 
 
+@pytest.mark.long
 def test_two_effects_that_cancel_are_both_named(tmp_path):
     d = diagnosed(
         tmp_path, cases.channels(lambda t, x, v, a: 200.0 * np.tanh(v / 4e-4) - 3600.0 * v)
@@ -46,6 +47,7 @@ def test_two_effects_that_cancel_are_both_named(tmp_path):
     assert (d.verdict, sorted(d.effects)) == ("explained", ["coulomb", "viscous"])
 
 
+@pytest.mark.long
 def test_a_stop_is_located_where_it_is_met(tmp_path):
     def stop(t, x, v, a):
         return 2e6 * np.maximum(np.abs(x) - 6.2e-3, 0.0) * np.sign(x)
@@ -71,12 +73,14 @@ def test_an_effect_that_begins_in_mid_record_is_named(tmp_path):
     assert d.windows[0][0] == pytest.approx(4.3, abs=0.2)
 
 
+@pytest.mark.long
 def test_a_longer_delay_is_the_actuators_and_not_the_specimens(tmp_path):
     d = diagnosed(tmp_path, cases.channels(delay=cases.DELAY + 0.004))
     assert (d.verdict, d.effects, d.channel) == ("explained", ["delay"], "disp")
     assert found(d, "delay", "dtau_s") == pytest.approx(0.004, abs=1.2e-4)
 
 
+@pytest.mark.long
 def test_a_longer_delay_that_a_stiffer_oil_column_hides_is_named_beside_it(tmp_path):
     # The lag of a slow motion, delay + zeta / (pi f), is that of the model.
     lag_s = cases.DELAY + 0.004 + cases.ZETA / (math.pi * cases.F_HZ)
@@ -88,6 +92,7 @@ def test_a_longer_delay_that_a_stiffer_oil_column_hides_is_named_beside_it(tmp_p
     assert found(d, "oil_column", "f_Hz") == pytest.approx(cases.F_HZ, rel=0.1)
 
 
+@pytest.mark.long
 def test_triangle_of_a_stiff_drive_is_judged_between_its_corners(tmp_path, monkeypatch):
     monkeypatch.setattr(cases, "FS", 1000.0)
     monkeypatch.setattr(cases, "F_HZ", 90.0)
@@ -109,6 +114,7 @@ def test_triangle_of_a_stiff_drive_is_judged_between_its_corners(tmp_path, monke
     assert sorted(d.ambiguous_with) == [["quad_damping"], ["viscous"]]
 
 
+@pytest.mark.long
 def test_a_sine_cannot_tell_mass_from_stiffness_and_a_sweep_can(tmp_path):
     def softer(t, x, v, a):
         return -0.09 * cases.K * x
@@ -199,6 +205,7 @@ def test_coarse_readings_do_not_hide_what_else_is_missing(name, law, tmp_path):
     assert (d.verdict, sorted(d.effects)) == ("explained", sorted(["quantisation", name]))
 
 
+@pytest.mark.long
 def test_friction_with_a_peak_on_a_shearing_contact_is_named_beside_a_mass(tmp_path):
     def law(t, x, v, a):
         shear = np.zeros_like(x)
@@ -210,6 +217,7 @@ def test_friction_with_a_peak_on_a_shearing_contact_is_named_beside_a_mass(tmp_p
     assert (d.verdict, sorted(d.effects)) == ("explained", ["inertia", "stribeck"])
 
 
+@pytest.mark.long
 def test_a_contact_that_shears_before_it_slips_is_dry_friction(tmp_path):
     def slider(t, x, v, a):
         slip, force = 0.0, np.empty_like(x)
@@ -306,6 +314,7 @@ def test_a_sensor_with_a_zero_of_its_own_bends_no_lag_and_its_wander_goes_on(tmp
     assert abs(np.mean(off)) < 0.4 * np.mean(wander[half:])
 
 
+@pytest.mark.long
 def test_units_do_not_hide_a_spring_of_the_third_power(tmp_path):
     # Of a motion of two millimetres the cube is a column of 1e-10 beside others of 1e2.
     columns = cases.channels(lambda t, x, v, a: 5e10 * x**3, amplitude=2e-3)
@@ -350,6 +359,7 @@ def _yielding(x: np.ndarray, xy: float) -> np.ndarray:
     return z
 
 
+@pytest.mark.long
 def test_a_yielding_specimen_recorded_in_mid_motion_lacks_nothing(tmp_path):
     alpha, xy, before = 0.35, 6e-3, 5 * int(cases.FS)
     rng = np.random.default_rng(8)

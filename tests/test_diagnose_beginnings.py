@@ -104,6 +104,7 @@ def lagging(folder: Path, more: str = "") -> Path:
     )
 
 
+@pytest.mark.long
 def test_velocity_of_a_lag_steps_with_a_held_command_after_the_row_and_not_before(
     tmp_path: Path,
 ) -> None:

@@ -63,6 +63,7 @@ def test_a_body_under_a_sine_of_force_does_not_tell_mass_from_stiffness(missing,
     assert sorted(d.ambiguous_with) == [["inertia"], ["stiffness"]]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("missing", EITHER)
 def test_a_body_under_a_sweep_of_force_tells_mass_from_stiffness(missing, tmp_path):
     n = rows(16.0)
@@ -234,6 +235,7 @@ def proposed(case: Case, name: str) -> force.Search:
     return force.Search(problem, null, [best], best, [], 1.0, 1.0, 1.0, 1.0, 1.0)
 
 
+@pytest.mark.long
 def test_a_law_from_the_balance_of_forces_is_judged_by_the_motion_that_it_makes(tmp_path):
     """A hardening spring makes its body's motion to the noise; a damper in its place does not.
 

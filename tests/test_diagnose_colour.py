@@ -240,6 +240,7 @@ def of_one_frequency(random: np.random.Generator, extra, shape: np.ndarray):
     }
 
 
+@pytest.mark.long
 def test_sine_recorded_in_mid_course_leaves_mass_and_stiffness_one(tmp_path):
     """The model's actuator starts from rest, and its jump is in no row that is judged."""
     columns = of_one_frequency(

@@ -163,6 +163,7 @@ EVENTS: dict[Scenario, tuple[set[str], str]] = {
 """What is wrong, and which of it only from t0 on."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("scenario", "seed"), in_turn(EVENTS, network_slower))
 def test_what_happens_in_mid_test_is_named_with_when(
     scenario: Scenario, seed: int, tmp_path: Path
@@ -209,6 +210,7 @@ THROUGHOUT: dict[Scenario, set[str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("scenario", "seed"), in_turn(THROUGHOUT, nothing))
 def test_what_is_there_throughout_begins_nowhere(
     scenario: Scenario, seed: int, tmp_path: Path
@@ -232,6 +234,7 @@ def test_crosstalk_of_a_noisy_orthogonal_cell_has_its_true_ratio(tmp_path: Path)
 # ---- channels that say the same twice -----------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_late_cell_on_a_shaking_table_is_no_dashpot(tmp_path: Path) -> None:
     """Around resonance both turn the force alike; the body's own acceleration tells them apart."""
     d = diagnosed(on_ground(SEEDS[0], tmp_path, cell=lambda f, fs: late(f, 0.004, fs)))
@@ -241,6 +244,7 @@ def test_a_late_cell_on_a_shaking_table_is_no_dashpot(tmp_path: Path) -> None:
     assert "the load cell itself" in facts["load cell compared with m a_meas"]
 
 
+@pytest.mark.long
 def test_a_dashpot_on_a_shaking_table_is_no_late_cell(tmp_path: Path) -> None:
     d = diagnosed(on_ground(SEEDS[1], tmp_path, dashpot=1.0))
     assert (d.verdict, d.effects) == ("explained", ["viscous"])

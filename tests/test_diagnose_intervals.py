@@ -83,6 +83,7 @@ def test_a_law_in_its_own_form_is_hardly_less_sure_for_it():
     assert np.median(wider) < 0.5
 
 
+@pytest.mark.long
 def test_an_overdamped_actuator_with_a_lower_corner_is_named_alone(tmp_path, monkeypatch):
     """The fit went to the end of what an offset in time may be, and a delay was named beside it."""
     case = fast(monkeypatch, tmp_path, (20.0, 2.06), (45.0, 2.05))
@@ -171,6 +172,7 @@ def test_motions_about_a_fitted_actuator_lie_one_standard_deviation_away(tmp_pat
     assert len(around) == 2
 
 
+@pytest.mark.long
 def test_a_lag_without_an_inertia_of_its_own_ends_no_diagnosis(tmp_path, monkeypatch):
     """Of second order it has its corner and its damping beyond all bounds: that is a rival."""
     case = fast(monkeypatch, tmp_path, (90.0, 30.0), (28.0, 0.9))
@@ -181,6 +183,7 @@ def test_a_lag_without_an_inertia_of_its_own_ends_no_diagnosis(tmp_path, monkeyp
     assert all(m.zeta <= 1e3 and m.f_hz <= 1e5 for m in lags)
 
 
+@pytest.mark.long
 def test_equals_are_told_at_the_time_of_the_load_cell_as_well(tmp_path, monkeypatch):
     case = fast(monkeypatch, tmp_path, (70.0, 2.1), (70.0, 2.1), kg=400.0, late=LATE_S, kind="sine")
     d = engine.diagnose(case)

@@ -79,6 +79,7 @@ def answer_of(folder: Path, model: Path, capsys, *more: object) -> dict:
 # ---- the test simulated again --------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_a_recording_with_friction_is_met_by_the_whole_loop_simulated_again(tmp_path, capsys):
     """The catalogue's demonstration: rig, hybrid test, recording, diagnosis, augmented model."""
     naive = tmp_path / "naive.toml"
@@ -105,6 +106,7 @@ def test_a_recording_with_friction_is_met_by_the_whole_loop_simulated_again(tmp_
     assert 'id="figure-closed"' in page
 
 
+@pytest.mark.long
 def test_the_same_controller_on_the_true_rig_gives_the_recording_bit_for_bit(tmp_path):
     done = setup(NAIVE)
     rec = virtual_time.run(done)
@@ -141,6 +143,7 @@ def test_section_5_of_the_paper_names_the_table_left_out_of_the_benchmark(tmp_pa
     assert loop["nrmse_after"]["x_meas"] < 0.02
 
 
+@pytest.mark.long
 def test_a_test_that_was_held_is_not_simulated_again(tmp_path):
     done = setup(NAIVE)
     rec = virtual_time.run(done)
@@ -251,6 +254,7 @@ def beside_a_magnet(tmp_path_factory) -> tuple[Path, Path]:
     return recorded(folder / "run", hybrid_test(PythonRig(Magnet()))), naive
 
 
+@pytest.mark.long
 def test_the_rig_of_this_file_is_the_virtual_rig_where_there_is_no_magnet(tmp_path):
     """The two rigs are two formulations of one: the closed loops agree to their noise."""
     rec = hybrid_test(PythonRig(Magnet(pull_n=0.0)))
@@ -392,6 +396,7 @@ def test_alpha_and_tangent_stiffness_are_recovered_from_a_csv_file(shaken, tmp_p
     assert found.alpha.to_json()["median"] == pytest.approx(np.median(alpha[good]), abs=0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("noise_m", [0.0, 1e-9])
 def test_tangent_stiffness_is_recovered_within_a_twentieth_of_k_e(tmp_path, noise_m):
     """5 % of k_e for 19 rows of 20; by the noise of the sensors 3 to 7 %, so the mean of eight."""
@@ -460,6 +465,7 @@ def test_what_cannot_be_recovered_is_said_with_its_reason(shaken, tmp_path, what
     assert words in said["why"]
 
 
+@pytest.mark.long
 def test_a_loop_of_another_program_is_said_not_to_be_simulated_again(tmp_path, capsys):
     done = setup(NAIVE)
     path = exported(proper(virtual_time.run(done)), tmp_path / "recording.csv")

@@ -77,6 +77,7 @@ def test_table_that_the_model_leaves_out_is_named_and_the_loop_closes(table_run,
     assert answer_of(table_run, augmented, capsys)["verdict"] == "none"
 
 
+@pytest.mark.long
 def test_rig_that_is_as_its_model_lacks_nothing(table_run, capsys):
     answer = answer_of(table_run, TABLE, capsys)
     assert answer["verdict"] == "none"
@@ -198,6 +199,7 @@ def test_mass_that_the_table_has_too_much_of_is_taken_off_it():
     assert not any(e.kind == "inertia" for e in made.elements)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("force_n", [np.nan, np.inf, 1e300])
 def test_recording_that_holds_no_number_ends_in_words(table_run, tmp_path, capsys, force_n):
     """A reading that is none is a gap, or refused; never a fault of the program."""

@@ -98,6 +98,7 @@ def test_slope_of_a_loop_is_as_slack_as_it_is(depth, tmp_path):
     assert d.candidates[0].params["width_ratio"] == pytest.approx(0.5, rel=0.03)
 
 
+@pytest.mark.long
 def test_spring_beside_a_loop_does_not_yield_with_it(tmp_path):
     """P-delta: eight per cent of the elastic stiffness less, at every displacement."""
     d = diagnosed(tmp_path, lambda x: loop(x) - (SPRING + 0.08 * K) * x, cases.baseline() + LOOP)

@@ -211,6 +211,7 @@ def test_recordings_exports_and_python_have_them_with_their_units(
     assert np.array_equal(opened["right_strain"], rec.channel("right_strain"))
 
 
+@pytest.mark.long
 def test_the_report_shows_them_with_their_units(rec: Recording) -> None:
     page = render(rec)
     for title in ("Extra channel left_lvdt", "Extra channel right_strain"):

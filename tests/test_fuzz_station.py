@@ -50,6 +50,7 @@ def told(output: str) -> dict[str, tuple[int, str]]:
     return {row[2]: (int(row[1]), (row[3] or "").strip()) for row in rows}
 
 
+@pytest.mark.long
 def test_random_days_break_no_rule_and_give_each_its_say(fuzz: Fuzz) -> None:
     done = fuzz("ticks", TICKS, SEED)
     assert done.returncode == 0, done.stdout
@@ -59,6 +60,7 @@ def test_random_days_break_no_rule_and_give_each_its_say(fuzz: Fuzz) -> None:
     assert "nothing broken" in done.stdout
 
 
+@pytest.mark.long
 def test_random_days_of_several_axes_break_no_rule_and_give_each_its_say(fuzz: Fuzz) -> None:
     done = fuzz("ticks", TICKS, SEED, axes=True)
     assert done.returncode == 0, done.stdout
@@ -91,6 +93,7 @@ AXES_BROKEN_ON_PURPOSE = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", AXES_BROKEN_ON_PURPOSE)
 def test_what_is_broken_on_purpose_of_several_axes_is_found(
     what: str, fuzz: Fuzz, tmp_path: Path

@@ -58,6 +58,7 @@ def assert_alike(found: AxesResult, wanted: AxesResult, share: float) -> None:
         assert own.k_e_n_per_m == pytest.approx(other.k_e_n_per_m, rel=share)
 
 
+@pytest.mark.long
 def test_over_links_the_matrix_of_responses_is_that_of_virtual_time() -> None:
     done: list[tuple[int, int]] = []
     with within_reach(pair_of()) as connection:
@@ -69,6 +70,7 @@ def test_over_links_the_matrix_of_responses_is_that_of_virtual_time() -> None:
     assert set(total) == {2 * SWEEP.ticks}
 
 
+@pytest.mark.long
 def test_frame_with_pins_whose_axes_feel_one_another_is_found_as_in_virtual_time() -> None:
     """Off the diagonal as well, where the matrix has up to a seventh of what is on it."""
     frame = config.load_any_rig(config.find_rig("two-axis-frame"))
@@ -78,6 +80,7 @@ def test_frame_with_pins_whose_axes_feel_one_another_is_found_as_in_virtual_time
     assert abs(wanted.response.response[0][1, 0]) > 0.05
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate_hz", [2048, 4096])
 def test_drives_of_another_rate_give_the_matrix_that_those_of_1024_hz_give(rate_hz: int) -> None:
     """Both axes are servos that hold each command: a rig file has the hold of 1/1024 s."""
@@ -168,6 +171,7 @@ def test_a_sweep_that_a_limit_of_the_command_changes_is_refused() -> None:
 # ---- the command line ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_rthyb_identify_in_real_time_writes_a_rig_file_with_the_matrix(
     rthyb: Rthyb, tmp_path: Path, stepped: None
 ) -> None:

@@ -66,6 +66,7 @@ def test_one_degree_of_freedom_survives_what_the_equation_of_motion_does(rho_inf
     assert critical_delay(LinearPart.of(part)) == pytest.approx(expected, rel=1e-6)
 
 
+@pytest.mark.long
 def test_many_storeys_condensed_survive_what_all_of_them_do() -> None:
     config = building(90)
     whole = linear_parts.of_sparse(config)

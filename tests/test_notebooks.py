@@ -49,6 +49,7 @@ def test_notebook_is_kept_without_outputs(notebook: Path) -> None:
         assert cell["execution_count"] is None
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 def test_first_test_runs_as_it_stands_and_shows_verdict_figures_and_messages(
     tmp_path: Path,

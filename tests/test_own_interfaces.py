@@ -152,6 +152,7 @@ def test_a_library_with_two_interfaces_does_what_the_same_matrices_do(
     assert alike[200:-200].all()
 
 
+@pytest.mark.long
 def test_a_class_in_python_does_so_too(in_python: str, corner: str, tmp_path: Path) -> None:
     given = {"class": in_python, "settings": PARAMETERS}
     mine = short(tmp_path, "python", given)
@@ -191,6 +192,7 @@ def test_a_recording_is_replayed_bit_for_bit_with_its_library(corner: str, tmp_p
 # ---- the order of the interfaces ----------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_the_number_of_an_interface_finds_its_direction(corner: str, tmp_path: Path) -> None:
     """A library that counts the rotation first, and a file that says so."""
     source = (OWN / "corner.c").read_text("utf-8")
@@ -206,6 +208,7 @@ def test_the_number_of_an_interface_finds_its_direction(corner: str, tmp_path: P
     assert rt.replay(rec).identical
 
 
+@pytest.mark.long
 def test_the_order_of_the_tables_does_not_matter(corner: str, tmp_path: Path) -> None:
     tables = [{"name": "theta", "number": 2}, {"name": "x", "number": 1}]
     rec = rt.run(by_library(tmp_path, corner, interface=tables))
@@ -412,6 +415,7 @@ def test_a_class_that_forgets_an_interface_is_told_so(tmp_path: Path) -> None:
         Part(part).answer_all(0.0, [1.0, 2.0])
 
 
+@pytest.mark.long
 def test_check_and_report_say_what_is_not_known_of_a_part_of_ones_own(
     corner: str, tmp_path: Path
 ) -> None:

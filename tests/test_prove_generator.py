@@ -250,6 +250,7 @@ def folders(folder: Path) -> list[Path]:
     return sorted(p.parent for p in folder.glob("*/*/answer.json"))
 
 
+@pytest.mark.long
 def test_cases_hold_what_the_format_asks_for(folder: Path) -> None:
     for case in folders(folder):
         model = tomllib.loads((case / "baseline.toml").read_text())

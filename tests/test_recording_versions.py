@@ -80,6 +80,7 @@ def test_a_reading_of_version_1_that_was_no_number_is_none(path: Path, tmp_path:
     assert samples["f_read_n"][6] == pytest.approx(-2147483.647)
 
 
+@pytest.mark.long
 @of_version_1
 def test_a_recording_of_version_1_is_reported_and_shown(path: Path) -> None:
     rec = read(path)
@@ -246,6 +247,7 @@ keys = st.from_regex(r"[a-z_]{1,12}", fullmatch=True).filter(
 )
 
 
+@pytest.mark.long
 @given(
     count=st.integers(0, 300),
     seed=st.integers(0, 2**32 - 1),

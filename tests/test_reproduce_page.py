@@ -46,6 +46,7 @@ def text_of(page: str) -> str:
     return " ".join(" ".join(words.words).replace("\N{NO-BREAK SPACE}", " ").split())
 
 
+@pytest.mark.long
 def test_page_asks_nothing_of_the_network(page: str) -> None:
     assert re.findall(r'\b(?:src|href)="(?!#)', page) == []
     assert not re.search(r"@import|url\((?!#)", page)

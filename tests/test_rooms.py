@@ -58,6 +58,7 @@ def _rooms_known() -> dict[str, set[str]]:
     return known
 
 
+@pytest.mark.long
 def test_no_two_rooms_need_each_other() -> None:
     known = _rooms_known()
     assert {"api", "cli", "comparing", "core", "diagnose", "lab"} <= set(known)
@@ -72,10 +73,12 @@ def test_what_all_rooms_share_knows_no_room(name: str) -> None:
     assert not {_room(found) for found in _known_to(PACKAGE / f"{name}.py")} & set(ROOMS)
 
 
+@pytest.mark.long
 def test_the_core_knows_no_other_room() -> None:
     assert _rooms_known()["core"] == set()
 
 
+@pytest.mark.long
 def test_only_the_core_and_the_ring_touch_cffi() -> None:
     touching = {
         path.relative_to(PACKAGE).as_posix()
@@ -118,6 +121,7 @@ def test_a_module_name_stands_for_one_thing() -> None:
     assert _repeated(names) == REPEATED_MODULES
 
 
+@pytest.mark.long
 def test_a_class_name_stands_for_one_thing() -> None:
     names = (
         node.name

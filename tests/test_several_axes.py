@@ -177,6 +177,7 @@ def frame(**overrides: str) -> Recording:
     return virtual_time.run(several.prepare(test, found))
 
 
+@pytest.mark.long
 def test_matrices_undo_what_two_actuators_do_to_one_another() -> None:
     s = {kind: measured.summarize(frame(controller__type=kind)) for kind in ("matrix", "none")}
     assert s["matrix"].end_reason == s["none"].end_reason == "completed"
@@ -235,6 +236,7 @@ def test_a_sensor_too_short_for_the_reference_is_noted() -> None:
 # ---- the command line ----------------------------------------------------------------------------
 
 
+@pytest.mark.long
 def test_rthyb_run_writes_a_report_that_names_axes_and_directions(
     rthyb: Rthyb, tmp_path: Path
 ) -> None:
@@ -270,6 +272,7 @@ def test_two_runs_are_the_same_bit_by_bit() -> None:
     assert replace(one, samples=one.samples[:3]).axis("right").size == 3
 
 
+@pytest.mark.long
 def test_rthyb_check_shows_axes_and_directions_and_what_it_does_not_compute(rthyb: Rthyb) -> None:
     done = rthyb("check", str(ROOT / "examples" / "two-actuator-frame.toml"), "--json")
     assert done.code == 0, done.err

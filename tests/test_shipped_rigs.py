@@ -194,6 +194,7 @@ def test_figures_that_a_rig_leaves_out_are_printed_with_whose_they_are() -> None
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.toml")), ids=lambda path: path.stem)
 def test_no_shipped_test_is_sure_to_reach_its_own_limits(path: Path) -> None:
     warnings = rt.check(rt.Test(path)).warnings

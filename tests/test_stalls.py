@@ -181,6 +181,7 @@ def test_failure_beside_scenarios_that_were_not_run_stays_one(tmp_path: Path) ->
     assert "1 failed, 38 passed, 1 not run" in said
 
 
+@pytest.mark.long
 def test_scenarios_of_all_boots_are_counted_together(tmp_path: Path) -> None:
     assert "0 of 19 " in boot(tmp_path, 19)[1]
     code, said = boot(tmp_path, 3, stalled=1)

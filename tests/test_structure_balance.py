@@ -132,6 +132,7 @@ def test_balance_of_a_structure_closes(name: str, change: dict[str, object], gap
     assert found.t_s.size == np.count_nonzero(rec.running) - 1
 
 
+@pytest.mark.long
 def test_frame_on_two_actuators_closes_but_for_the_integrators_own_damping(tmp_path: Path) -> None:
     """Displacement and rotation together; rho_inf = 0.5 takes out of the high modes."""
     test = rt.Test(EXAMPLES / "two-actuator-frame.toml")

@@ -296,6 +296,8 @@ static int set_up_axes(axes_episode *e)
                                      .setup = {.period_s = PERIOD_S},
                                      .state_bytes = sizeof(side_by_side),
                                      .interfaces = e->m};
+    for (int j = 0; j < e->m; j++)
+        e->part.place[j] = j;
     e->cfg.controller.numerical = (rthyb_numerical){RTHYB_NUMERICAL_LIBRARY, &e->part, e->state};
     e->ag_count = (size_t)ticks(d, 32.0, AG_MAX);
     const double size = 0.4 * e->size.peak_m * e->size.omega_per_s * e->size.omega_per_s;
