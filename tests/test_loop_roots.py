@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -371,3 +372,17 @@ def test_stable_loop_is_neither_refused_nor_remarked_on() -> None:
 def test_blocks_of_no_memory_have_no_roots() -> None:
     assert isinstance(loop_roots.gain(1.0), Block)
     assert loop_roots.gain(2.0).a.shape == (0, 0)
+
+
+def test_a_delay_is_swept_at_many_frequencies_in_little_memory() -> None:
+    late = loop_roots.rational(np.array([1.0]), np.eye(1, 101)[0])
+    z = np.exp(1j * np.linspace(0.01, 3.1, 20_000))
+    tracemalloc.start()
+    try:
+        found = late.response(z)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_allclose(found[:, 0], z**-100.0, atol=1e-9)
+    # Its matrices are 3.2 GB; a service that loads a test must not take that from the others.
+    assert peak < 50e6
