@@ -96,7 +96,8 @@ int rthyb_rig_step(rthyb_rig *rig, double x_p_m, double *x_m_m, double *f_n)
     rig->f_true_n = load_cell_force(rig);
     *x_m_m = sense(&rig->noise, &rig->cfg.displacement, rig->x_true_m);
     *f_n = sense(&rig->noise, &rig->cfg.force, rig->f_true_n);
-    latch_extras(rig);
+    if (rig->cfg.extra_count > 0)
+        latch_extras(rig);
     rig->servo.sensed_m = *x_m_m;
     code |= rthyb_servo_advance(&rig->servo, rig->cfg.elements, rig->cfg.element_count);
     return code;

@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.speed, pytest.mark.alone]
 @pytest.fixture(scope="module")
 def comparison() -> loops.Comparison:
     """A test of 20 s with yielding specimen, in the core, in NumPy-Python and in numba."""
-    return loops.compare(20.0, repetitions=30)
+    return loops.compare(20.0, repetitions=200)
 
 
 def test_core_numpy_and_numba_compute_the_same_test(comparison: loops.Comparison) -> None:
