@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -243,22 +243,7 @@ def each_alone(rig: AxesRig, rate: Rate) -> Axes | None:
     for i, (model, view) in enumerate(zip(models, views, strict=True)):
         if model is None:
             return None
-        hold = response.hold_of(view)
-        # Displacement, velocity and acceleration are the forces of a unit impedance.
-        unit = [
-            loop_roots.rig(
-                replace(model, stiffness_n_per_m=k, damping_n_s_per_m=c, mass_kg=m),
-                rate.period_s,
-                hold,
-            )
-            for k, c, m in np.eye(3).tolist()
-        ]
-        motion = loop_roots.Block(
-            unit[0].a,
-            unit[0].b,
-            np.vstack([one.c[1] for one in unit]),
-            np.array([one.d[1] for one in unit]),
-        )
+        motion = loop_roots.motion(model, rate.period_s, response.hold_of(view))
         outputs = np.zeros((2 * size, 3))
         outputs[:size, 0] = weights[:, i]
         outputs[size:] = np.column_stack([by @ back[:, i] for by in impedance])

@@ -21,6 +21,24 @@ MOST_MODES: Final = 80
 """Modes of a part that its loop includes; the flexibility of all others acts at once."""
 _DIRECT: Final = 16
 """Number of states up to which a response is solved directly at each frequency."""
+_SOLVED_TOGETHER: Final = 2**18
+"""Entries of the matrices that are solved together, 4 MB: the service computes this, too."""
+
+
+def solved_response(a: Floats, b: Floats, c: Floats, z: Complexes) -> Complexes:
+    """Return c (z - a)^-1 b at points z, (count,), solved directly: (count, outputs, inputs).
+
+    Args:
+        a, b, c: (n, n), (n, inputs), (outputs, n); n is at least 1.
+        z: the points.
+    """
+    found = np.empty((z.size, len(c), b.shape[1]), np.complex128)
+    count = max(1, _SOLVED_TOGETHER // a.size)
+    for first in range(0, z.size, count):
+        rows = slice(first, first + count)
+        inner = z[rows, None, None] * np.eye(len(a)) - a
+        found[rows] = c @ np.linalg.solve(inner, np.broadcast_to(b, (len(inner), *b.shape)))
+    return found
 
 
 @dataclass(frozen=True)
@@ -92,18 +110,11 @@ class LinearStep:
         if len(self.a) > _DIRECT:
             found = self._by_roots(z)
             check = z[:: max(1, z.size // 5)]
-            direct = self._directly(check)
+            direct = solved_response(self.a, self.b, self.c, check)
             rounding = 1e-6 * np.abs(direct).max(axis=(1, 2), keepdims=True)
             if (np.abs(self._by_roots(check) - direct) <= rounding).all():
                 return found
-        return np.concatenate(
-            [self._directly(some) for some in np.array_split(z, z.size // 64 + 1)]
-        )
-
-    def _directly(self, z: Complexes) -> Complexes:
-        inner = z[:, None, None] * np.eye(len(self.a)) - self.a
-        states = np.linalg.solve(inner, np.broadcast_to(self.b, (z.size, *self.b.shape)))
-        return np.asarray(self.c @ states)
+        return solved_response(self.a, self.b, self.c, z)
 
     def _by_roots(self, z: Complexes) -> Complexes:
         roots, weights = self._fractions

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.analysis import margins
-from rthyb_rt.analysis.linear_parts import LinearPart
+from rthyb_rt.analysis.linear_parts import LinearPart, solved_response
 from rthyb_rt.config import response, rigsettings
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.core import ControllerConfig, DenseConfig, LawConfig
@@ -44,8 +44,6 @@ THIN_GAIN: Final = 1.25
 """The plants of the field's benchmark differ by 10 % in the gain of their actuators."""
 THIN_DELAY_SAMPLES: Final = margins.LEAST_DELAY_MARGIN
 """In samples of 1/1024 s: holding a command changes the delay by as much."""
-_SOLVED_TOGETHER: Final = 2**18
-"""Entries of the matrices that are solved together, 4 MB: the service computes this, too."""
 
 
 @dataclass(frozen=True)
@@ -59,17 +57,9 @@ class Block:
 
     def response(self, z: Complexes) -> Complexes:
         """Return the transfer function at z (k,) as (k, m)."""
-        size = len(self.a)
-        if not size:
+        if not len(self.a):
             return np.broadcast_to(self.d.astype(complex), (z.size, self.d.size))
-        found = np.empty((z.size, self.d.size), np.complex128)
-        count = max(1, _SOLVED_TOGETHER // size**2)
-        for first in range(0, z.size, count):
-            rows = slice(first, first + count)
-            inner = z[rows, None, None] * np.eye(size) - self.a
-            states = np.linalg.solve(inner, np.broadcast_to(self.b[:, None], (*inner.shape[:2], 1)))
-            found[rows] = (self.c @ states)[:, :, 0] + self.d
-        return found
+        return solved_response(self.a, self.b[:, None], self.c, z)[:, :, 0] + self.d
 
     def then(self, other: Block) -> Block:
         """Return the series connection: the other system fed by the first output of this one."""
@@ -143,6 +133,15 @@ def rig(model: response.IdentifiedPlant, h: float, hold: str | None) -> Block:
         h: sampling period.
         hold: ``rig.command_hold``, None for a rig without a hold.
     """
+    impedance = (model.stiffness_n_per_m, model.damping_n_s_per_m, model.mass_kg)
+    return motion(model, h, hold).weighted((1.0, 0.0, 0.0), impedance)
+
+
+def motion(model: response.IdentifiedPlant, h: float, hold: str | None) -> Block:
+    """Return command -> x_m, its velocity and its acceleration; arguments as for `rig`.
+
+    Derivatives that the order of the model does not have are zero.
+    """
     order = model.p.size - 1
     late = model.delay_s / h
     if hold == "foh":
@@ -150,8 +149,7 @@ def rig(model: response.IdentifiedPlant, h: float, hold: str | None) -> Block:
     whole = math.floor(late + 1e-9)
     part = max(late - whole, 0.0)
     if order == 0:
-        one = _delay(whole, part).weighted((1.0 / model.p[0],))
-        return one.weighted((1.0,), (model.stiffness_n_per_m,))
+        return later(whole, part).weighted((1.0 / model.p[0],)).weighted((1.0,), (0.0,), (0.0,))
     # Controller form in x, x', x'', ...; the fractional delay makes commands act within a sample.
     top = model.p[order]
     unit = abs(model.p[0] / top) ** (1.0 / order)
@@ -163,15 +161,13 @@ def rig(model: response.IdentifiedPlant, h: float, hold: str | None) -> Block:
     _, first = _held(a * unit, b * unit, h * (1.0 - part))
     # Within a sample the old command acts for `part`, the new one for the rest.
     old = gamma - first
-    c = np.zeros((2, order + 1))
-    impedance = (model.stiffness_n_per_m, model.damping_n_s_per_m, model.mass_kg)
-    c[0, 0] = 1.0
-    for j, value in enumerate(impedance[: min(order, 3)]):
-        c[1, j] = value * unit**j
+    c = np.zeros((3, order + 1))
+    for j in range(min(order, 3)):
+        c[j, j] = unit**j
     step = np.zeros((order + 1, order + 1))
     step[:order, :order], step[:order, order] = phi, old
-    table = Block(step, np.append(first, 1.0), c, np.zeros(2))
-    return _delay(whole, 0.0).then(table)
+    table = Block(step, np.append(first, 1.0), c, np.zeros(3))
+    return later(whole).then(table)
 
 
 def _held(a: Floats, b: Floats, h: float) -> tuple[Floats, Floats]:
@@ -189,7 +185,7 @@ def _held(a: Floats, b: Floats, h: float) -> tuple[Floats, Floats]:
     return result[:size, :size], result[:size, size]
 
 
-def _delay(whole: int, part: float) -> Block:
+def later(whole: int, part: float = 0.0) -> Block:
     """Return a delay in samples, with linear interpolation for its fractional part."""
     taps = np.zeros(whole + 2)
     taps[whole], taps[whole + 1] = 1.0 - part, part

@@ -134,8 +134,7 @@ def _later(loop: AxesLoop, samples: int) -> AxesLoop:
     if samples == 0:
         return loop
     count = loop.law.d.shape[0]
-    waiting = loop_roots.rational(np.array([1.0]), np.eye(1, samples + 1)[0])
-    return replace(loop, law=loop.law.then(on_each(waiting, count)))
+    return replace(loop, law=loop.law.then(on_each(loop_roots.later(samples), count)))
 
 
 def _growth(loop: AxesLoop) -> float:
