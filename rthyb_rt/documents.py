@@ -2,9 +2,30 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 import math
+import tomllib
 from collections.abc import Iterator, Mapping
 from typing import Any
+
+
+def toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text.
+
+    The last few texts are kept, because thousands of runs of a campaign read the same files; each
+    caller has a copy of its own.
+
+    Raises:
+        tomllib.TOMLDecodeError: the text is not TOML.
+        RecursionError: it is nested too deeply.
+    """
+    return copy.deepcopy(_tables(text))
+
+
+@functools.lru_cache(maxsize=8)
+def _tables(text: str) -> dict[str, Any]:
+    return tomllib.loads(text)
 
 
 def flat(tables: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

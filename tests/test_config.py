@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rthyb_rt import config
+from rthyb_rt import config, documents
+from rthyb_rt.config import lawtables
 from rthyb_rt.config.deriving_axes import derive_axes
 from rthyb_rt.config.rigfile import HysteresisElement, RigFile, ServoHydraulic
 from rthyb_rt.errors import InputError, Problem
@@ -804,6 +805,20 @@ def test_json_schema_covers_the_examples() -> None:
             assert set(schema["required"]) <= set(keys)
     mass = config.json_schema("test")["$defs"]["Numerical"]["properties"]["mass_kg"]
     assert {"type": "number", "minimum": 1e-3, "maximum": 1e9} in mass["anyOf"][0]["anyOf"]
+
+
+def test_a_caller_that_changes_the_tables_of_a_text_changes_them_for_nobody_else() -> None:
+    text = "[a]\nb = [1, 2]\n"
+    documents.toml(text)["a"]["b"].append(3)
+    assert documents.toml(text) == {"a": {"b": [1, 2]}}
+    for _ in range(2):
+        with pytest.raises(tomllib.TOMLDecodeError):
+            documents.toml("a = ")
+
+
+def test_each_table_that_control_laws_need_is_made_once() -> None:
+    made = [(model.__name__, model.__base__) for model in lawtables.TABLES]
+    assert len(made) == len(set(made)) > 5
 
 
 @pytest.mark.long

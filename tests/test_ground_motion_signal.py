@@ -45,6 +45,32 @@ def test_samples_cannot_be_changed_nor_shared() -> None:
         motion.acceleration_mps2[0] = 1.0
 
 
+def test_one_run_of_a_campaign_cannot_change_the_ground_motion_of_the_next() -> None:
+    built_in = ground_motion.builtin("elcentro-1940-ns")
+    with pytest.raises(ValueError, match="read-only"):
+        built_in.acceleration_mps2[0] = 1.0
+    with pytest.raises(TypeError):
+        built_in.details["unit"] = "g"  # type: ignore[index]
+    first = resample(built_in)
+    untouched = first.copy()
+    first *= 2.0
+    np.testing.assert_array_equal(resample(built_in), untouched)
+
+
+def test_records_of_equal_samples_and_other_intervals_are_told_apart() -> None:
+    samples = MultiSine(10.0)(np.arange(200) / 50.0)
+    slow, fast = (resample(motion_of(samples, hz), 100.0) for hz in (50.0, 100.0))
+    assert slow.size == 2 * fast.size
+    np.testing.assert_array_equal(fast, samples)
+
+
+def test_a_record_too_long_to_be_kept_is_resampled_like_a_short_one() -> None:
+    motion = motion_of(MultiSine(10.0)(np.arange(200) / 50.0), 50.0)
+    long = resample(motion, 100.0, duration_s=2**20 / 100.0 + 1.0)
+    np.testing.assert_array_equal(long[:400], resample(motion, 100.0))
+    assert not long[600:].any()
+
+
 @pytest.mark.parametrize("samples", [[], [[1.0]], [np.nan], [np.inf]])
 def test_samples_that_are_no_row_of_finite_numbers_are_refused(samples: list[float]) -> None:
     with pytest.raises(ValueError, match="finite"):

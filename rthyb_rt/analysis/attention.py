@@ -30,7 +30,7 @@ WITHOUT_STIFFNESS: Final = 0.25
 FED: Final = 1.0
 """Energy fed by the tracking error over that removed by the numerical damping: 1 cancels it."""
 
-_SIGNALS: Final = ("x_num_m", "x_meas_m", "f_meas_n", "k_t_n_per_m", "alpha")
+SIGNALS: Final = ("x_num_m", "x_meas_m", "f_meas_n", "k_t_n_per_m", "alpha")
 _WINDOW: Final = round(WINDOW_S * BLOCKS_PER_S)
 _SENSELESS: Final = 1e100
 
@@ -93,7 +93,7 @@ class Judge:
     def __init__(self, subject: Subject) -> None:
         self._subject = subject
         self._rows = max(1, round(subject.fs_hz / BLOCKS_PER_S))
-        self._rest = np.zeros((len(_SIGNALS) + 1, 0))
+        self._rest = np.zeros((len(SIGNALS) + 1, 0))
         self._sums: list[Floats] = []
         self._peak_m = 0.0
 
@@ -109,15 +109,16 @@ class Judge:
         size = rows["x_meas_m"].size
         if not size:
             return
-        new = np.full((len(_SIGNALS) + 1, size), np.nan)
-        for signal, name in zip(new, _SIGNALS, strict=False):
-            signal[:] = rows[name]
+        # Each block begins with the previous row, for differences between two rows.
+        before = self._rest.shape[1] or 1
+        joined = np.empty((len(SIGNALS) + 1, before + size))
+        for signal, name in zip(joined, SIGNALS, strict=False):
+            signal[before:] = rows[name]
+        joined[-1, before:] = np.nan
         if x_ref_m is not None:
             reference = np.asarray(x_ref_m, dtype=np.float64)
-            new[-1, : reference.size] = reference
-        # Each block begins with the previous row, for differences between two rows.
-        before = self._rest if self._rest.shape[1] else new[:, :1]
-        joined = np.concatenate([before, new], axis=1)
+            joined[-1, before : before + reference.size] = reference
+        joined[:, :before] = self._rest if self._rest.shape[1] else joined[:, 1:2]
         blocks = (joined.shape[1] - 1) // self._rows
         if blocks:
             self._sums.append(self._sum_up(joined[:, : blocks * self._rows + 1], blocks))
@@ -265,7 +266,7 @@ class AxesJudge:
         """
         if axis_m is None:
             return
-        rest = dict.fromkeys(_SIGNALS, np.zeros(rows.size))
+        rest = dict.fromkeys(SIGNALS, np.zeros(rows.size))
         for i, judge in enumerate(self._judges.values()):
             measured = rows[f"x_meas_m.{i}" if i else "x_meas_m"]
             judge.add(rest | {"x_meas_m": measured}, axis_m[:, i])

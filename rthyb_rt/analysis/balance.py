@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt import documents
 from rthyb_rt.analysis import measures
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def uninterrupted(rec: Recording) -> NDArray[np.intp]:
 
 def _parsed(text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return documents.toml(text)
     except tomllib.TOMLDecodeError:
         return {}
 

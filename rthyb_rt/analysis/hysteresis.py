@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from rthyb_rt import documents
 from rthyb_rt.analysis import measures
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.core import RUNNING
@@ -101,7 +102,7 @@ def amplitudes(rec: Recording) -> tuple[Amplitude, ...]:
 def plan_of(rec: Recording) -> histories.HistoryPlan | None:
     """Return the history that a recording followed; None if it has none that can be read."""
     try:
-        raw = tomllib.loads(rec.test_toml)
+        raw = documents.toml(rec.test_toml)
         if "history" not in raw:
             return None
         test = TestFile.model_validate(raw)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import tomllib
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple, cast
@@ -9,8 +10,9 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt import documents
 from rthyb_rt.analysis import hysteresis, margins, measures, numerical_margins
-from rthyb_rt.analysis.attention import Finding, Judge, Subject
+from rthyb_rt.analysis.attention import SIGNALS, Finding, Judge, Subject
 from rthyb_rt.analysis.hysteresis import Amplitude
 from rthyb_rt.analysis.notices import (
     Notice,
@@ -240,10 +242,16 @@ def _critical_delay(
         period_s=rate.period_s,
     )
     try:
-        return margins.critical_delay(margins.OneDegree(motion))
+        return _critical_delay_of(motion)
     except ValueError:
         # An integrator unknown to this version.
         return None
+
+
+@functools.lru_cache(maxsize=16)
+def _critical_delay_of(motion: MotionConfig) -> float:
+    """Return the critical delay of a structure, which the repetitions of a test share."""
+    return margins.critical_delay(margins.OneDegree(motion))
 
 
 def _limits(test: dict[str, Any]) -> dict[str, float]:
@@ -278,7 +286,7 @@ def _words(value: Any) -> str:
 
 def _parse(text: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return documents.toml(text)
     except tomllib.TOMLDecodeError:
         return {}
 
@@ -528,9 +536,8 @@ def summarize(rec: Recording) -> Summary:
     if how is not None and not (run["state"] == RUNNING).any():
         flagged = flagged[:0]
     # Contiguous copies: each is read a dozen times, and a recorded row exceeds a cache line.
-    x_num, x_meas, force = (
-        np.ascontiguousarray(run[name]) for name in ("x_num_m", "x_meas_m", "f_meas_n")
-    )
+    columns = {name: np.ascontiguousarray(run[name]) for name in SIGNALS}
+    x_num, x_meas, force, k_t, alpha = columns.values()
     index = measures.fei(x_num, x_meas, rec.fs_hz)
     peak_row = _peak_row(x_num)
     error_j = measures.energy_error(force, x_num, x_meas)
@@ -550,7 +557,7 @@ def summarize(rec: Recording) -> Summary:
             "sum": float(measures.accumulated_error(pair[1], measured)[-1]),
         }
     judge = Judge(subject(given, rec.fs_hz))
-    judge.add(run, None if pair is None else pair[1])
+    judge.add(columns, None if pair is None else pair[1])
     signals = np.stack([samples[n] for n in ("x_num_m", "x_cmd_m", "x_meas_m", "f_meas_n")])
     state = int(samples["state"][-1]) if len(samples) else 0
     found = Summary(
@@ -577,9 +584,9 @@ def summarize(rec: Recording) -> Summary:
         fei_amplitude=index.amplitude,
         fei_delay_s=index.delay_s,
         fei_frequency_hz=index.f_eq_hz,
-        alpha_end=float(run["alpha"][-1]) if len(run) else NAN,
-        alpha_at_bound=_share_at_bound(run["alpha"], given),
-        k_t_at_zero=_share(run["k_t_n_per_m"] <= 0.0),
+        alpha_end=float(alpha[-1]) if len(run) else NAN,
+        alpha_at_bound=_share_at_bound(alpha, given),
+        k_t_at_zero=_share(k_t <= 0.0),
         tracking_indicator_m2=_last(measures.tracking_indicator(x_num, x_meas)),
         energy_error_j=_last(error_j),
         energy_error_largest_j=float(np.max(np.abs(error_j), initial=0.0)),

@@ -374,7 +374,10 @@ class Condition:
 class Table(BaseModel):
     """A table of a configuration file: immutable, no unknown keys, all errors reported at once."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
+    # What checks a table is built when a file first has it: a command reads few of the many kinds.
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, protected_namespaces=(), defer_build=True
+    )
 
     choices: ClassVar[tuple[Alternatives, ...]] = ()
     checks: ClassVar[tuple[Condition, ...]] = ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -50,15 +51,19 @@ def extended(
             # With a default from the rig, the file need not give it.
             absent = first.default is None or first.rig_key is not None
             fields[last] = (bounds | None, None) if absent else (bounds, first.default)
-        elif not table and prefix not in (sections or {}):
-            inner = prefix.title().replace("_", "")
-            made_table = extended(Table, inner, prefix) | None
-            fields[prefix] = (Annotated[made_table, AfterValidator(_said)], None)
+        elif not table and prefix not in fields and prefix not in (sections or {}):
+            fields[prefix] = (Annotated[_table_of(prefix) | None, AfterValidator(_said)], None)
     for key, model in (sections or {}).items():
         fields[key] = (model, Field(default_factory=model))
     made: type[_T] = create_model(name, __base__=base, __module__=base.__module__, **fields)
     TABLES[made] = table
     return made
+
+
+@functools.cache
+def _table_of(prefix: str) -> type[Table]:
+    """Return the table of the laws' keys with a prefix."""
+    return extended(Table, prefix.title().replace("_", ""), prefix)
 
 
 def _said(table: _T | None) -> _T | None:

@@ -13,6 +13,7 @@ from typing import Any, Literal, TypeVar, get_args
 
 from pydantic import ValidationError
 
+from rthyb_rt import documents
 from rthyb_rt.config import busload
 from rthyb_rt.config.axesfile import AxesRig, Plant
 from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
@@ -350,7 +351,7 @@ def _load_both(
 def _rig_of_faulty(path: Path, overrides: Mapping[str, str]) -> Path | None:
     """Return the file of the rig that a test file with errors names; None if it names none."""
     try:
-        name = overrides.get("rig") or tomllib.loads(read_text(path, "test")).get("rig")
+        name = overrides.get("rig") or documents.toml(read_text(path, "test")).get("rig")
     except (InputError, ValueError, RecursionError):
         return None
     if not isinstance(name, str):
@@ -882,7 +883,7 @@ def _schema_message(found: str, wanted: str) -> str:
 
 def _toml(text: str, source: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(text)
+        return documents.toml(text)
     except RecursionError:
         raise InputError("not valid TOML: nested too deeply", source) from None
     except ValueError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -66,5 +67,9 @@ def _value(value: object) -> str:
 
 def _key(key: object) -> str:
     """Return a key in TOML notation, bare if possible."""
-    text = str(key)
+    return _quoted(str(key))
+
+
+@functools.lru_cache(maxsize=1024)
+def _quoted(text: str) -> str:
     return text if re.fullmatch(r"[A-Za-z0-9_-]+", text) else _value(text)

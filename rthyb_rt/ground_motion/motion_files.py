@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from importlib import resources
@@ -86,6 +87,7 @@ def load(
     return read(name_or_path, format=format, units=units, channel=channel)
 
 
+@functools.cache
 def builtin(name: str) -> GroundMotion:
     """Return a record that comes with the package; names are the keys of `BUILTIN`.
 

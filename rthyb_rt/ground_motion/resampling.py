@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Literal
 
@@ -18,6 +19,7 @@ _TRANSITION = 0.05
 _DEGREE = 15
 _COINCIDE = 1e-9
 _MAX_SAMPLES = 2**26
+_KEPT_SAMPLES = 2**20  # 8 MiB
 
 
 def resample(
@@ -54,20 +56,28 @@ def resample(
         raise ValueError(f"fs_hz and duration_s must be finite and positive: {fs_hz}, {length_s}")
     if length_s * fs_hz > _MAX_SAMPLES:
         raise ValueError(f"{length_s} s at {fs_hz} Hz are more than {_MAX_SAMPLES} samples")
+    if method not in ("band-limited", "linear"):
+        raise ValueError(f"method must be 'band-limited' or 'linear', not {method!r}")
     count = max(1, round(length_s * fs_hz))
+    # Thousands of runs of a campaign have the same ground motion.
+    compute = _resampled if count <= _KEPT_SAMPLES else _resampled.__wrapped__
+    return compute(motion.acceleration_mps2.tobytes(), motion.dt_s, fs_hz, method, count).copy()
+
+
+@functools.lru_cache(maxsize=2)
+def _resampled(record: bytes, dt_s: float, fs_hz: float, method: str, count: int) -> FloatArray:
+    acceleration_mps2 = np.frombuffer(record)
     # Instants in units of the record's interval; a product of round numbers remains exact.
-    position = np.arange(count) / (fs_hz * motion.dt_s)
+    position = np.arange(count) / (fs_hz * dt_s)
     if method == "linear":
-        followed_by_rest = np.append(motion.acceleration_mps2, 0.0)
+        followed_by_rest = np.append(acceleration_mps2, 0.0)
         places = np.arange(followed_by_rest.size)
         linear: FloatArray = np.interp(position, places, followed_by_rest, right=0.0)
         return linear
-    if method != "band-limited":
-        raise ValueError(f"method must be 'band-limited' or 'linear', not {method!r}")
-    rate_ratio = fs_hz * motion.dt_s
+    rate_ratio = fs_hz * dt_s
     down = rate_ratio < 1.0 - _COINCIDE
     cutoff = (1.0 - _TRANSITION) * rate_ratio if down else 1.0
-    return _interpolate(motion.acceleration_mps2, position, cutoff)
+    return _interpolate(acceleration_mps2, position, cutoff)
 
 
 def _interpolate(samples: FloatArray, position: FloatArray, cutoff: float) -> FloatArray:
@@ -103,6 +113,7 @@ def _interpolate(samples: FloatArray, position: FloatArray, cutoff: float) -> Fl
     return out
 
 
+@functools.lru_cache(maxsize=4)
 def _tap_polynomials(half: int, cutoff: float) -> FloatArray:
     """Return the coefficients of mu**p (rows) of the taps h(mu + i - half) (columns i).
 
@@ -115,7 +126,9 @@ def _tap_polynomials(half: int, cutoff: float) -> FloatArray:
     window = np.i0(_KAISER_BETA * np.sqrt(1.0 - (u / half) ** 2)) / np.i0(_KAISER_BETA)
     kernel = cutoff * np.sinc(cutoff * u) * window
     fitted = np.polynomial.chebyshev.chebfit(2.0 * nodes - 1.0, kernel, _DEGREE)
-    return _powers_of_fraction(np.asarray(fitted, dtype=np.float64))
+    taps = _powers_of_fraction(np.asarray(fitted, dtype=np.float64))
+    taps.flags.writeable = False
+    return taps
 
 
 def _powers_of_fraction(chebyshev: FloatArray) -> FloatArray:

@@ -26,6 +26,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt import documents
 from rthyb_rt.core.rows import FLAGS, RUNNING, STATES, Channel, axes_in
 from rthyb_rt.errors import InputError, RthybError
 
@@ -318,7 +319,7 @@ class Recording:
     def extras_by_axis(self) -> dict[str, tuple[Channel, ...]]:
         """Return the extra channels of each axis by its name; that of a single axis is empty."""
         try:
-            rig = tomllib.loads(self.rig_toml)
+            rig = documents.toml(self.rig_toml)
             names = {
                 str(axis.get("name", "")): [
                     one["name"] for one in axis.get("sensors", {}).get("extra", ())
