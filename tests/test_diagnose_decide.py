@@ -339,6 +339,27 @@ def test_a_drift_that_moves_a_body_no_farther_than_its_zero_is_not_named() -> No
     assert decided(seen, zero=20.0).best.names == ("drift",)
 
 
+def test_a_drift_that_no_half_shows_has_to_be_better_than_an_offset_by_an_effects_price() -> None:
+    """Nobody knows when the cell was zeroed: an offset that drifts contains the offset alone."""
+    seen = evidence(
+        of("coulomb", chi2=1300.0), of("drift", chi2=9000.0), of("bias", chi2=9000.0),
+        of("coulomb", "drift", chi2=1000.0), of("bias", "coulomb", chi2=1003.0), naive=True,
+    )  # fmt: skip
+    unsure = Drift(1.0, 0.9, 0.6)
+    found = decided(seen, drift=unsure)
+    assert found.best.names == ("bias", "coulomb")
+    assert found.equal == ()
+    ruling = next(r for r in found.ledger if r.rule == "drift or offset")
+    assert (ruling.found, ruling.against) == (3.0, ("bias", "coulomb"))
+    assert ruling.wanted == POLICY.several_price * 20.0
+    # What the halves show, or the evidence of the whole recording, decides as before.
+    assert decided(seen, drift=Drift(1.0, 0.9, 0.1)).best.names == ("coulomb", "drift")
+    worse = replace(seen, sets=(*seen.sets[:-1], of("bias", "coulomb", chi2=1030.0)))
+    assert decided(worse, drift=unsure).best.names == ("coulomb", "drift")
+    stated = replace(seen, setting=replace(seen.setting, naive=False))
+    assert decided(stated, zero=100.0).best.names == ("coulomb", "drift")
+
+
 def test_a_weight_that_moves_a_body_far_off_its_zero_is_named() -> None:
     assert decided(a_zero(), zero=20.0).best.names == ("bias",)
 

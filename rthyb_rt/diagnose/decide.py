@@ -444,11 +444,29 @@ def goes_on(court: Court, of: Hypothesis) -> bool:
     if court.laws.wanders.isdisjoint(of.names) or not court.setting.naive:
         return True
     drift: Drift = court.ask("drift", of)
-    unsure = drift.sigma > court.policy.drift_unsure * abs(drift.whole)
+    if drift.sigma > court.policy.drift_unsure * abs(drift.whole):
+        return _more_than_an_offset(court, of)
     within, wanted = drift.within / drift.whole, court.policy.drift_in_halves
-    if unsure or within > wanted:
+    return within > wanted or court.refuse("drift goes on", of, found=within, wanted=wanted)
+
+
+def _more_than_an_offset(court: Court, of: Hypothesis) -> bool:
+    """Return whether a drift is better than an offset in its place by what an effect must earn.
+
+    A load cell is zeroed at a time that the recording does not show, so that a drift begins with an
+    offset. With an offset of its own it contains a constant as a special case, and its rate is one
+    more effect; a drift that is assumed to be zero in the first row is not told from it by that.
+    """
+    which = next(i for i, p in enumerate(of.parts) if p.name in court.laws.wanders)
+    places = (tuple(sorted((zero, *of.without(which)))) for zero in sorted(court.laws.zeros))
+    offset = next((h for names in places if (h := court.by_names.get(names)) is not None), None)
+    if offset is None:
         return True
-    return court.refuse("drift goes on", of, found=within, wanted=wanted)
+    part = of.parts[which]
+    own, wanted = offset.chi2 - of.chi2, court.times(of) * part.price
+    return own >= wanted or court.refuse(
+        "drift or offset", of, part=part.name, found=own, wanted=wanted, against=offset.names
+    )
 
 
 def off_zero(court: Court, of: Hypothesis) -> bool:
