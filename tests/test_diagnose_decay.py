@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import body
@@ -43,6 +44,30 @@ def test_spring_and_damping_of_a_free_decay_are_named_beside_a_naive_model(
 
     assert sorted(d.effects) == names
     assert d.verdict == ("explained" if names else "none")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_pendulum_whose_swing_hardly_changes_shows_how_far_it_softens(seed: int) -> None:
+    """Eight swings, in which the amplitude falls by a tenth: a power law fits the balance as well.
+
+    The pendulum is solved by SciPy, and its k3 is that of the series of k L sin(x / L).
+    """
+    k, m, c, length, fs_hz = 0.26, 0.004, 2.2e-4, 0.55, 200.0
+    t, noise = np.arange(int(6.5 * fs_hz)) / fs_hz, 4.6e-5
+
+    def rate(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], -(k * length * np.sin(y[0] / length) + c * y[1]) / m]
+
+    x = solve_ivp(rate, (0.0, t[-1]), [0.42, -0.6], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    x += noise * np.random.default_rng(seed).standard_normal(t.size)
+    model = Model("forced", fs_hz, k, 1.25 * c, m, x_std=noise)
+    channels = {"x_meas": x, "f_in": np.zeros(t.size)}
+    d = engine.diagnose(Case("swing", model, t, channels, np.ones(t.size, dtype=np.bool_)))
+
+    assert (d.verdict, d.effects) == ("explained", ["cubic"])
+    k3 = d.candidates[0].params["k3_N_m3"]
+    assert k3 == pytest.approx(-k / (6.0 * length**2), rel=0.1)
 
 
 def test_a_second_recording_begins_where_its_first_rows_of_force_say() -> None:

@@ -290,6 +290,20 @@ class _Mover(_Fitter):
             if twin.names not in self.by_names:
                 self.move(twin)
 
+    def springs(self) -> None:
+        """Try the best sets with each form of their elastic springs.
+
+        The spring is nearly all of the force of a free decay, and the balance, along an estimated
+        motion, can prefer a form with which the motion cannot be simulated.
+        """
+        for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
+            for i, own in enumerate(fit.members):
+                trials = own.effect.trials(self.problem.ctx) if own.effect.elastic else ()
+                forms = {t.variant: t for t in reversed(trials) if t.variant != own.trial.variant}
+                for trial in forms.values():
+                    other = replace(own, trial=trial)
+                    self.fit((*fit.members[:i], other, *fit.members[i + 1 :]))
+
     def _in_form(self, fit: Fit, which: int, member: Member, beta: Floats) -> None:
         members = (*fit.members[:which], member, *fit.members[which + 1 :])
         betas = (*fit.betas[:which], beta, *fit.betas[which + 1 :])
@@ -427,6 +441,8 @@ def _moved(
     first = body.first(ranked)
     for fit in first:
         mover.move(fit)
+    if problem.decays:
+        mover.springs()
     # If those explain the motion, only similar sets are examined.
     enough = any(
         f.chi2 < POLICY.moved_decisive * plain.chi2 for f in mover.by_names.values() if first
