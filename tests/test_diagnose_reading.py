@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rthyb_rt import cli, config
-from rthyb_rt.diagnose import mapping, reading, table, units
+from rthyb_rt.diagnose import engine, mapping, reading, table, units
 from rthyb_rt.errors import InputError
 
 NAMES = ("t", "x_cmd", "x_meas", "f_meas")
@@ -292,6 +292,55 @@ def test_nine_millimetres_are_the_double_next_to_nine_thousandths():
     found = units.read_unit("mm")
     assert found is not None
     assert units.in_si(np.array([9.0, 0.1]), found.factor).tolist() == [0.009, 0.0001]
+
+
+# ---- few rows ---------------------------------------------------------------------------------
+
+
+def coupon(rows: int, c: float = 0.0) -> tuple[str, str]:
+    """A steel coupon under growing cycles of 14 rows: a spring beside one that yields (Prandtl).
+
+    Its sensors resolve a hundredth of a per cent of the range, far less than the test moved from
+    one row to the next.
+    """
+    turn = np.arange(rows)
+    x = 1e-4 * turn * np.sin(2.0 * np.pi * turn / 14.0)
+    k, most, slider = 1e7, 8e3, [0.0]
+    for step in np.diff(x):
+        slider.append(float(np.clip(slider[-1] + k * step, -most, most)))
+    force = 0.05 * k * x + slider + 0.8 * np.random.default_rng(5).standard_normal(rows)
+    text = "t,x_meas,f_meas\n" + "\n".join(
+        f"{i / 10.0:.10g},{a:.9g},{f:.9g}" for i, (a, f) in enumerate(zip(x, force, strict=True))
+    )
+    toml = f"""schema = "rthyb-baseline/1"
+family = "drive"
+fs_hz = 10
+[specimen]
+k = 2e6
+c = {c}
+moving_mass = 0
+[noise]
+x_std = 1e-7
+f_std = 0.8
+"""
+    return text, toml
+
+
+def test_a_quasi_static_test_of_few_rows_is_read_although_they_are_far_apart(tmp_path):
+    text, toml = coupon(70)
+    case = read(tmp_path, text, toml=toml)
+    assert case.t.size == 70
+    d = engine.diagnose(case)
+    assert (d.verdict, d.effects) == ("explained", ["hysteresis"])
+
+
+def test_fewer_rows_than_a_loop_takes_are_refused_as_are_few_rows_of_a_test_with_rates(tmp_path):
+    text, toml = coupon(59)
+    with pytest.raises(InputError, match="has 59 rows; a diagnosis needs at least 60"):
+        read(tmp_path, text, toml=toml)
+    text, toml = coupon(99, c=1e3)
+    with pytest.raises(InputError, match="has 99 rows; a diagnosis needs at least 100"):
+        read(tmp_path, text, toml=toml)
 
 
 # ---- sizes that cannot be -----------------------------------------------------------------------

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import noise
-from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.policy import POLICY
 
 Complex = NDArray[np.complex128]
@@ -749,9 +749,13 @@ def from_sensors(case: Case) -> Estimate | None:
 
 def quasi_static(case: Case) -> bool:
     """Return whether time is nominal: the model has no rate, and rows are too far apart for one."""
-    m = case.model
-    rateless = m.family == "drive" and m.c == 0 and m.moving_mass == 0
-    return rateless and m.fs_hz <= POLICY.static_hz
+    return nominal_time(case.model)
+
+
+def nominal_time(model: Model) -> bool:
+    """Return whether recordings for a model have a nominal time, see `quasi_static`."""
+    rateless = model.family == "drive" and model.c == 0 and model.moving_mass == 0
+    return rateless and model.fs_hz <= POLICY.static_hz
 
 
 def _rate(x: Floats, fs_hz: float, span: int = 34) -> Floats:

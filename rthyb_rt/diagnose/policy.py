@@ -833,6 +833,10 @@ class Policy:
         100, "rows", "judgement",
         "Minimum number of rows of a recording, and of the actuator's channels.",
     )  # fmt: skip
+    least_rows_static: int = _entry(
+        60, "rows", "judgement",
+        "Minimum number of rows of a quasi-static test, of which each is a reading of its own.",
+    )  # fmt: skip
     least_rows_force: int = _entry(
         50, "rows", "judgement",
         "The same for the force.",

@@ -19,7 +19,7 @@ from rthyb_rt import units
 from rthyb_rt.diagnose import sizes
 from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
-from rthyb_rt.diagnose.estimate import filled, filled_if_short, white_noise
+from rthyb_rt.diagnose.estimate import filled, filled_if_short, quasi_static, white_noise
 from rthyb_rt.diagnose.lab import Lab, read_lab, time_unit
 from rthyb_rt.diagnose.mapping import EXAMPLE, Wish, proposals
 from rthyb_rt.diagnose.modelfile import at_rate, find_model, model_of_rig, read_model
@@ -84,10 +84,9 @@ def read_case(
     case = Case(recording.stem, model, t, channels, rows, notes, own, folder, further)
     if own is not None and of is not None:
         case = replace(case, axis=of.name, zero_error_n=of.zero_error_n(own))
-    if judged and t.size < POLICY.least_rows:
-        raise InputError(
-            f"has {t.size} rows; a diagnosis needs at least {POLICY.least_rows}", where
-        )
+    least = POLICY.least_rows_static if quasi_static(case) else POLICY.least_rows
+    if judged and t.size < least:
+        raise InputError(f"has {t.size} rows; a diagnosis needs at least {least}", where)
     _of_a_size(case, where, lab, judged, beside)
     if judged:
         _means_nothing(case, where)

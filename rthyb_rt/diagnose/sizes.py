@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import SimulationError, actuator
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
-from rthyb_rt.diagnose.estimate import filled, white_noise
+from rthyb_rt.diagnose.estimate import filled, nominal_time, white_noise
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.units import USUAL, read_unit
 from rthyb_rt.errors import InputError
@@ -438,7 +438,12 @@ def _noises(c: Channels, model: Model, referenced: set[str]) -> Iterator[Relatio
     Filtered readings have less noise than the data sheet states, and none has a hundred times more.
     An orthogonal force that is `wrong_unit` times smaller than the measured one, with noise smaller
     than a load cell's by the same factor, is in other units.
+
+    None if time is nominal: rows are then as far apart as the test moved between them, which is no
+    noise.
     """
+    if nominal_time(model):
+        return
     sheet = {"x_meas": model.x_std, "f_meas": model.f_std, "f_in": model.f_std,
              "a_meas": model.a_std}  # fmt: skip
     noises = {k: white_noise(c[k]) / std for k, std in sheet.items() if std and k in c}
