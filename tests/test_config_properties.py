@@ -149,6 +149,7 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         forces = size if draw(st.booleans()) else 0
         for key in ("force_in_phase_n_per_m", "force_in_quadrature_n_per_m"):
             data[key] = [draw(st.floats(-1e9, 1e9)) for _ in range(forces)]
+        data["command_amplitude_m"] = [1e-3] * (size if draw(st.booleans()) else 0)
     if model is Link:
         data.update(draw(links()))
     if "offset_m" in data:

@@ -229,6 +229,8 @@ MEANINGS: dict[str, str] = {
     "Identified.force_in_phase_n_per_m": "force in phase with the displacement, divided by it, at "
     "each frequency",
     "Identified.force_in_quadrature_n_per_m": "the same for the force in quadrature",
+    "Identified.command_amplitude_m": "amplitude of the command at each frequency; without it, "
+    "`rthyb check` counts no damping of the specimen and the table",
     "MatrixLaw.inverse": "true: the inverse of the identified response is applied as well, and the "
     "matrices compensate what remains",
     "MatrixLaw.coupled": "false: diagonal matrices, each axis separately",

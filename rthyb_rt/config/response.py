@@ -311,8 +311,8 @@ class IdentifiedPlant:
         p: coefficients of P, lowest power first, in seconds to the power of their index.
         delay_s: additional pure delay.
         stiffness_n_per_m, damping_n_s_per_m, mass_kg: of the force over x_m.
-        swept_hz: highest frequency of the sweep.
-        error: largest relative error of 1/G.
+        swept_hz: highest frequency of the sweep that it explains.
+        error: largest relative error of 1/G up to there.
     """
 
     p: Floats
@@ -348,6 +348,8 @@ def plant(rig: RigFile) -> IdentifiedPlant | None:
 
     1/G, less the effect of the drive's hold, is fitted by a polynomial in s and a delay: of the
     orders 0 to `ORDER` and the delays tried, the simplest stable model that is accurate enough.
+    Dry friction stops an actuator that a fast, small sine moves little: what no model explains
+    there is left out if the rig moves no more than the model says.
     """
     found = rig.identified
     if found is None or len(found.frequency_hz) < 2:
@@ -357,16 +359,34 @@ def plant(rig: RigFile) -> IdentifiedPlant | None:
     g = response(found)
     if hold is not None:
         g = g / _hold(f, STANDARD.period_s, hold)
+    k, c, m = _impedance(found, rig.rig.elastic_stiffness_n_per_m)
+    fewest = f.size if f.max() <= SLOW_HZ else LEAST_TONES
+    for count in range(f.size, fewest - 1, -1):
+        known, beyond = f[:count], f[count:]
+        if count < f.size and known[-1] < SLOW_HZ:
+            break
+        fit = _simplest(known, g[:count])
+        if fit is None:
+            continue
+        error, p, delay_s = fit
+        model = IdentifiedPlant(p, delay_s, k, c, m, float(known.max()), error)
+        most = (1.0 + MOST_ERROR) * np.abs(model.response(beyond, STANDARD.period_s, None))
+        if (np.abs(g[count:]) <= most).all():
+            return model
+    return None
+
+
+def _simplest(f: Floats, g: Complexes) -> tuple[float, Floats, float] | None:
+    """Return error, coefficients and delay of the simplest model that is accurate enough."""
     fits = [_polynomial(f, g, order) for order in range(min(ORDER, f.size - 1) + 1)]
     stable = [fit for fit in fits if fit is not None]
     if not stable:
         return None
-    good = max(_WORTH * min(fit[0] for fit in stable), _GOOD)
-    error, p, delay_s = next(fit for fit in stable if fit[0] <= good)
-    if error > MOST_ERROR:
+    least = min(fit[0] for fit in stable)
+    if least > MOST_ERROR:
         return None
-    k, c, m = _impedance(found, rig.rig.elastic_stiffness_n_per_m)
-    return IdentifiedPlant(p, delay_s, k, c, m, float(f.max()), error)
+    good = min(max(_WORTH * least, _GOOD), MOST_ERROR)
+    return next(fit for fit in stable if fit[0] <= good)
 
 
 def _polynomial(f: Floats, g: Complexes, order: int) -> tuple[float, Floats, float] | None:
@@ -401,6 +421,52 @@ def _impedance(found: Identified, k_e_n_per_m: float) -> tuple[float, float, flo
     weight = moved / (k_e_n_per_m + np.abs(in_phase))
     columns = np.column_stack([np.ones_like(w), -(w**2)]) * weight[:, None]
     k, m = np.linalg.lstsq(columns, in_phase * weight, rcond=None)[0]
-    quadrature = np.asarray(found.force_in_quadrature_n_per_m)
-    c = float(np.sum(weight**2 * w * quadrature) / np.sum((weight * w) ** 2))
-    return float(k), max(c, 0.0), max(float(m), 0.0)
+    return float(k), _viscous(found), max(float(m), 0.0)
+
+
+_FITTED_S: Final = 2.0
+"""`rthyb identify` fits each sine over at least this time."""
+_FORM: Final = 0.01
+"""Relative error of the three forces in quadrature: what they leave of a noise-free sweep."""
+
+
+def _viscous(found: Identified) -> float:
+    """Return the viscous damping that the sweep establishes, N s/m, for a verdict on stability.
+
+    The force in quadrature, over the displacement, is q = c w + F / X + s: viscous damping, dry
+    friction (F is 4/pi times its force, X the amplitude), and hysteresis, whose loop has the same
+    shape at every amplitude. None of them is negative. Friction at one amplitude looks like viscous
+    damping, but does not grow with the motion: taken for it, it makes an unstable loop seem stable.
+    So c is less by two standard errors, and 0 if the file does not give the amplitudes.
+    """
+    q = np.asarray(found.force_in_quadrature_n_per_m)
+    sent = np.asarray(found.command_amplitude_m)
+    if not sent.size or not q.any():
+        return 0.0
+    w = 2.0 * np.pi * np.asarray(found.frequency_hz, dtype=np.float64)
+    moved = np.maximum(sent * np.asarray(found.amplitude), 1e-12)
+    columns = np.column_stack([w, 1.0 / moved, np.ones_like(w)])
+    # A law errs in proportion to its force, the load cell by noise.
+    noise = (found.rest_noise_force_n or 0.0) * math.sqrt(2.0 / (_FITTED_S * STANDARD.hz)) / moved
+    weight = 1.0 / np.hypot(_FORM * q, np.maximum(noise, 1e-9 * np.abs(q).max()))
+    return _certain(columns * weight[:, None], q * weight)
+
+
+def _certain(columns: Floats, wanted: Floats) -> float:
+    """Return the first coefficient of a fit without negative ones, less two standard errors."""
+    best, certain = math.inf, 0.0
+    for others in ((), (1,), (2,), (1, 2)):
+        for used in ((0, *others), others):
+            part = columns[:, used]
+            size = np.linalg.norm(part, axis=0)
+            found = np.linalg.lstsq(part / size, wanted, rcond=1e-10)[0]
+            left = float(np.sum((part / size @ found - wanted) ** 2))
+            if (found < 0.0).any() or left >= best:
+                continue
+            best, certain = left, 0.0
+            if used[:1] == (0,):
+                spread = np.linalg.pinv((part / size).T @ (part / size))[0, 0]
+                free = max(wanted.size - len(used), 1)
+                error = math.sqrt(left / free * spread)
+                certain = max(float((found[0] - 2.0 * error) / size[0]), 0.0)
+    return certain

@@ -670,6 +670,17 @@ def _one_force_a_frequency(
     )
 
 
+def _one_command_a_frequency(
+    frequency_hz: list[float], command_amplitude_m: list[float]
+) -> str | None:
+    if len(command_amplitude_m) in (0, len(frequency_hz)):
+        return None
+    return (
+        f"command_amplitude_m has {len(command_amplitude_m)} entries; it must have one for each of "
+        f"the {len(frequency_hz)} of frequency_hz, or be left out"
+    )
+
+
 class Identified(Table):
     """Results of `rthyb identify`; ``alpha`` is the initial delay estimate of the next test.
 
@@ -687,6 +698,11 @@ class Identified(Table):
             "force_in_phase_n_per_m",
             ("frequency_hz", "force_in_phase_n_per_m", "force_in_quadrature_n_per_m"),
             _one_force_a_frequency,
+        ),
+        Condition(
+            "command_amplitude_m",
+            ("frequency_hz", "command_amplitude_m"),
+            _one_command_a_frequency,
         ),
     )
 
@@ -714,6 +730,9 @@ class Identified(Table):
     ] = Field(default_factory=list)
     force_in_quadrature_n_per_m: list[
         Annotated[float, Range("N/m", -1e12, 1e12, "a force in quadrature over displacement")]
+    ] = Field(default_factory=list)
+    command_amplitude_m: list[
+        Annotated[float, Range("m", 1e-9, 1, "the amplitude of a commanded sine")]
     ] = Field(default_factory=list)
     roll_off_hz: (
         Annotated[float, Range("Hz", 1, 400, "the roll-off below the first resonance")] | None

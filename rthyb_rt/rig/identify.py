@@ -415,6 +415,7 @@ def section_of(result: IdentificationResult, hold: str | None) -> Identified:
         force_in_quadrature_n_per_m=[
             rounded(tone.force_in_quadrature_n_per_m) for tone in result.tones
         ],
+        command_amplitude_m=[rounded(tone.amplitude_m) for tone in result.tones],
         roll_off_hz=_roll_off(result.resonance_hz),
     )
 
