@@ -8,8 +8,11 @@
 /* Bits of rthyb_axis.off_scale. */
 enum axis_off { AXIS_OFF_X = 1, AXIS_OFF_F = 2 };
 
+/* From here on, finding.where is a sensor without an actuator. */
+#define SENSOR_PLACE 64
+
 /* A cause with the value found and its limit, both 0 if the cause has no value. where: 0: no axis; 1 + i: axis i;
- * -1 - j: interface j. */
+ * -1 - j: interface j; from SENSOR_PLACE on: a sensor without an actuator. */
 typedef struct {
     int cause;
     double value, limit;

@@ -25,6 +25,7 @@ static int counts_ok(const rthyb_controller_config *cfg)
      * column per axis, would not be determined. */
     return axes >= 1 && axes <= MOST && interfaces >= 1 && interfaces <= axes &&
            interfaces == directions && (given == 0 || given == axes) &&
+           ((given > 0 && axes > 1) || rthyb_kinematics_sensors(&cfg->kinematics) == 0) &&
            (lead == 0 || (lead == axes && axes == interfaces)) &&
            (cfg->matrix_rfc.size == 0 || cfg->matrix_rfc.size == interfaces);
 }
@@ -78,6 +79,8 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
         if (!limits_ok(&cfg->axis[i]))
             return RTHYB_E_LIMIT;
     memset(c, 0, offsetof(rthyb_controller, axis));
+    memset(c->sensor, 0, sizeof c->sensor);
+    memset(c->sensor_missing, 0, sizeof c->sensor_missing);
     c->cfg = *cfg;
     c->state = RTHYB_RUNNING;
     c->posed = 1;
@@ -119,13 +122,15 @@ static inline int is_no_pose(rthyb_controller *c, const double *x)
            rthyb_kinematics_pose(&c->kinematics, x, pose) != RTHYB_OK;
 }
 
-/* Pose and forces in interface coordinates, from the readings of the axes. */
+/* Pose and forces in interface coordinates, from the readings of the axes and further sensors. */
 PER_COUNT int meet(int m, rthyb_controller *c, const double *x, const double *f, double *pose,
                    double *force)
 {
     if (c->cfg.kinematics.size > 0) {
-        const int code = c->posed ? rthyb_kinematics_pose(&c->kinematics, x, pose) : RTHYB_OK;
-        return code | rthyb_kinematics_forces(&c->kinematics, f, force);
+        int code = RTHYB_OK;
+        if (c->posed)
+            code = rthyb_kinematics_measured_pose(&c->kinematics, x, c->sensor, pose);
+        return code | rthyb_kinematics_measured_forces(&c->kinematics, f, c->sensor, force);
     }
     for (int j = 0; j < m; j++) {
         pose[j] = x[j];
@@ -134,8 +139,21 @@ PER_COUNT int meet(int m, rthyb_controller *c, const double *x, const double *f,
     return RTHYB_OK;
 }
 
+/* Moves the sensors without an actuator with the specimen. */
+static void move_sensors(rthyb_controller *c, const double *way, const double *force)
+{
+    double moved[RTHYB_SENSORS_ALL] = {0.0};
+    const int p = c->cfg.kinematics.displacement_sensors;
+    rthyb_kinematics_readings(&c->cfg.kinematics, way, force, moved);
+    for (int k = 0; k < rthyb_kinematics_sensors(&c->cfg.kinematics); k++) {
+        const double most = k < p ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N;
+        c->sensor[k] = clamp(c->sensor[k] + moved[k], -most, most);
+    }
+}
+
 /* Expected change of the axes' readings if the specimen follows its command: displacements by the
- * change of the targets, forces by the tangent stiffness times the change of the commands. */
+ * change of the targets, forces by the tangent stiffness times the change of the commands. The
+ * readings of further sensors are changed at once. */
 PER_COUNT void ahead_of(int n, int m, rthyb_controller *c, double *x, double *f)
 {
     double way[MOST], force[MOST] = {0.0};
@@ -150,6 +168,8 @@ PER_COUNT void ahead_of(int n, int m, rthyb_controller *c, double *x, double *f)
         for (int k = 0; k < m; k++)
             force[j] += c->matrix_rfc.k[j][k] * way[k];
     }
+    if (n > 1)
+        move_sensors(c, way, force);
     if (c->cfg.kinematics.size > 0)
         (void)rthyb_kinematics_pushes(&c->kinematics, force, f);
     else
@@ -178,6 +198,32 @@ static int is_pair(const rthyb_axis_control *cfg, const rthyb_pair *in, int *cod
     return own == RTHYB_OK && !in->lost;
 }
 
+/* Counts the ticks in which a sensor without an actuator has no reading; returns 1 if any has none
+ * now. */
+static int gate_sensors(rthyb_controller *c, const rthyb_input *in, int *code)
+{
+    int made_up = 0;
+    for (int k = 0; k < rthyb_kinematics_sensors(&c->cfg.kinematics); k++) {
+        const int of_x = k < c->cfg.kinematics.displacement_sensors;
+        const int32_t lost = in->sensor_lost[k];
+        const int own =
+            lost ? lost & (RTHYB_S_NOT_FINITE | RTHYB_S_OUT_OF_RANGE)
+                 : judge(in->sensor[k], of_x ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N);
+        const int good = !lost && own == RTHYB_OK;
+        *code |= own;
+        c->sensor_missing[k] =
+            good ? 0 : c->sensor_missing[k] + (c->sensor_missing[k] < UINT32_MAX);
+        made_up |= !good;
+    }
+    return made_up;
+}
+
+static void take_sensors(rthyb_controller *c, const rthyb_input *in)
+{
+    for (int k = 0; k < rthyb_kinematics_sensors(&c->cfg.kinematics); k++)
+        c->sensor[k] = in->sensor[k];
+}
+
 /* Accepts the pairs of this tick, or predicts those of all axes from the commands; returns 1 if
  * they are predicted. Pairs that are valid individually but correspond to no pose together are
  * rejected. Two measured samples are not extrapolated: over twenty ticks their noise would grow
@@ -194,8 +240,13 @@ PER_COUNT int gate(int n, int m, rthyb_controller *c, const rthyb_input *in, dou
         x[i] = in->axis[i].x_meas_m;
         f[i] = in->axis[i].f_meas_n;
     }
-    if (!made_up && !is_no_pose(c, x))
+    if (n > 1)
+        made_up |= gate_sensors(c, in, code);
+    if (!made_up && !is_no_pose(c, x)) {
+        if (n > 1)
+            take_sensors(c, in);
         return 0;
+    }
     *code |= made_up ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
     double dx[MOST] = {0.0}, df[MOST] = {0.0};
     if (c->missing < c->extrapolate_until)
@@ -516,20 +567,24 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
 }
 
 int rthyb_controller_meets(const rthyb_controller *c, const double *x_m, const double *f_n,
-                           double *pose, double *force)
+                           const double *sensor, double *pose, double *force)
 {
     rthyb_kinematics trial = c->kinematics;
     memcpy(pose, x_m, (size_t)c->cfg.axis_count * sizeof *pose);
     memcpy(force, f_n, (size_t)c->cfg.axis_count * sizeof *force);
-    return c->cfg.kinematics.size == 0 || (rthyb_kinematics_find(&trial, x_m, pose) |
-                                           rthyb_kinematics_forces(&trial, f_n, force)) == RTHYB_OK;
+    if (c->cfg.kinematics.size == 0)
+        return 1;
+    const int found = c->cfg.kinematics.displacement_sensors > 0
+                          ? rthyb_kinematics_measured_pose(&trial, x_m, sensor, pose)
+                          : rthyb_kinematics_find(&trial, x_m, pose);
+    return (found | rthyb_kinematics_measured_forces(&trial, f_n, sensor, force)) == RTHYB_OK;
 }
 
 int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m)
 {
-    const double none[MOST] = {0.0};
-    double pose[MOST], force[MOST];
-    return rthyb_controller_meets(c, x_m, none, pose, force);
+    double pose[MOST];
+    rthyb_kinematics trial = c->kinematics;
+    return c->cfg.kinematics.size == 0 || rthyb_kinematics_find(&trial, x_m, pose) == RTHYB_OK;
 }
 
 /* Redundant actuators rarely stand exactly at positions of one pose. Each keeps its difference from

@@ -130,6 +130,10 @@ static int sensors_ok(const rthyb_coupled_rig_config *c)
         ok = ok && sensor_ok(&c->displacement[i], RTHYB_DISPLACEMENT_MAX_M) &&
              sensor_ok(&c->force[i], RTHYB_FORCE_MAX_N) &&
              extra_sensors_ok(c->extras[i], c->extra_count[i]);
+    const int p = c->kinematics.displacement_sensors, q = c->kinematics.force_sensors;
+    ok = ok && p >= 0 && p <= RTHYB_SENSORS_MAX && q >= 0 && q <= RTHYB_SENSORS_MAX;
+    for (int k = 0; ok && k < p + q; k++)
+        ok = sensor_ok(&c->sensor[k], k < p ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N);
     return ok;
 }
 
@@ -236,6 +240,23 @@ static int invert_jacobian(const rig_t *r, double *back)
     return 1;
 }
 
+/* Which sensors the controller uses for the pose does not change where the specimen is; and with
+ * load cells without an actuator, those of the axes are in line with them. */
+static int kinematics_init(rig_t *r)
+{
+    rthyb_kinematics_config kinematics = r->cfg.kinematics;
+    if (rthyb_kinematics_sensors(&kinematics) > 0) {
+        const int error = rthyb_kinematics_init(&r->kinematics, &kinematics);
+        if (error)
+            return error;
+    }
+    kinematics.given &= ~RTHYB_GIVEN_DISPLACEMENTS;
+    if (kinematics.force_sensors > 0)
+        kinematics.given &= ~RTHYB_GIVEN_FORCES;
+    kinematics.displacement_sensors = kinematics.force_sensors = 0;
+    return rthyb_kinematics_init(&r->kinematics, &kinematics);
+}
+
 int rthyb_coupled_rig_init(rthyb_coupled_rig *rig, const rthyb_coupled_rig_config *cfg)
 {
     if (!(cfg->period_s > 0.0 && cfg->period_s <= 1.0))
@@ -251,10 +272,7 @@ int rthyb_coupled_rig_init(rthyb_coupled_rig *rig, const rthyb_coupled_rig_confi
     if (!elements_ok(cfg))
         return RTHYB_E_ELEMENT;
     *rig = (rthyb_coupled_rig){.cfg = *cfg};
-    /* Which sensors the controller uses for the pose does not change where the specimen is. */
-    rthyb_kinematics_config kinematics = cfg->kinematics;
-    kinematics.given &= ~RTHYB_GIVEN_DISPLACEMENTS;
-    const int error = rthyb_kinematics_init(&rig->kinematics, &kinematics);
+    const int error = kinematics_init(rig);
     if (error)
         return error;
     rthyb_kinematics_jacobian(&rig->kinematics, rig->jacobian);
@@ -269,6 +287,7 @@ void rthyb_coupled_rig_reseed(rthyb_coupled_rig *rig)
     noise_seed(&rig->noise, rig->cfg.seed);
     /* A generator of their own, so that the other sensors have the same noise without them. */
     noise_seed(&rig->extra_noise, ~rig->cfg.seed);
+    noise_seed(&rig->sensor_noise, rig->cfg.seed ^ (uint64_t)0x5555555555555555);
 }
 
 /* ---- what is latched ----------------------------------------------------------------------------- */
@@ -355,6 +374,7 @@ static void latch_forces(rig_t *r)
     resist(r, r->pose, r->pose_v, r->pose_a, r->substeps > 0 ? 0.0 : r->cfg.period_s, force);
     add_product(r->cfg.damping, r->pose_v, m, force);
     add_product(r->cfg.mass, r->pose_a, m, force);
+    memcpy(r->force, force, (size_t)m * sizeof *force);
     if (r->kinematics.cfg.given & RTHYB_GIVEN_FORCES) {
         (void)rthyb_kinematics_pushes(&r->kinematics, force, r->f_true_n);
         return;
@@ -380,6 +400,19 @@ static void latch_extras(rig_t *r)
         if (r->extra_to[i])
             memcpy(r->extra_to[i], r->extra[i], count * sizeof *r->extra[i]);
     }
+}
+
+/* Sensors without an actuator. */
+static void latch_sensors(rig_t *r)
+{
+    const rthyb_kinematics_config *cfg = &r->cfg.kinematics;
+    const int count = rthyb_kinematics_sensors(cfg);
+    if (count == 0)
+        return;
+    double truth[RTHYB_SENSORS_ALL] = {0.0};
+    rthyb_kinematics_readings(cfg, r->pose, r->force, truth);
+    for (int k = 0; k < count; k++)
+        r->sensor[k] = sense(&r->sensor_noise, &r->cfg.sensor[k], truth[k]);
 }
 
 /* ---- moving on ------------------------------------------------------------------------------------ */
@@ -516,6 +549,7 @@ int rthyb_coupled_rig_step(rthyb_coupled_rig *rig, const double *x_p_m, double *
         f_n[i] = sense(&rig->noise, &rig->cfg.force[i], rig->f_true_n[i]);
     }
     latch_extras(rig);
+    latch_sensors(rig);
     if (by_plant)
         return code | advance_plant(rig, x_p_m);
     return code | (rig->substeps > 0 ? advance_together(rig) : advance_alone(rig));

@@ -17,9 +17,10 @@ int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const do
 void rthyb_controller_rest(rthyb_controller *c, const double *x_m);
 /* Whether a pose of the specimen corresponds to x_m. */
 int rthyb_controller_has_pose(const rthyb_controller *c, const double *x_m);
-/* Pose, and forces in interface coordinates, for given positions and forces of the axes; 0 if there is no pose. */
+/* Pose, and forces in interface coordinates, for given positions and forces of the axes, and readings of the sensors
+ * without an actuator; 0 if there is no pose. */
 int rthyb_controller_meets(const rthyb_controller *c, const double *x_m, const double *f_n,
-                           double *pose, double *force);
+                           const double *sensor, double *pose, double *force);
 /* Value that the control law of an axis reports as alpha (term 1) or beta (term 2). */
 double rthyb_controller_lead(const rthyb_controller *c, int axis, int term);
 /* Diagonal entry of the tangent stiffness for an interface. */

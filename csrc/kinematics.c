@@ -11,7 +11,11 @@
  * A matrix T may have more rows (axes) than columns (coordinates). The pose then is D x, with
  * D T = 1: the given D, or the least-squares inverse (T'T)^-1 T'. Interface forces are F f, with the
  * given F, or T', for which the axes do the same virtual work as the interface: f'(T dq) =
- * (T'f)'dq. The forces that correspond to a resultant are F'(F F')^-1 times it. */
+ * (T'f)'dq. The forces that correspond to a resultant are F'(F F')^-1 times it.
+ *
+ * Displacement sensors without an actuator read S q, load cells without one G r, where r are the
+ * interface forces. The pose then is D (x, S q) with D (T, S) = 1, and r = F (f, G r). The load
+ * cells of the axes measure f = T (T'T)^-1 r and what opposes it, so F (T (T'T)^-1, G) = 1. */
 #include "numeric.h"
 #include "small_solve.h"
 
@@ -198,6 +202,12 @@ static int is_given(const rthyb_kinematics_config *cfg, int what)
     return (cfg->given & what) != 0;
 }
 
+/* Whether the load cells of the axes alone give the interface forces, by the given matrix. */
+static int by_own_cells(const rthyb_kinematics_config *cfg)
+{
+    return is_given(cfg, RTHYB_GIVEN_FORCES) && cfg->force_sensors == 0;
+}
+
 /* The forces of the axes that have a given resultant. */
 static int pushes_init(rthyb_kinematics *s)
 {
@@ -205,8 +215,8 @@ static int pushes_init(rthyb_kinematics *s)
     double turned[RTHYB_COUPLED_SQUARE], back[RTHYB_COUPLED_SQUARE];
     for (int j = 0; j < m; j++)
         for (int i = 0; i < n; i++)
-            turned[i * m + j] = is_given(&s->cfg, RTHYB_GIVEN_FORCES) ? s->cfg.forces[j * n + i]
-                                                                      : s->cfg.matrix[i * m + j];
+            turned[i * m + j] =
+                by_own_cells(&s->cfg) ? s->cfg.forces[j * n + i] : s->cfg.matrix[i * m + j];
     if (!left_inverse(turned, n, m, back))
         return 0;
     for (int j = 0; j < m; j++)
@@ -215,13 +225,53 @@ static int pushes_init(rthyb_kinematics *s)
     return 1;
 }
 
+/* `first` (n x m) above `then` (k x m). */
+static void stack(const double *first, int n, const double *then, int k, int m, double *out)
+{
+    for (int i = 0; i < n * m; i++)
+        out[i] = first[i];
+    for (int i = 0; i < k * m; i++)
+        out[n * m + i] = then[i];
+}
+
+/* Sensors without an actuator, after `inverse` and `pushes`. */
+static int sensors_init(rthyb_kinematics *s)
+{
+    const rthyb_kinematics_config *cfg = &s->cfg;
+    const int n = cfg->size, m = cfg->directions;
+    const int p = cfg->displacement_sensors, q = cfg->force_sensors;
+    double all[RTHYB_MEASURED_MAX] = {0.0};
+    stack(cfg->matrix, n, cfg->reads, p, m, all);
+    if (p > 0 && !is_given(cfg, RTHYB_GIVEN_DISPLACEMENTS) &&
+        !left_inverse(all, n + p, m, s->measure))
+        return RTHYB_E_KINEMATICS;
+    if (p > 0 && is_given(cfg, RTHYB_GIVEN_DISPLACEMENTS)) {
+        if (!inverts(cfg->displacements, all, n + p, m))
+            return RTHYB_E_KINEMATICS;
+        stack(cfg->displacements, m, NULL, 0, n + p, s->measure);
+    }
+    stack(s->pushes, n, cfg->carries, q, m, all);
+    return q == 0 || inverts(cfg->forces, all, n + q, m) ? 0 : RTHYB_E_KINEMATICS;
+}
+
+static int matrices_ok(const rthyb_kinematics_config *cfg)
+{
+    const int n = cfg->size, m = cfg->directions;
+    const int p = cfg->displacement_sensors, q = cfg->force_sensors;
+    return within(cfg->matrix, n * m, 1e6) && within(cfg->reads, p * m, 1e6) &&
+           within(cfg->carries, q * m, 1e6) && (q == 0 || is_given(cfg, RTHYB_GIVEN_FORCES)) &&
+           (!is_given(cfg, RTHYB_GIVEN_FORCES) || within(cfg->forces, m * (n + q), 1e6)) &&
+           (!is_given(cfg, RTHYB_GIVEN_DISPLACEMENTS) ||
+            within(cfg->displacements, m * (n + p), 1e6));
+}
+
 static int matrix_init(rthyb_kinematics *s)
 {
     const int n = s->cfg.size, m = s->cfg.directions;
     const int forces = is_given(&s->cfg, RTHYB_GIVEN_FORCES);
-    const int displacements = is_given(&s->cfg, RTHYB_GIVEN_DISPLACEMENTS);
-    if (!within(s->cfg.matrix, n * m, 1e6) || (forces && !within(s->cfg.forces, n * m, 1e6)) ||
-        (displacements && !within(s->cfg.displacements, n * m, 1e6)))
+    const int own_displacements =
+        is_given(&s->cfg, RTHYB_GIVEN_DISPLACEMENTS) && s->cfg.displacement_sensors == 0;
+    if (!matrices_ok(&s->cfg))
         return RTHYB_E_KINEMATICS;
     if (n == m) {
         const int error = square_init(s);
@@ -230,13 +280,15 @@ static int matrix_init(rthyb_kinematics *s)
     } else if (!left_inverse(s->cfg.matrix, n, m, s->inverse)) {
         return RTHYB_E_KINEMATICS;
     }
-    if (displacements) {
+    if (own_displacements) {
         if (!inverts(s->cfg.displacements, s->cfg.matrix, n, m))
             return RTHYB_E_KINEMATICS;
         for (int i = 0; i < n * m; i++)
             s->inverse[i] = s->cfg.displacements[i];
     }
-    return (n == m && !forces) || pushes_init(s) ? 0 : RTHYB_E_KINEMATICS;
+    if (!(n == m && !forces) && !pushes_init(s))
+        return RTHYB_E_KINEMATICS;
+    return rthyb_kinematics_sensors(&s->cfg) == 0 ? 0 : sensors_init(s);
 }
 
 static int coordinates_ok(const rthyb_kinematics_config *cfg)
@@ -268,8 +320,8 @@ static int pins_init(rthyb_kinematics *s)
 {
     const rthyb_kinematics_config *cfg = &s->cfg;
     const int n = cfg->size;
-    if (n > 3 || cfg->directions != n || cfg->given || !coordinates_ok(cfg) ||
-        !within(cfg->pin_m[0], 2 * n, RTHYB_DISPLACEMENT_MAX_M) ||
+    if (n > 3 || cfg->directions != n || cfg->given || rthyb_kinematics_sensors(cfg) > 0 ||
+        !coordinates_ok(cfg) || !within(cfg->pin_m[0], 2 * n, RTHYB_DISPLACEMENT_MAX_M) ||
         !within(cfg->base_m[0], 2 * n, 1e6))
         return RTHYB_E_KINEMATICS;
     double arm = 0.0;
@@ -299,11 +351,18 @@ int32_t rthyb_kinematics_directions(const rthyb_kinematics_config *cfg)
     return cfg->directions == 0 ? cfg->size : cfg->directions;
 }
 
+int32_t rthyb_kinematics_sensors(const rthyb_kinematics_config *cfg)
+{
+    return cfg->displacement_sensors + cfg->force_sensors;
+}
+
 int rthyb_kinematics_init(rthyb_kinematics *s, const rthyb_kinematics_config *cfg)
 {
     const int32_t directions = rthyb_kinematics_directions(cfg);
     if (cfg->size < 1 || cfg->size > MOST || directions < 1 || directions > cfg->size ||
-        cfg->given < 0 || cfg->given > (RTHYB_GIVEN_FORCES | RTHYB_GIVEN_DISPLACEMENTS) ||
+        cfg->displacement_sensors < 0 || cfg->displacement_sensors > RTHYB_SENSORS_MAX ||
+        cfg->force_sensors < 0 || cfg->force_sensors > RTHYB_SENSORS_MAX || cfg->given < 0 ||
+        cfg->given > (RTHYB_GIVEN_FORCES | RTHYB_GIVEN_DISPLACEMENTS) ||
         (cfg->kind != RTHYB_KINEMATICS_MATRIX && cfg->kind != RTHYB_KINEMATICS_PINS))
         return RTHYB_E_KINEMATICS;
     *s = (rthyb_kinematics){.cfg = *cfg};
@@ -445,7 +504,7 @@ int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *f
     double jacobian[RTHYB_COUPLED_SQUARE] = {0.0};
     for (int i = 0; i < n; i++)
         s->axis_n[i] = accept(axis_n[i], RTHYB_FORCE_MAX_N, s->axis_n[i], &code);
-    if (is_given(&s->cfg, RTHYB_GIVEN_FORCES)) {
+    if (by_own_cells(&s->cfg)) {
         multiply(s->cfg.forces, s->axis_n, m, n, force);
         return code;
     }
@@ -456,6 +515,51 @@ int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *f
             force[j] += jacobian[i * m + j] * s->axis_n[i];
     }
     return code;
+}
+
+int rthyb_kinematics_measured_pose(rthyb_kinematics *s, const double *axis_m, const double *sensor,
+                                   double *pose)
+{
+    int code = RTHYB_OK;
+    const int n = s->cfg.size, m = s->cfg.directions, p = s->cfg.displacement_sensors;
+    double all[RTHYB_COUPLED_MAX + RTHYB_SENSORS_MAX];
+    if (p == 0)
+        return rthyb_kinematics_pose(s, axis_m, pose);
+    for (int i = 0; i < n; i++)
+        all[i] = s->axis_m[i] = accept(axis_m[i], RTHYB_DISPLACEMENT_MAX_M, s->axis_m[i], &code);
+    for (int k = 0; k < p; k++)
+        all[n + k] = s->sensor[k] =
+            accept(sensor[k], RTHYB_DISPLACEMENT_MAX_M, s->sensor[k], &code);
+    multiply(s->measure, all, m, n + p, s->pose);
+    for (int j = 0; j < m; j++)
+        pose[j] = s->pose[j];
+    return code;
+}
+
+int rthyb_kinematics_measured_forces(rthyb_kinematics *s, const double *axis_n,
+                                     const double *sensor, double *force)
+{
+    int code = RTHYB_OK;
+    const int n = s->cfg.size, m = s->cfg.directions, p = s->cfg.displacement_sensors;
+    const int q = s->cfg.force_sensors;
+    double all[RTHYB_COUPLED_MAX + RTHYB_SENSORS_MAX];
+    if (q == 0)
+        return rthyb_kinematics_forces(s, axis_n, force);
+    for (int i = 0; i < n; i++)
+        all[i] = s->axis_n[i] = accept(axis_n[i], RTHYB_FORCE_MAX_N, s->axis_n[i], &code);
+    for (int k = 0; k < q; k++)
+        all[n + k] = s->sensor[p + k] =
+            accept(sensor[p + k], RTHYB_FORCE_MAX_N, s->sensor[p + k], &code);
+    multiply(s->cfg.forces, all, m, n + q, force);
+    return code;
+}
+
+void rthyb_kinematics_readings(const rthyb_kinematics_config *cfg, const double *pose,
+                               const double *force, double *sensor)
+{
+    const int m = rthyb_kinematics_directions(cfg), p = cfg->displacement_sensors;
+    multiply(cfg->reads, pose, p, m, sensor);
+    multiply(cfg->carries, force, cfg->force_sensors, m, sensor + p);
 }
 
 int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, double *axis_n)

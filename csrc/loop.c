@@ -59,6 +59,9 @@ int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
     loop->rate_hz = rthyb_ticker_rate_hz(h);
     if (!loop->rate_hz)
         return RTHYB_E_PERIOD;
+    /* No link has readings of sensors without an actuator. */
+    if (rthyb_kinematics_sensors(&cfg->station->cfg.controller.kinematics) > 0)
+        return RTHYB_E_KINEMATICS;
     loop->heartbeat_ticks = standard_ticks(RTHYB_HEARTBEAT_TICKS, h);
     loop->watchdog_ticks = standard_ticks(RTHYB_DRIVE_WATCHDOG, h);
     loop->half_period_ns = SECOND_NS / 2 / loop->rate_hz;

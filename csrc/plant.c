@@ -11,6 +11,7 @@ typedef struct {
     void (*reseed)(void *state);
     void (*truth)(const void *state, double *x_true_m, double *f_true_n);
     const double *(*extra)(const void *state, int32_t axis); /* RTHYB_EXTRAS_MAX readings */
+    int32_t (*sensors)(const void *state, double *values);   /* NULL: it has none */
 } plant_ops;
 
 /* ---- one actuator ------------------------------------------------------------------------------ */
@@ -82,10 +83,18 @@ static const double *coupled_extra(const void *state, int32_t axis)
     return ((const rthyb_coupled_rig *)state)->extra[axis];
 }
 
+static int32_t coupled_sensors(const void *state, double *values)
+{
+    const rthyb_coupled_rig *rig = state;
+    const int32_t count = rthyb_kinematics_sensors(&rig->cfg.kinematics);
+    memcpy(values, rig->sensor, (size_t)count * sizeof *values);
+    return count;
+}
+
 static const plant_ops KINDS[RTHYB_PLANT_KINDS] = {
-    [RTHYB_PLANT_RIG] = {rig_axes, rig_period_s, rig_step, rig_reseed, rig_truth, rig_extra},
+    [RTHYB_PLANT_RIG] = {rig_axes, rig_period_s, rig_step, rig_reseed, rig_truth, rig_extra, NULL},
     [RTHYB_PLANT_COUPLED_RIG] = {coupled_axes, coupled_period_s, coupled_step, coupled_reseed,
-                                 coupled_truth, coupled_extra},
+                                 coupled_truth, coupled_extra, coupled_sensors},
 };
 
 /* ---- whichever it is --------------------------------------------------------------------------- */
@@ -120,4 +129,10 @@ void rthyb_plant_truth(const rthyb_plant *plant, double *x_true_m, double *f_tru
 void rthyb_plant_extra(const rthyb_plant *plant, int32_t axis, double *values)
 {
     memcpy(values, KINDS[plant->kind].extra(plant->state, axis), RTHYB_EXTRAS_MAX * sizeof *values);
+}
+
+int32_t rthyb_plant_sensors(const rthyb_plant *plant, double *values)
+{
+    const plant_ops *ops = &KINDS[plant->kind];
+    return ops->sensors ? ops->sensors(plant->state, values) : 0;
 }

@@ -13,6 +13,11 @@ static int axes_of(const rthyb_station *station)
     return station->cfg.controller.axis_count;
 }
 
+static int sensors_of(const rthyb_station *station)
+{
+    return rthyb_kinematics_sensors(&station->cfg.controller.kinematics);
+}
+
 /* The rows of one executed tick: first those of the ticks that were skipped before it, then its
  * own. Reads at most one row more than a tick can give. */
 static size_t group_of(const rthyb_replay *source, int axes, size_t from, rthyb_record *group)
@@ -57,7 +62,9 @@ static int axis_of_row(const rthyb_record *row)
     return row->cause & RTHYB_PLACE_INTERFACE || number == 0 ? 0 : number - 1;
 }
 
-static rthyb_station_input input_of(const rthyb_station *station, const rthyb_record *row)
+/* `sensors`: as read in this row, of the sensors without an actuator. */
+static rthyb_station_input input_of(const rthyb_station *station, const rthyb_record *row,
+                                    const double *sensors)
 {
     const uint64_t skipped = row->tick - station->tick;
     const int axes = axes_of(station), one = axis_of_row(row) % axes;
@@ -80,6 +87,10 @@ static rthyb_station_input input_of(const rthyb_station *station, const rthyb_re
     if (axes == 1) {
         in.axis[0].link_down = (row->flags & RTHYB_F_DOWN) != 0;
         in.axis[0].drive_stopped = (row->flags & RTHYB_F_STOPPED) != 0;
+    }
+    for (int k = 0; k < sensors_of(station); k++) {
+        in.sensor[k] = sensors[k];
+        in.sensors_lost |= (row->cause >> (RTHYB_SILENT_BIT + k) & 1u) << k;
     }
     in.axis[one].beyond = (row->flags & RTHYB_F_BEYOND) != 0;
     return in;
@@ -127,8 +138,8 @@ static void complete(const rthyb_record *row, uint32_t unsent, rthyb_record *mad
     made->flags = (made->flags & ~UNSENT_FLAGS) | unsent;
 }
 
-/* Replays one group; returns the number of rows that it gave. */
-static size_t replay_group(rthyb_station *station, const rthyb_replay *source,
+/* Replays one group, which begins at row `first`; returns the number of rows that it gave. */
+static size_t replay_group(rthyb_station *station, const rthyb_replay *source, size_t first,
                            const rthyb_record *rows, size_t n, rthyb_record *made)
 {
     rthyb_station_output out;
@@ -136,7 +147,10 @@ static size_t replay_group(rthyb_station *station, const rthyb_replay *source,
     const int axes = axes_of(station);
     uint32_t unsent = 0;
     take_parameters(station, source, row->generation);
-    const rthyb_station_input in = input_of(station, row);
+    const size_t count = (size_t)sensors_of(station);
+    static const double none[RTHYB_SENSORS_ALL] = {0.0};
+    const double *sensors = source->sensors ? source->sensors + (first + n - 1) * count : none;
+    const rthyb_station_input in = input_of(station, row, sensors);
     rthyb_station_tick(station, &in, source->ag_mps2, source->ag_count, made, &out);
     for (int i = 0; i < axes; i++) {
         int sent = left(row, i, axes) && out.send;
@@ -160,7 +174,7 @@ size_t rthyb_station_replay(rthyb_station *station, const rthyb_replay *source, 
         const size_t n = group_of(source, axes, done, rows);
         if (n == 0 || rows[n - 1].tick < station->tick)
             return done;
-        const size_t got = replay_group(station, source, rows, n, made);
+        const size_t got = replay_group(station, source, done, rows, n, made);
         for (size_t i = 0; i < n && i < got; i++)
             memcpy(row_at(out, axes, done + i), &made[i], record_bytes(axes));
         if (got != n)

@@ -92,6 +92,10 @@ typedef struct {
     /* Of the following, only the entries in use, and the parts that were configured, are ever accessed. */
     rthyb_controller_axis axis[RTHYB_COUPLED_MAX];
     rthyb_controller_interface interface[RTHYB_COUPLED_MAX];
+    /* Of the sensors without an actuator, displacements, then forces: reading of the last sample, measured or predicted,
+     * and consecutive samples without an accepted reading. */
+    double sensor[RTHYB_SENSORS_ALL];
+    uint32_t sensor_missing[RTHYB_SENSORS_ALL];
     rthyb_kinematics kinematics;
     rthyb_matrix_lead matrix_lead;
     rthyb_matrix_rfc matrix_rfc;
@@ -106,6 +110,9 @@ typedef struct {
 
 typedef struct {
     rthyb_pair axis[RTHYB_COUPLED_MAX];
+    /* of the sensors without an actuator; lost: as in rthyb_pair */
+    double sensor[RTHYB_SENSORS_ALL];
+    int32_t sensor_lost[RTHYB_SENSORS_ALL];
     double excitation; /* ag_mps2 at t_n; PRESCRIBED: x_num_m at t_{n+1} */
 } rthyb_input;
 

@@ -29,7 +29,8 @@ typedef struct {
 typedef struct {
     int32_t size; /* axes */
     double period_s;
-    rthyb_kinematics_config kinematics;          /* relation between axes and interface */
+    /* relation between axes and interface, and what the sensors without an actuator measure */
+    rthyb_kinematics_config kinematics;
     rthyb_servo_config servo[RTHYB_COUPLED_MAX]; /* any kind but the servo-valve */
     rthyb_state_space plant;
     /* The specimen in interface coordinates: force = K q + C q' + M q'' + elements. All symmetric; M positive
@@ -48,13 +49,15 @@ typedef struct {
     uint64_t seed;
     uint32_t extra_count[RTHYB_COUPLED_MAX]; /* of each axis, along which its sensors measure */
     rthyb_extra_sensor extras[RTHYB_COUPLED_MAX][RTHYB_EXTRAS_MAX];
+    /* sensors without an actuator, as many as the kinematics has: displacements, then forces */
+    rthyb_sensor sensor[RTHYB_SENSORS_ALL];
 } rthyb_coupled_rig_config;
 
 typedef struct {
     rthyb_coupled_rig_config cfg;
     rthyb_kinematics kinematics;
     rthyb_servo servo[RTHYB_COUPLED_MAX];
-    rthyb_noise noise, extra_noise;
+    rthyb_noise noise, extra_noise, sensor_noise;
     double s[RTHYB_PLANT_STATES];
     double command[RTHYB_COUPLED_MAX]; /* state-space model: last valid commands */
     /* Readings of each axis without sensor errors. */
@@ -69,6 +72,8 @@ typedef struct {
      * nowhere. */
     double extra[RTHYB_COUPLED_MAX][RTHYB_EXTRAS_MAX];
     double *extra_to[RTHYB_COUPLED_MAX];
+    double force[RTHYB_COUPLED_MAX];  /* of the specimen, at the last latch */
+    double sensor[RTHYB_SENSORS_ALL]; /* readings of the sensors without an actuator */
 } rthyb_coupled_rig;
 
 /* RTHYB_E_PLANT: sizes or matrix entries; RTHYB_E_PERIOD: period of an actuator; RTHYB_E_KINEMATICS,

@@ -109,7 +109,8 @@ typedef struct rthyb_loop rthyb_loop;
 
 size_t rthyb_loop_size(void); /* bytes that the caller provides, aligned for a double */
 
-/* The loop runs at the period of the station. Returns 0; RTHYB_E_PERIOD if no ticker supports the period
+/* The loop runs at the period of the station. Returns 0; RTHYB_E_KINEMATICS for a station with sensors without an
+ * actuator; RTHYB_E_PERIOD if no ticker supports the period
  * (rthyb_ticker_rate_hz), the clock is unknown, or the link clock rejects the lead; RTHYB_E_LIMIT for an invalid
  * calibration, or for a ring with a different number of axes. */
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);
@@ -184,6 +185,7 @@ typedef struct {
     const double *ag_mps2; /* as in rthyb_loop_config */
     size_t ag_count;
     rthyb_replay_axis axis[RTHYB_COUPLED_MAX];
+    const double *sensors; /* as read, of each row those of all sensors without an actuator */
     const rthyb_parameters *parameters; /* all sets except generation 0 */
     size_t parameter_count;
 } rthyb_replay;

@@ -32,6 +32,8 @@ void rthyb_plant_reseed(const rthyb_plant *plant);
 void rthyb_plant_truth(const rthyb_plant *plant, double *x_true_m, double *f_true_n);
 /* Readings of an axis' extra sensors in the last step: RTHYB_EXTRAS_MAX values, 0 where there is no sensor. */
 void rthyb_plant_extra(const rthyb_plant *plant, int32_t axis, double *values);
+/* Readings of the sensors without an actuator in the last step; returns their number. */
+int32_t rthyb_plant_sensors(const rthyb_plant *plant, double *values);
 /* cffi: end */
 
 #endif

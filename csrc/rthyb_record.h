@@ -93,7 +93,8 @@ enum rthyb_flag {
     /* From here on: inputs of the station in this tick, only in the last record of the tick, never in a
      * blind one. Together with the readings, they are all that a replay needs. */
     RTHYB_F_SLIP = 1 << 6, /* the drive's count slipped relative to the tick, 192 ticks ago */
-    /* no new pair arrived; PREDICTED without this flag: the station rejected the pair that arrived */
+    /* no new pair arrived; PREDICTED without this flag: the station rejected the pair that arrived, or a sensor without an
+     * actuator had no reading */
     RTHYB_F_LOST = 1 << 7,
     RTHYB_F_DOWN = 1 << 8,    /* the link reported a failure */
     RTHYB_F_STOPPED = 1 << 9, /* the drive last reported that it has stopped on its own */
@@ -112,14 +113,17 @@ enum rthyb_flag {
     RTHYB_F_COMMAND_BIT = 24
 };
 
-/* With several axes, rthyb_record.cause contains the cause in its lowest byte; the bits above it contain the axis or
- * interface of the cause, which links are down, and which drive's count has diverged. */
+/* With several axes, rthyb_record.cause contains the cause in its lowest byte; the bits above it contain the axis,
+ * interface or sensor of the cause, which links are down, which drive's count has diverged, and which sensors without an
+ * actuator gave no reading. */
 enum rthyb_cause_place {
     RTHYB_PLACE_BIT = 8,             /* three bits: 1 + index of axis or interface; 0: neither */
     RTHYB_PLACE_INTERFACE = 1 << 11, /* the index is that of an interface */
+    RTHYB_PLACE_SENSOR_BIT = 12, /* four bits: 1 + index of a sensor without an actuator; 0: none */
     RTHYB_DOWN_BIT = 16,  /* bits 16 to 19: the link of this axis reported a failure in this tick */
     RTHYB_APART_BIT = 20, /* bits 20 to 22: rthyb_station_input.apart */
-    RTHYB_APART_UNKNOWN = 7 /* value before the drives' counts have been compared */
+    RTHYB_APART_UNKNOWN = 7, /* value before the drives' counts have been compared */
+    RTHYB_SILENT_BIT = 23    /* bits 23 to 30: no reading of this sensor arrived in this tick */
 };
 
 /* One axis. */

@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "rthyb_controller.h"
+#include "rthyb_lone.h"
 #include "rthyb_watch.h"
 
 /* cffi: begin */
@@ -43,6 +44,8 @@ typedef struct {
     rthyb_controller_config controller;
     rthyb_axis_config axis[RTHYB_COUPLED_MAX];
     rthyb_interface_config interface[RTHYB_COUPLED_MAX];
+    rthyb_lone_config
+        lone[RTHYB_SENSORS_ALL]; /* sensors without an actuator, as in the kinematics */
     /* Only the entries from RTHYB_CAUSE_SKIPS upwards are used. Units: stuck: ticks; jump: m or N; shares: 0 to 1.
      * If SKIPS has the value 0, a share of 50/1024 with the action ramp-out applies. */
     rthyb_watch watch[RTHYB_CAUSE_COUNT];
@@ -55,9 +58,10 @@ typedef struct {
     /* For each group of channels in a row: index of the first, and how many (0: none). law: values that the first
      * axis' control law reports in addition to alpha and beta; part: responses of the numerical part; axis: values of
      * further axes that are not in the record, namely x_num and k_t of each interface except the first, then x_plc,
-     * alpha and beta of each axis except the first. */
+     * alpha and beta of each axis except the first; lone: of each sensor without an actuator, the value used, after
+     * tare, then those as read, before tare, NaN if nothing was. */
     uint32_t law_channel, law_channel_count, part_channel, part_channel_count;
-    uint32_t axis_channel, axis_channel_count;
+    uint32_t axis_channel, axis_channel_count, lone_channel, lone_channel_count;
 } rthyb_station_config;
 
 /* Displacement over an integer number of ticks: sum c[i] u^i, or c[0] + c[1] cos(pi u), u = 0 ... 1. For a braking
@@ -70,19 +74,6 @@ typedef struct {
     int64_t turn;
     int32_t cosine;
 } rthyb_path;
-
-/* Repeated reading of a stuck sensor, the command when the repetition began, and for how many ticks it has been
- * repeated. */
-typedef struct {
-    double reading, command;
-    uint64_t ticks;
-} rthyb_stillness;
-
-/* Number of consecutive readings near the level to which a sensor jumped, and the last of them, before tare. */
-typedef struct {
-    int32_t count;
-    double level;
-} rthyb_leaps;
 
 /* Counts while a force is beyond its limit and only a trip can still follow. ticks: ticks beyond the limit; calm:
  * consecutive ticks below it since; seen: last tick counted. */
@@ -142,10 +133,10 @@ typedef struct {
     rthyb_station_config cfg;
     rthyb_station_ticks ticks;
     rthyb_controller controller;
-    int32_t state;                       /* enum rthyb_state */
-    int32_t cause;                       /* enum rthyb_cause, latched */
-    int32_t cause_axis, cause_interface; /* index, or -1 */
-    uint64_t cause_tick;                 /* when the cause occurred */
+    int32_t state;                                     /* enum rthyb_state */
+    int32_t cause;                                     /* enum rthyb_cause, latched */
+    int32_t cause_axis, cause_interface, cause_sensor; /* index, or -1 */
+    uint64_t cause_tick;                               /* when the cause occurred */
     /* measured value, in the unit of the monitored quantity (m, N, ticks ...), */
     double cause_value;
     double cause_limit; /* and its limit; both 0 if the cause has no number */
@@ -173,12 +164,13 @@ typedef struct {
     uint64_t apart;     /* consecutive ticks in which the drives' counts differed */
     int32_t apart_axis; /* axis whose count differed, as last reported to the station; -1: none */
     rthyb_axis axis[RTHYB_COUPLED_MAX];
+    rthyb_lone lone[RTHYB_SENSORS_ALL];
     rthyb_overload over_interface[RTHYB_COUPLED_MAX];
     int32_t refused_cause; /* reason why the last ARM, START, RESUME, RESET or tare was refused, */
     /* with the values as for a cause; NONE: not because of a limit */
     double refused_value, refused_limit;
-    int32_t refused_axis, refused_interface; /* index, or -1 */
-    double indicator_slope;                  /* of the tracking indicator, mean of 0.25 s, m^2/s */
+    int32_t refused_axis, refused_interface, refused_sensor; /* index, or -1 */
+    double indicator_slope; /* of the tracking indicator, mean of 0.25 s, m^2/s */
     rthyb_recent skips, losses;
     uint64_t skipped;     /* total */
     int32_t trip_frames;  /* trip frames still to be sent */
@@ -206,10 +198,12 @@ typedef struct {
 
 typedef struct {
     rthyb_axis_input axis[RTHYB_COUPLED_MAX];
-    uint32_t skipped;       /* ticks that were skipped before this one */
-    int32_t command;        /* enum rthyb_command */
-    int32_t heartbeat_late; /* no heartbeat from Python for a second */
-    int32_t taken_over;     /* with the first valid readings: the drives already have commands */
+    double sensor[RTHYB_SENSORS_ALL]; /* readings of the sensors without an actuator, before tare */
+    uint32_t sensors_lost;            /* bit k: there is no reading of sensor k in this tick */
+    uint32_t skipped;                 /* ticks that were skipped before this one */
+    int32_t command;                  /* enum rthyb_command */
+    int32_t heartbeat_late;           /* no heartbeat from Python for a second */
+    int32_t taken_over; /* with the first valid readings: the drives already have commands */
     /* 0: the drives count on one clock; 1 + the axis whose drive's count differs by more than one sample from
      * another; RTHYB_APART_UNKNOWN: not compared yet */
     int32_t apart;

@@ -40,6 +40,7 @@ enum rthyb_cause {
     RTHYB_CAUSE_APART,        /* the sample counts of two drives differ; has no watch */
     /* the positions of the axes correspond to no pose of the specimen; has no watch */
     RTHYB_CAUSE_NO_POSE,
+    RTHYB_CAUSE_SENSOR_LOST, /* no usable reading of a sensor without an actuator; has no watch */
     RTHYB_CAUSE_COUNT
 };
 
@@ -55,6 +56,19 @@ typedef struct {
     double value;     /* 0 = off */
     int32_t reaction; /* enum rthyb_reaction */
 } rthyb_watch;
+
+/* Repeated reading of a stuck sensor, the command when the repetition began, and for how many ticks it has been
+ * repeated. */
+typedef struct {
+    double reading, command;
+    uint64_t ticks;
+} rthyb_stillness;
+
+/* Number of consecutive readings near the level to which a sensor jumped, and the last of them, before tare. */
+typedef struct {
+    int32_t count;
+    double level;
+} rthyb_leaps;
 /* cffi: end */
 
 #endif

@@ -59,7 +59,8 @@ static int config_error(const rthyb_station_config *c)
             return RTHYB_E_LIMIT;
     if (!channels_ok(c->law_channel, c->law_channel_count) ||
         !channels_ok(c->part_channel, c->part_channel_count) ||
-        !channels_ok(c->axis_channel, c->axis_channel_count))
+        !channels_ok(c->axis_channel, c->axis_channel_count) ||
+        !channels_ok(c->lone_channel, c->lone_channel_count) || lone_check(c))
         return RTHYB_E_LIMIT;
     const int ticks_ok = c->tare_ticks >= 1 && c->tare_ticks <= 1 << 20 && c->ramp_in_ticks >= 1 &&
                          c->ramp_in_ticks <= 1 << 24 && c->armed_ticks >= 1;
@@ -102,8 +103,8 @@ int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
     memset(s, 0, sizeof *s);
     s->cfg = *cfg;
     s->state = RTHYB_IDLE;
-    s->cause_axis = s->cause_interface = s->apart_axis = -1;
-    s->refused_axis = s->refused_interface = -1;
+    s->cause_axis = s->cause_interface = s->cause_sensor = s->apart_axis = -1;
+    s->refused_axis = s->refused_interface = s->refused_sensor = -1;
     error = fresh_controller(s);
     if (error)
         return error;
@@ -187,6 +188,15 @@ void station_enter(rthyb_station *s, int state)
     s->nearest_m = INFINITY;
 }
 
+/* Splits finding.where; -1: not such a place. */
+static void split_place(int where, int32_t *axis, int32_t *interface, int32_t *sensor)
+{
+    const int of_lone = where >= SENSOR_PLACE;
+    *axis = where > 0 && !of_lone ? where - 1 : -1;
+    *interface = where < 0 ? -1 - where : -1;
+    *sensor = of_lone ? where - SENSOR_PLACE : -1;
+}
+
 /* The first cause is kept. Exception: COMPLETED and OPERATOR are replaced by a fault that occurs
  * during the ramp-out, because they would hide it. */
 void station_blame(rthyb_station *s, finding found)
@@ -197,26 +207,25 @@ void station_blame(rthyb_station *s, finding found)
     s->cause_tick = s->tick;
     s->cause_value = found.value;
     s->cause_limit = found.limit;
-    s->cause_axis = found.where > 0 ? found.where - 1 : -1;
-    s->cause_interface = found.where < 0 ? -1 - found.where : -1;
+    split_place(found.where, &s->cause_axis, &s->cause_interface, &s->cause_sensor);
 }
 
 static void clear_cause(rthyb_station *s)
 {
     s->cause = RTHYB_CAUSE_NONE;
     s->cause_value = s->cause_limit = 0.0;
-    s->cause_axis = s->cause_interface = -1;
+    s->cause_axis = s->cause_interface = s->cause_sensor = -1;
 }
 
-/* Whether every axis has a pair of plausible values, none of them at the end of its sensor's
- * range. */
+/* Whether every axis has a pair of plausible values, and every further sensor a value, none of them
+ * at the end of its sensor's range. */
 static int is_sound(const rthyb_station *s, const rthyb_station_input *in)
 {
     int sound = 1;
     for (int i = 0; i < axes_of(s); i++)
         sound = sound && axis_is_sensible(&in->axis[i]) &&
                 !axis_off_scale(&s->cfg.axis[i], &in->axis[i]);
-    return sound;
+    return sound && lone_is_sound(s, in);
 }
 
 /* 1 + index of the first axis whose link is down, 0 if there is none; the next two functions
@@ -298,8 +307,7 @@ static int refuse(rthyb_station *s, finding found)
     s->refused_cause = found.cause;
     s->refused_value = found.value;
     s->refused_limit = found.limit;
-    s->refused_axis = found.where > 0 ? found.where - 1 : -1;
-    s->refused_interface = found.where < 0 ? -1 - found.where : -1;
+    split_place(found.where, &s->refused_axis, &s->refused_interface, &s->refused_sensor);
     return 0;
 }
 
@@ -328,6 +336,7 @@ static void begin_test(rthyb_station *s)
     rthyb_controller_rest(&s->controller, x);
     for (int i = 0; i < axes_of(s); i++)
         s->controller.axis[i].x_m1 = s->axis[i].seen_x - s->axis[i].tare_x;
+    lone_seen(s, s->controller.sensor);
     station_enter(s, RTHYB_RAMP_IN);
     course_ramp_to_zero(s);
 }
@@ -339,6 +348,7 @@ static void begin_zero(rthyb_station *s)
     s->tare_readings = 0;
     for (int i = 0; i < axes_of(s); i++)
         axis_begin_tare(&s->axis[i]);
+    lone_begin_tare(s);
 }
 
 /* A drive resumes from where it stands, so it must be at rest at a known position. A force beyond
@@ -528,6 +538,7 @@ static void take_tare(rthyb_station *s, const rthyb_station_input *in)
             s->zeroing = 2;
             return;
         }
+    lone_add_to_tare(s);
     if (++s->tare_readings < s->cfg.tare_ticks)
         return;
     (void)refuse(s, plain(RTHYB_CAUSE_NONE));
@@ -542,6 +553,7 @@ static void take_tare(rthyb_station *s, const rthyb_station_input *in)
         x[i] = axis_take_tare(a, a->sum_x / ticks, a->sum_f / ticks,
                               s->controller.axis[i].x_cmd + a->tare_cmd, s->commands);
     }
+    lone_take_tare(s);
     rthyb_controller_rest(&s->controller, x);
     s->tared = 1;
     s->commands = 1;
@@ -557,6 +569,7 @@ static void note_reading(rthyb_station *s, const rthyb_station_input *in)
         watch_stuck(s, i, x, in->axis[i].f_n);
         axis_watch_rest(&s->axis[i], x, s->cfg.axis[i].rest_spread_m, ceased, s->ticks.rest);
     }
+    lone_note(s);
     if (!s->seen && !s->commands)
         settle_at_readings(s, in);
     s->seen = 1;
@@ -603,6 +616,9 @@ static int has_leapt(const rthyb_axis *a, finding *found)
 static finding not_taken(const rthyb_station *s)
 {
     const int axis = longest_missing(s);
+    finding of_lone;
+    if (lone_not_taken(s, s->controller.axis[axis - 1].missing, &of_lone))
+        return of_lone;
     finding found = {RTHYB_CAUSE_LINK_LOST, s->controller.missing, s->ticks.lost, axis};
     if (has_leapt(&s->axis[axis - 1], &found))
         found.limit = watch_of(s, axis - 1, found.cause)->value;
@@ -611,7 +627,7 @@ static finding not_taken(const rthyb_station *s)
     return found;
 }
 
-/* 1 + index of the first axis with a value that is not finite; 0: none. */
+/* finding.where of the first axis or sensor with a value that is not finite; 0: none. */
 static int not_finite(const rthyb_station *s, const rthyb_input *in)
 {
     for (int i = 0; i < axes_of(s); i++) {
@@ -620,7 +636,7 @@ static int not_finite(const rthyb_station *s, const rthyb_input *in)
             (!pair->lost && !(isfinite(pair->x_meas_m) && isfinite(pair->f_meas_n))))
             return of_axis(i);
     }
-    return 0;
+    return lone_not_finite(s, in);
 }
 
 /* Writes the values of further axes, which the record does not contain, to the channels. */
@@ -649,13 +665,15 @@ static void keep_commands(rthyb_station *s, const double *sent)
         s->controller.axis[i].x_cmd = s->controller.axis[i].limiter.x_lim = sent[i];
 }
 
-/* Cause for the row; with several axes, including the axis or interface that it belongs to. */
+/* Cause for the row; with several axes, including the axis, interface or sensor that it belongs
+ * to. */
 static uint32_t placed_cause(const rthyb_station *s)
 {
     const int interface = s->cause_interface >= 0;
     const int number = interface ? s->cause_interface : s->cause_axis;
     const uint32_t place = (uint32_t)(number + 1) << RTHYB_PLACE_BIT |
-                           (interface ? (uint32_t)RTHYB_PLACE_INTERFACE : 0u);
+                           (interface ? (uint32_t)RTHYB_PLACE_INTERFACE : 0u) |
+                           (uint32_t)(s->cause_sensor + 1) << RTHYB_PLACE_SENSOR_BIT;
     return (uint32_t)s->cause | (axes_of(s) == 1 ? 0u : place);
 }
 
@@ -671,6 +689,8 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
     const int code = rthyb_controller_sample(&s->controller, in, path, blind || tripped, record);
     if (s->cfg.axis_channel_count > 0)
         note_channels(s);
+    if (s->cfg.lone_channel_count > 0)
+        lone_note_channels(s);
     if (tripped && !blind)
         record->flags &= ~(uint32_t)RTHYB_F_BLIND;
     if (running)
@@ -682,7 +702,9 @@ static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_rec
     record->tick = s->tick;
     if (!blind && s->controller.missing >= s->ticks.lost && s->state != RTHYB_IDLE) {
         const finding found = not_taken(s);
-        const int lost = found.cause == RTHYB_CAUSE_LINK_LOST || found.cause == RTHYB_CAUSE_NO_POSE;
+        const int lost = found.cause == RTHYB_CAUSE_LINK_LOST ||
+                         found.cause == RTHYB_CAUSE_NO_POSE ||
+                         found.cause == RTHYB_CAUSE_SENSOR_LOST;
         trip_at(s, found, lost ? RTHYB_S_LINK_LOST : RTHYB_S_SENSOR_JUMP, record);
     }
     if (code & RTHYB_S_NOT_FINITE)
@@ -703,6 +725,8 @@ static rthyb_input at_tick(const rthyb_station *s, const double *ag, size_t n)
     rthyb_input in = {.excitation = running ? ag[s->test_tick] : 0.0};
     for (int i = 0; i < MOST; i++)
         in.axis[i].lost = RTHYB_LOST;
+    for (int k = 0; k < lones_of(s); k++)
+        in.sensor_lost[k] = RTHYB_LOST;
     return in;
 }
 
@@ -759,13 +783,14 @@ static uint32_t stopped_flags(const rthyb_station *s, const rthyb_station_input 
     return flags;
 }
 
-/* With several axes: bits of the links that are down, and the axis whose count differs. */
+/* With several axes: bits of the links that are down, the axis whose count differs, and the sensors
+ * without a reading. */
 static uint32_t place_bits(const rthyb_station *s, const rthyb_station_input *in)
 {
     uint32_t places = axes_of(s) > 1 ? ((uint32_t)in->apart & 7u) << RTHYB_APART_BIT : 0u;
     for (int i = 0; i < axes_of(s) && axes_of(s) > 1; i++)
         places |= (uint32_t)(in->axis[i].link_down != 0) << (RTHYB_DOWN_BIT + i);
-    return places;
+    return places | lone_silent_bits(s);
 }
 
 /* The station's inputs in this tick, as flags of the record. */
@@ -786,8 +811,8 @@ static uint32_t input_flags(const rthyb_station *s, const rthyb_station_input *i
            ((uint32_t)in->command & UINT8_MAX) << RTHYB_F_COMMAND_BIT;
 }
 
-/* Stores which axes have a reading in this tick, and which readings are at the end of a range; 1 if
- * all axes have one. */
+/* Stores which axes and sensors have a reading in this tick, and which readings are at the end of a
+ * range; 1 if all have one. */
 static int look_at(rthyb_station *s, const rthyb_station_input *in)
 {
     int all = 1;
@@ -799,7 +824,8 @@ static int look_at(rthyb_station *s, const rthyb_station_input *in)
         a->reading_f_n = in->axis[i].f_n;
         all = all && a->has_reading;
     }
-    return all;
+    const int sensors = lone_look(s, in);
+    return all && sensors;
 }
 
 /* The pairs of this tick, as passed to the controller. A pair is rejected if either half jumps. */
@@ -809,8 +835,10 @@ static rthyb_input take_pairs(rthyb_station *s, const rthyb_station_input *in, c
     rthyb_input pairs = at_tick(s, ag, n);
     const int all = look_at(s, in), off_scale = watch_off_scale(s);
     const uint32_t leapt = all && !off_scale ? watch_leaps(s, in) : 0;
-    if (all && !off_scale && !leapt)
+    const uint32_t sensors_leapt = all && !off_scale ? lone_leaps(s) : 0;
+    if (all && !off_scale && !leapt && !sensors_leapt)
         note_reading(s, in);
+    lone_take(s, sensors_leapt, &pairs);
     for (int i = 0; i < axes_of(s); i++) {
         rthyb_pair *pair = &pairs.axis[i];
         pair->lost = leapt >> i & 1u ? RTHYB_LOST : in->axis[i].lost;

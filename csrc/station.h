@@ -26,6 +26,17 @@ static inline int of_interface(int interface)
     return -1 - interface;
 }
 
+static inline int of_sensor(int sensor)
+{
+    return SENSOR_PLACE + sensor;
+}
+
+/* Number of sensors without an actuator. */
+static inline int lones_of(const rthyb_station *s)
+{
+    return rthyb_kinematics_sensors(&s->cfg.controller.kinematics);
+}
+
 static inline int axes_of(const rthyb_station *s)
 {
     return s->cfg.controller.axis_count;
@@ -89,6 +100,37 @@ void course_confine(rthyb_station *s);
 /* Bounds for the rounding of an axis' command on the wire, with tare. */
 void course_bounds(const rthyb_station *s, int axis, rthyb_axis_output *out);
 
+/* ---- lone.c: sensors without an actuator ---- */
+
+/* 0 or RTHYB_E_LIMIT. */
+int lone_check(const rthyb_station_config *cfg);
+/* Whether each has a plausible value that is not at the end of its range. */
+int lone_is_sound(const rthyb_station *s, const rthyb_station_input *in);
+/* Stores the readings of this tick; 1 if all are plausible. */
+int lone_look(rthyb_station *s, const rthyb_station_input *in);
+/* Bits of enum axis_off, for any of them. */
+int lone_off_scale(const rthyb_station *s);
+/* Bit k: the reading of sensor k has jumped and is rejected. */
+uint32_t lone_leaps(rthyb_station *s);
+/* Readings of this tick, as passed to the controller. */
+void lone_take(const rthyb_station *s, uint32_t leapt, rthyb_input *pairs);
+/* After a tick in which all axes and sensors had a reading: keeps it, and checks whether it only repeats. */
+void lone_note(rthyb_station *s);
+void lone_begin_tare(rthyb_station *s);
+void lone_add_to_tare(rthyb_station *s);
+void lone_take_tare(rthyb_station *s);
+/* Last readings, after tare. */
+void lone_seen(const rthyb_station *s, double *values);
+/* Whether one is at the end of its range; which: bits of enum axis_off. */
+int lone_finds(const rthyb_station *s, int which, finding *found);
+/* Whether a sensor has been without a reading for longer than every axis. */
+int lone_not_taken(const rthyb_station *s, uint32_t axis_missing, finding *found);
+/* finding.where of the first value that is not finite; 0: none. */
+int lone_not_finite(const rthyb_station *s, const rthyb_input *in);
+void lone_note_channels(rthyb_station *s);
+/* Bits of a row's cause. */
+uint32_t lone_silent_bits(const rthyb_station *s);
+
 /* ---- watches.c ---- */
 
 /* Carries out a reaction; returns the status bits for the record: `bit`, and the trip if there is one. */
@@ -111,6 +153,9 @@ void watch_at_rest(rthyb_station *s, rthyb_record *r);
 void watch_moving(rthyb_station *s, rthyb_record *r, double indicator_before);
 /* Bit i: a reading of axis i has jumped, and its pair is rejected. */
 uint32_t watch_leaps(rthyb_station *s, const rthyb_station_input *in);
+/* 1 unless a sensor has jumped; `at` has cause and place. seen: its reading before. */
+int watch_is_steady(rthyb_station *s, const rthyb_watch *watch, finding at, rthyb_leaps *leaps,
+                    double seen, double reading);
 /* Checks for sensors that repeat their reading. */
 void watch_stuck(rthyb_station *s, int axis, double x_m, double f_n);
 /* Checks the number of consecutive skipped ticks, and their share of the last second. */

@@ -16,7 +16,10 @@ int rthyb_virtual_init(rthyb_virtual *test)
     if (!(test->stop_decel_m_per_s2 > 0.0) || test->freedoms < 0 ||
         test->freedoms > RTHYB_DENSE_MAX)
         return RTHYB_E_LIMIT;
-    if (rthyb_plant_axes(&test->plant) != axes_of(test))
+    double sensor[RTHYB_SENSORS_ALL];
+    if (rthyb_plant_axes(&test->plant) != axes_of(test) ||
+        rthyb_plant_sensors(&test->plant, sensor) !=
+            rthyb_kinematics_sensors(&test->station->cfg.controller.kinematics))
         return RTHYB_E_PLANT;
     if (test->station->cfg.controller.period_s != rthyb_plant_period_s(&test->plant))
         return RTHYB_E_PERIOD;
@@ -75,6 +78,7 @@ static rthyb_station_input read_rig(rthyb_virtual *test, int32_t command)
             .x_cmd_m = test->target_m[i],
             .drive_stopped = test->phase[i] != RTHYB_DRIVE_FOLLOWING,
         };
+    (void)rthyb_plant_sensors(&test->plant, in.sensor);
     return in;
 }
 

@@ -123,12 +123,13 @@ int watch_interface_overload(const rthyb_station *s, const double *force, findin
 static int interfaces_find(const rthyb_station *s, finding *found)
 {
     double x[RTHYB_COUPLED_MAX], f[RTHYB_COUPLED_MAX];
-    double pose[RTHYB_COUPLED_MAX], force[RTHYB_COUPLED_MAX];
+    double pose[RTHYB_COUPLED_MAX], force[RTHYB_COUPLED_MAX], sensor[RTHYB_SENSORS_ALL] = {0.0};
+    lone_seen(s, sensor);
     for (int i = 0; i < axes_of(s); i++) {
         x[i] = s->axis[i].seen_x - s->axis[i].tare_x;
         f[i] = s->axis[i].seen_f - s->axis[i].tare_f;
     }
-    if (!rthyb_controller_meets(&s->controller, x, f, pose, force)) {
+    if (!rthyb_controller_meets(&s->controller, x, f, sensor, pose, force)) {
         *found = plain(RTHYB_CAUSE_NO_POSE);
         return 1;
     }
@@ -144,7 +145,7 @@ int watch_finds(const rthyb_station *s, finding *found)
     for (int i = 0; i < axes_of(s); i++)
         if (axis_finds(s, i, found))
             return 1;
-    return interfaces_find(s, found);
+    return lone_finds(s, AXIS_OFF_X | AXIS_OFF_F, found) || interfaces_find(s, found);
 }
 
 int watch_wandered(const rthyb_station *s, finding *found)
@@ -220,15 +221,17 @@ static int check_forces(rthyb_station *s, const rthyb_record *r, uint32_t axes)
 }
 
 /* The same for each interface, whose force is computed from all axes: it is known only if every
- * axis has a reading, and counts as saturated if one of them is at the end of its range. */
+ * axis has a reading, and counts as saturated if one of them is at the end of its range. If that is
+ * a load cell without an actuator, the cause names it. */
 static int check_interface_forces(rthyb_station *s)
 {
     int code = RTHYB_OK;
     const int off_scale = watch_off_scale(s) & AXIS_OFF_F;
     for (int j = 0; j < interfaces_of(s); j++) {
         const rthyb_watch *watch = &s->cfg.interface[j].force;
-        const finding found = {RTHYB_CAUSE_FORCE, s->controller.interface[j].f, watch->value,
-                               of_interface(j)};
+        finding found = {RTHYB_CAUSE_FORCE, s->controller.interface[j].f, watch->value,
+                         of_interface(j)};
+        (void)lone_finds(s, AXIS_OFF_F, &found);
         code |= check_force(s, watch, found, off_scale, &s->over_interface[j]);
     }
     return code;
@@ -239,7 +242,7 @@ int watch_off_scale(const rthyb_station *s)
     int bits = 0;
     for (int i = 0; i < axes_of(s); i++)
         bits |= s->axis[i].off_scale;
-    return bits;
+    return bits | lone_off_scale(s);
 }
 
 /* A displacement at the end of its sensor's range is treated like one beyond the position limit. */
@@ -371,17 +374,16 @@ void watch_stuck(rthyb_station *s, int axis, double x_m, double f_n)
     check_stuck(s, axis, RTHYB_CAUSE_FORCE_STUCK, &s->axis[axis].still_f, f_n);
 }
 
-/* 1 unless a sensor has jumped. During ticks without a pair, the specimen may have moved by as much
- * in each as in one. A new level is accepted if it persists, unless a jump ends the test. */
-static int is_steady(rthyb_station *s, int i, int cause, rthyb_leaps *leaps, double seen,
-                     double reading)
+/* During ticks without a pair, the specimen may have moved by as much in each as in one. A new level
+ * is accepted if it persists, unless a jump ends the test. */
+int watch_is_steady(rthyb_station *s, const rthyb_watch *watch, finding at, rthyb_leaps *leaps,
+                    double seen, double reading)
 {
-    const rthyb_watch *watch = watch_of(s, i, cause);
     const double most = watch->value * ((double)s->controller.missing + 1.0);
     const double leap = reading - seen;
     int good = 1;
     if (s->seen && watch->value > 0.0 && fabs(leap) > most) {
-        s->noted |= watch_react(s, (finding){cause, leap, most, of_axis(i)}, watch->reaction,
+        s->noted |= watch_react(s, (finding){at.cause, leap, most, at.where}, watch->reaction,
                                 RTHYB_S_SENSOR_JUMP);
         const int ends_test = watch->reaction >= RTHYB_REACT_RAMP_OUT && s->state != RTHYB_IDLE &&
                               s->state != RTHYB_TRIPPED;
@@ -390,6 +392,13 @@ static int is_steady(rthyb_station *s, int i, int cause, rthyb_leaps *leaps, dou
     if (good)
         leaps->count = 0;
     return good;
+}
+
+static int is_steady(rthyb_station *s, int i, int cause, rthyb_leaps *leaps, double seen,
+                     double reading)
+{
+    const finding at = {.cause = cause, .where = of_axis(i)};
+    return watch_is_steady(s, watch_of(s, i, cause), at, leaps, seen, reading);
 }
 
 uint32_t watch_leaps(rthyb_station *s, const rthyb_station_input *in)

@@ -243,6 +243,13 @@ MEANINGS: dict[str, str] = {
     "are directions; absent: the transposed matrix, for load cells in line with the axes",
     "MatrixKinematics.displacements": "displacement along each direction per unit displacement of "
     "each axis: rows are directions; absent: the (least-squares) inverse of the matrix",
+    "LoneDisplacement.along": "its reading for a unit of each direction; directions that are not "
+    "listed do not move it",
+    "LoneDisplacement.stuck_s": "time for which it may repeat its reading while the command moves",
+    "LoneDisplacement.jump_m": "change of its reading in 1/1024 s",
+    "LoneForce.along": "share of the specimen's force in each direction that it carries",
+    "LoneForce.stuck_s": "time for which it may repeat its reading while the command moves",
+    "LoneForce.jump_n": "change of its reading in 1/1024 s",
     "PinKinematics.interface": "coordinates of the coupler in its plane; the others stay 0",
     "PinKinematics.pins_m": "pin of each axis at rest, relative to the point that the "
     "interface moves",
@@ -277,7 +284,11 @@ MEANINGS: dict[str, str] = {
 }
 """What a key is for, where its model does not say it in a range."""
 
-ALLOWED: dict[str, str] = {"Nonlinear.between": "list of two labels"}
+ALLOWED: dict[str, str] = {
+    "LoneDisplacement.along": "table of directions, each -1e6 to 1e6",
+    "LoneForce.along": "table of directions, each -1e6 to 1e6",
+    "Nonlinear.between": "list of two labels",
+}
 """What a key takes, where its model does not say it in a word."""
 
 _TAGS = ("kind", "element")
@@ -341,7 +352,7 @@ def tables() -> dict[str, str]:
 
 def _of_axes() -> dict[str, str]:
     """Return what a rig of several axes has beside the tables of one."""
-    own = ("axis", "kinematics", "specimen", "specimen.element", "plant", "identified")
+    own = ("axis", "kinematics", "sensor", "specimen", "specimen.element", "plant", "identified")
     found = {key: models for key, models in _sections(axesfile.AxesRig) if key in own}
     return {
         key: _choices(models) if len(models) > 1 else _table(models[0])

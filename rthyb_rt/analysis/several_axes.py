@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +18,7 @@ from rthyb_rt.analysis.notices import (
     not_finite_notices,
 )
 from rthyb_rt.analysis.summary import Live, Summary, SummaryRow, live, live_notices, live_rows
-from rthyb_rt.config import AxesRig
+from rthyb_rt.config import AxesRig, lonesensors
 from rthyb_rt.config.axes_reference import AxesReference, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
 from rthyb_rt.config.own_structure import OwnStructure
@@ -83,6 +83,24 @@ class OfDirection:
     reference_peak: float
 
 
+@dataclass(frozen=True)
+class OfSensor:
+    """One sensor without an actuator, m or N.
+
+    Attributes:
+        name: its name.
+        of_force: whether it is a load cell.
+        peak: of its readings.
+        residual: greatest difference of a reading from the one that the pose, or the force along
+            the interface, measured by all sensors together would give.
+    """
+
+    name: str
+    of_force: bool
+    peak: float
+    residual: float
+
+
 @dataclass(frozen=True, eq=False)
 class Signals:
     """Signals over the n rows of the test proper.
@@ -94,6 +112,8 @@ class Signals:
             actuators.
         x_num, x_meas: along the interface, (n, directions) each.
         reference: at the same rows.
+        sensors: values of the sensors without an actuator, and those that would follow from pose
+            and force along the interface, (2, n, sensors); displacements first.
     """
 
     time_s: Floats
@@ -105,6 +125,7 @@ class Signals:
     x_meas: Floats
     reference: AxesReference
     opposing_n: Floats | None = None
+    sensors: Floats = field(default_factory=lambda: np.empty((2, 0, 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +145,7 @@ class AxesSummary:
         live: how the test went in real time; None: in virtual time.
         signals: the underlying signals.
         structure: the numerical part.
+        sensors: results of each sensor without an actuator.
     """
 
     test_name: str
@@ -144,10 +166,12 @@ class AxesSummary:
     live: Live | None
     signals: Signals
     structure: SparseStructure | OwnStructure
+    sensors: tuple[OfSensor, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures as plain values."""
-        return {
+        sensors = {one.name: asdict(one) for one in self.sensors}
+        return ({"sensors": sensors} if sensors else {}) | {
             "axes": {one.name: asdict(one) for one in self.axes},
             "directions": {one.name: asdict(one) for one in self.directions},
             "rows": self.rows,
@@ -206,6 +230,15 @@ def summarize(rec: Recording) -> AxesSummary:
         live(rec),
         signals,
         structure,
+        tuple(
+            OfSensor(
+                one.name,
+                one.kind == "force",
+                _peak(signals.sensors[0, :, k]),
+                _peak(signals.sensors[0, :, k] - signals.sensors[1, :, k]),
+            )
+            for k, one in enumerate(rig.lone_sensors)
+        ),
     )
 
 
@@ -261,7 +294,13 @@ def _signals(rec: Recording, rig: AxesRig, whole: AxesReference) -> Signals:
     }
     tie = rig.core_kinematics()
     wanted, _ = tie.axes(x_num)
-    pose, _ = rig.core_kinematics().pose(columns["x_meas_m"])
+    read = lonesensors.values_of(rig.lone_sensors, samples)
+    given = read
+    if tie.sensors:
+        pose = tie.measured_pose(columns["x_meas_m"], read)
+        given = tie.readings(pose, tie.measured_forces(columns["f_meas_n"], read))
+    else:
+        pose, _ = rig.core_kinematics().pose(columns["x_meas_m"])
     return Signals(
         np.arange(n) / rec.fs_hz,
         wanted,
@@ -272,6 +311,7 @@ def _signals(rec: Recording, rig: AxesRig, whole: AxesReference) -> Signals:
         pose,
         AxesReference(**parts),
         _opposing(rig, columns["f_meas_n"]) if rig.is_redundant else None,
+        np.stack([read, given]),
     )
 
 
@@ -363,6 +403,14 @@ def table(s: AxesSummary) -> list[SummaryRow]:
                     quantity(delay, "samples", digits=4),
                     f"{number(delay / s.fs_hz * 1e3, 3)} ms at the end")
             )  # fmt: skip
+    for sensor in s.sensors:
+        unit, factor = ("kN", 1e-3) if sensor.of_force else ("mm", 1e3)
+        what = "force at the interface" if sensor.of_force else "position"
+        rows.append(
+            SummaryRow(f"Sensor {sensor.name}: peak", quantity(sensor.peak, unit, factor),
+                f"within {quantity(sensor.residual, unit, factor)} of what the {what} measured by "
+                "all sensors gives")
+        )  # fmt: skip
     return rows + live_rows(s.live)
 
 

@@ -68,6 +68,7 @@ def of_axes(rec: Recording, structure: SparseStructure | OwnStructure) -> Energy
         InputError: its files are of another version.
     """
     from rthyb_rt import config
+    from rthyb_rt.config import lonesensors
 
     rows = uninterrupted(rec)
     if rows.size < 4 or not isinstance(structure.part, SparseConfig):
@@ -82,6 +83,10 @@ def of_axes(rec: Recording, structure: SparseStructure | OwnStructure) -> Energy
         np.column_stack([rec.axis(i)[key][rows] for i in range(count)])
         for key in ("x_meas_m", "f_meas_n")
     )
+    if tie.sensors:
+        sensors = lonesensors.values_of(rig.lone_sensors, s)
+        x_meas, f_meas = tie.measured_pose(x_axes, sensors), tie.measured_forces(f_axes, sensors)
+        return balance(structure.part, rec.time_s()[rows], s["ag_mps2"], x_num, x_meas, f_meas)
     x_meas, f_meas = np.empty_like(x_num), np.empty_like(x_num)
     for n, (at, force) in enumerate(zip(x_axes, f_axes, strict=True)):
         # Pins rotate with the pose: forces are those of the latest pose.

@@ -30,6 +30,8 @@ from rthyb_rt.config.fields import (
     written,
 )
 from rthyb_rt.config.limits import Limits
+from rthyb_rt.config.lonesensors import LoneSensor, in_order, rows_along
+from rthyb_rt.config.lonesensors import fault as lone_fault
 from rthyb_rt.config.rate import STANDARD, Rate
 from rthyb_rt.config.rigfile import (
     MAX_ELEMENTS,
@@ -45,13 +47,15 @@ from rthyb_rt.config.rigfile import (
     StiffnessElement,
     extras_arrive,
 )
-from rthyb_rt.core.sizes import COUPLED_MAX
+from rthyb_rt.core.sizes import COUPLED_MAX, SENSORS_MAX
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.core.kinematics import Kinematics as CoreKinematics
 
 AXES_MAX: Final = COUPLED_MAX
+MEASURED_MAX: Final = COUPLED_MAX + SENSORS_MAX
+"""Largest number of displacements, or of forces, that are measured."""
 STATES_MAX: Final = 32
 """Largest number of states of a plant."""
 COMMON_LIMITS: Final[tuple[str, ...]] = (
@@ -258,15 +262,18 @@ class MatrixKinematics(Table):
     ``forces`` times the forces of the load cells are those along the interface; by default it is
     the transposed matrix, which holds for load cells in line with the axes. ``displacements`` times
     the measured displacements of the axes are those of the interface; by default it is the inverse
-    of the matrix, or its least-squares inverse. Rows of both are directions, columns are axes.
+    of the matrix, or its least-squares inverse. Rows of both are directions, columns are axes,
+    followed by the load cells, or the displacement sensors, without an actuator (``[[sensor]]``).
     """
 
     kind: Literal["matrix"]
     interface: Annotated[list[str], Different(DIRECTION, 1)]
     matrix: Annotated[Rows, MatrixOf("the matrix", square=False, size=1e6)]
     rotations: Annotated[list[str], Different(DIRECTION)] = Field(default_factory=list)
-    forces: Annotated[Rows, MatrixOf("forces", square=False, size=1e6)] | None = None
-    displacements: Annotated[Rows, MatrixOf("displacements", square=False, size=1e6)] | None = None
+    forces: Annotated[Rows, MatrixOf("forces", MEASURED_MAX, square=False, size=1e6)] | None = None
+    displacements: (
+        Annotated[Rows, MatrixOf("displacements", MEASURED_MAX, square=False, size=1e6)] | None
+    ) = None
 
     def turns(self) -> list[bool]:
         """Return which directions are angles."""
@@ -305,8 +312,10 @@ class PinKinematics(Table):
 Kinematics = MatrixKinematics | PinKinematics
 
 
-def core_kinematics(given: Kinematics, axes: Sequence[str]) -> CoreKinematics:
-    """Return the kinematics of axes, in their order.
+def core_kinematics(
+    given: Kinematics, axes: Sequence[str], sensors: Sequence[LoneSensor] = ()
+) -> CoreKinematics:
+    """Return the kinematics of axes, in their order, and of the sensors without an actuator.
 
     Raises:
         CoreError: a direction of the interface is not restrained by the axes.
@@ -315,7 +324,13 @@ def core_kinematics(given: Kinematics, axes: Sequence[str]) -> CoreKinematics:
     from rthyb_rt.core.kinematics import Pin
 
     if isinstance(given, MatrixKinematics):
-        return CoreKinematics(given.matrix, forces=given.forces, displacements=given.displacements)
+        return CoreKinematics(
+            given.matrix,
+            forces=given.forces,
+            displacements=given.displacements,
+            reads=rows_along(sensors, "displacement", given.interface),
+            carries=rows_along(sensors, "force", given.interface),
+        )
     pins = []
     for name in axes:
         far = name in given.directions
@@ -325,7 +340,12 @@ def core_kinematics(given: Kinematics, axes: Sequence[str]) -> CoreKinematics:
     return CoreKinematics(pins=pins, coordinates=given.interface)  # type: ignore[arg-type]
 
 
-def _kinematics_fault(axes: list[Axis], given: Kinematics) -> str | None:
+def _kinematics_fault(
+    axes: list[Axis], given: Kinematics, sensors: list[LoneSensor] | None
+) -> str | None:
+    sensors = sensors or []
+    if lone_fault(sensors, given.interface, given.kind):
+        return None
     names, n = [axis.name for axis in axes], len(axes)
     shown = ", ".join(names)
     m = len(given.interface)
@@ -339,7 +359,7 @@ def _kinematics_fault(axes: list[Axis], given: Kinematics) -> str | None:
         )
         return f"found {m} directions ({', '.join(given.interface)}) and {n} axes ({shown}); {rule}"
     if isinstance(given, MatrixKinematics):
-        fault = _matrix_fault(given, names)
+        fault = _matrix_fault(given, names, sensors)
         if fault:
             return fault
         strange = [one for one in given.rotations if one not in given.interface]
@@ -352,13 +372,15 @@ def _kinematics_fault(axes: list[Axis], given: Kinematics) -> str | None:
     from rthyb_rt.core.library import CoreError
 
     try:
-        core_kinematics(given, names)
+        core_kinematics(given, names, sensors)
     except CoreError:
-        return _left_free(given, names)
+        return _left_free(given, names, sensors)
     return None
 
 
-def _matrix_fault(given: MatrixKinematics, names: list[str]) -> str | None:
+def _matrix_fault(
+    given: MatrixKinematics, names: list[str], sensors: Sequence[LoneSensor]
+) -> str | None:
     axes, along = ", ".join(names), ", ".join(given.interface)
     n, m = len(names), len(given.interface)
     if len(given.matrix) != n:
@@ -368,12 +390,21 @@ def _matrix_fault(given: MatrixKinematics, names: list[str]) -> str | None:
             f"found rows of {len(given.matrix[0])} numbers; each must have {m}, one for each "
             f"direction ({along})"
         )
-    for key in ("forces", "displacements"):
+    for key, kind in (("forces", "force"), ("displacements", "displacement")):
         rows = getattr(given, key)
-        if rows is not None and (len(rows), len(rows[0])) != (m, n):
+        lone = [one.name for one in sensors if one.kind == kind]
+        also = f" and each sensor of kind {kind} ({', '.join(lone)})" if lone else ""
+        if rows is not None and (len(rows), len(rows[0])) != (m, n + len(lone)):
             return (
                 f"{key}: found {len(rows)} rows of {len(rows[0])} numbers; must be {m} rows, one "
-                f"for each direction ({along}), of {n} numbers, one for each axis ({axes})"
+                f"for each direction ({along}), of {n + len(lone)} numbers, one for each axis "
+                f"({axes}){also}"
+            )
+        if rows is None and lone and key == "forces":
+            return (
+                f"forces is missing; with the load cell {lone[0]}, which belongs to no axis, state "
+                f"how the force along each direction ({along}) follows from the load cells of the "
+                f"axes ({axes}){also}"
             )
     return None
 
@@ -406,7 +437,7 @@ def _apart(a: Sequence[float], b: Sequence[float]) -> float:
     return float(((a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2) ** 0.5)
 
 
-def _singular(given: MatrixKinematics) -> str:
+def _singular(given: MatrixKinematics, sensors: Sequence[LoneSensor]) -> str:
     from rthyb_rt.core.kinematics import Kinematics as CoreKinematics
     from rthyb_rt.core.library import CoreError
 
@@ -423,20 +454,29 @@ def _singular(given: MatrixKinematics) -> str:
             f"found the rows {_shown(given.matrix)}, {what}, so some motion of the interface moves "
             "no axis; the matrix must not be singular"
         )
+    reads = rows_along(sensors, "displacement", given.interface)
     if given.displacements is not None:
         try:
-            CoreKinematics(given.matrix, displacements=given.displacements)
+            CoreKinematics(given.matrix, displacements=given.displacements, reads=reads)
         except CoreError:
-            found = [
-                [sum(d * row[k] for d, row in zip(own, given.matrix, strict=True))
-                 for k in range(len(given.interface))]
-                for own in given.displacements
-            ]  # fmt: skip
+            found = _times(given.displacements, [*given.matrix, *(reads or ())])
+            below = " with the sensors' along below it" if reads else ""
             return (
-                f"displacements: found rows that times matrix give {_shown(found)}; must be the "
-                f"identity, so that every motion along {along} is measured as it is, and no other"
+                f"displacements: found rows that times matrix{below} give {_shown(found)}; must be "
+                f"the identity, so that every motion along {along} is measured as it is, and no "
+                "other"
             )
     assert given.forces is not None
+    carries = rows_along(sensors, "force", given.interface)
+    if carries is not None:
+        of_axes = CoreKinematics(given.matrix).back().T.tolist()
+        found = _times(given.forces, [*of_axes, *carries])
+        return (
+            "forces: found rows that, from the forces that the load cells of axes and sensors "
+            f"measure for a unit force of the specimen in each direction ({along}), give "
+            f"{_shown(found)}; must be the identity. The load cells of the axes are in line with "
+            f"them and measure {_shown(of_axes)}, the sensors (along) {_shown(carries)}"
+        )
     return (
         f"forces: found the rows {_shown(given.forces)}, one of which is zero or a combination of "
         f"the others; the load cells must determine the force along each direction ({along}) by "
@@ -444,14 +484,21 @@ def _singular(given: MatrixKinematics) -> str:
     )
 
 
+def _times(rows: Rows, columns: Rows) -> Rows:
+    import numpy as np
+
+    found: Rows = (np.array(rows) @ np.array(columns)).tolist()
+    return found
+
+
 def _shown(rows: Rows) -> str:
     return "; ".join(f"[{', '.join(f'{v:.6g}' for v in row)}]" for row in rows)
 
 
-def _left_free(given: Kinematics, names: list[str]) -> str:
+def _left_free(given: Kinematics, names: list[str], sensors: Sequence[LoneSensor] = ()) -> str:
     """Return why the axes do not restrain the interface."""
     if isinstance(given, MatrixKinematics):
-        return _singular(given)
+        return _singular(given, sensors)
     for i, one in enumerate(names):
         for other in names[:i]:
             if _apart(given.pins_m[one], given.pins_m[other]) <= 1e-6:
@@ -762,6 +809,21 @@ def _one_clock(axes: list[Axis]) -> str | None:
     return None
 
 
+def _sensors_in_virtual_time(axes: list[Axis], sensors: list[LoneSensor] | None) -> str | None:
+    linked = [axis.name for axis in axes if axis.link is not None]
+    if not linked or not sensors:
+        return None
+    return (
+        f"found sensors without an actuator ({', '.join(one.name for one in sensors)}), and a link "
+        f"of axis {linked[0]}; such sensors are supported in virtual time only: remove [axis.link] "
+        "of every axis"
+    )
+
+
+def _sensors_fit(kinematics: Kinematics, sensors: list[LoneSensor] | None) -> str | None:
+    return lone_fault(sensors or [], kinematics.interface, kinematics.kind)
+
+
 def _in_virtual_time(axes: list[Axis], kinematics: Kinematics) -> str | None:
     linked = [axis.name for axis in axes if axis.link is not None]
     if not linked or len(axes) <= len(kinematics.interface):
@@ -773,8 +835,12 @@ def _in_virtual_time(axes: list[Axis], kinematics: Kinematics) -> str | None:
     )
 
 
-def _cells_fit(rig: AxesInfo, kinematics: Kinematics) -> str | None:
+def _cells_fit(
+    rig: AxesInfo, kinematics: Kinematics, sensors: list[LoneSensor] | None
+) -> str | None:
     own = isinstance(kinematics, MatrixKinematics) and kinematics.forces is not None
+    # With further load cells the matrix says how to weigh them against those of the axes.
+    own = own and not any(one.kind == "force" for one in sensors or ())
     if not own or rig.load_cell == "specimen":
         return None
     return (
@@ -798,9 +864,11 @@ class AxesRig(WholeFile):
         Condition("axis", ("axis",), _channels_differ),
         Condition("axis", ("axis", "plant"), _driven),
         Condition("axis", ("axis",), _one_clock),
-        Condition("kinematics", ("axis", "kinematics"), _kinematics_fault),
+        Condition("sensor", ("kinematics", "sensor"), _sensors_fit),
+        Condition("kinematics", ("axis", "kinematics", "sensor"), _kinematics_fault),
+        Condition("axis", ("axis", "sensor"), _sensors_in_virtual_time),
         Condition("axis", ("axis", "kinematics"), _in_virtual_time),
-        Condition("kinematics", ("rig", "kinematics"), _cells_fit),
+        Condition("kinematics", ("rig", "kinematics", "sensor"), _cells_fit),
         Condition("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
         Condition("rig", ("rig", "specimen"), _elastic_fits),
         Condition("plant", ("axis", "plant"), _plant_fits),
@@ -812,6 +880,13 @@ class AxesRig(WholeFile):
     axis: list[Axis] = Field(min_length=2, max_length=AXES_MAX)
     kinematics: Annotated[Kinematics, Field(discriminator="kind")]
     specimen: JointSpecimen
+    sensor: (
+        Annotated[
+            list[Annotated[LoneSensor, Field(discriminator="kind")]],
+            Field(min_length=1, max_length=2 * SENSORS_MAX),
+        ]
+        | None
+    ) = None
     plant: Plant | None = None
     identified: JointIdentified | None = None
     limits: Limits = Field(default_factory=Limits)
@@ -839,20 +914,32 @@ class AxesRig(WholeFile):
         return tuple(self.kinematics.interface)
 
     @property
+    def lone_sensors(self) -> list[LoneSensor]:
+        """Sensors without an actuator, in the order of the core: displacements, then forces."""
+        return in_order(self.sensor or ())
+
+    @property
     def is_redundant(self) -> bool:
         """Whether there are more axes than directions."""
         return len(self.axis) > len(self.directions)
 
     def refuse_redundant(self, what: str, instead: str) -> None:
-        """Refuse what is not supported with more axes than directions.
+        """Refuse what needs exactly the sensors of one axis for each direction.
 
         Args:
             what: what is asked for, as the subject of a sentence.
             instead: what the user can do.
 
         Raises:
-            InputError: there are more axes than directions.
+            InputError: there are more axes than directions, or sensors without an actuator.
         """
+        if self.sensor:
+            raise InputError(
+                f'rig "{self.rig.name}" has sensors without an actuator '
+                f"({', '.join(one.name for one in self.sensor)}); {what} is not supported with "
+                f"them; {instead}",
+                "sensor",
+            )
         if self.is_redundant:
             raise InputError(
                 f'rig "{self.rig.name}" has {len(self.axis)} axes ({", ".join(self.names)}) for '
@@ -878,7 +965,7 @@ class AxesRig(WholeFile):
 
     def core_kinematics(self) -> CoreKinematics:
         """Return the kinematics of the core."""
-        return core_kinematics(self.kinematics, self.names)
+        return core_kinematics(self.kinematics, self.names, self.lone_sensors)
 
     def of_axis(self, name: str) -> RigFile:
         """Return one axis as a rig with one axis, with the other axes at rest.

@@ -9,7 +9,7 @@ import stat
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Final, Literal, TypeVar, get_args
 
 from pydantic import ValidationError
 
@@ -460,21 +460,26 @@ def _axis_names(raw: Mapping[str, Any]) -> list[str]:
     return [name for name in found if isinstance(name, str)]
 
 
+_NAMED: Final = ("axis", "sensor")
+"""Lists of a rig file for several axes whose tables have names."""
+
+
 def _by_name(raw: Mapping[str, Any], path: KeyPath) -> KeyPath:
-    """Return a place in which an axis is named by its number instead of its name."""
-    if len(path) < 2 or path[0] != "axis" or not isinstance(path[1], str):
+    """Return a place in which an axis or sensor is named by its number instead of its name."""
+    if len(path) < 2 or path[0] not in _NAMED or not isinstance(path[1], str):
         return path
-    for number, one in enumerate(tables if isinstance(tables := raw.get("axis"), list) else []):
+    tables = raw.get(str(path[0]))
+    for number, one in enumerate(tables if isinstance(tables, list) else []):
         if isinstance(one, dict) and one.get("name") == path[1]:
-            return ("axis", number, *path[2:])
+            return (path[0], number, *path[2:])
     return path
 
 
 def _shown(raw: Mapping[str, Any], place: KeyPath) -> str:
-    """Return a place as shown in messages: an axis by its name, if it has one."""
+    """Return a place as shown in messages: an axis or sensor by its name, if it has one."""
     parts = list(place)
-    if len(parts) > 1 and parts[0] == "axis" and isinstance(parts[1], int):
-        tables = raw.get("axis")
+    if len(parts) > 1 and parts[0] in _NAMED and isinstance(parts[1], int):
+        tables = raw.get(str(parts[0]))
         own = tables[parts[1]] if isinstance(tables, list) and parts[1] < len(tables) else None
         name = own.get("name") if isinstance(own, dict) else None
         if isinstance(name, str) and name:
@@ -925,7 +930,7 @@ def _override(
                 named = [
                     str(one["name"]) for one in place if isinstance(one, dict) and "name" in one
                 ]
-                by_name = f" ({', '.join(named)})" if name == "axis" and named else ""
+                by_name = f" ({', '.join(named)})" if name in _NAMED and named else ""
                 return (
                     f"{name} has the entries 0 to {len(place) - 1}{by_name}; found {written(part)}"
                 )

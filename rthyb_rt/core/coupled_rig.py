@@ -124,6 +124,8 @@ class CoupledRigConfig:
         seed: seed of the noise.
         period_s: sampling period.
         extras: further sensors of each axis, which measure along it; none: no axis has any.
+        sensors: errors of the sensors without an actuator, as many as ``kinematics`` has:
+            displacements, then forces; none: without errors.
     """
 
     kinematics: Kinematics
@@ -140,6 +142,7 @@ class CoupledRigConfig:
     period_s: float = PERIOD_S
     attachment_n_per_m: float = 0.0
     extras: tuple[tuple[ExtraSensorConfig, ...], ...] = ()
+    sensors: tuple[SensorConfig, ...] = ()
 
     @property
     def axes(self) -> int:
@@ -168,6 +171,8 @@ class CoupledRigConfig:
             struct.servo = [mapping(one) for one in self.servos]
         for i, own in enumerate(self.extras):
             struct.extra_count[i] = fill_extras(struct.extras[i], own)
+        for k, errors in enumerate(self.sensors):
+            struct.sensor[k] = dataclasses.asdict(errors)
         struct.element_count = len(self.elements)
         for i, (along, one) in enumerate(self.elements):
             struct.along[i] = along
@@ -190,6 +195,11 @@ class CoupledRigConfig:
                 f"sensors and {len(self.force)} load cells for {n} axes; there must be {n} "
                 f"actuators, or one plant with {n} axes instead, and of each kind of sensor one "
                 "for each axis or none"
+            )
+        if len(self.sensors) not in (0, self.kinematics.sensors):
+            raise CoreError(
+                f"found errors of {len(self.sensors)} sensors without an actuator; the kinematics "
+                f"has {self.kinematics.sensors} of them"
             )
         if len(self.extras) not in (0, n):
             raise CoreError(
@@ -257,6 +267,11 @@ class CoupledRig:
             if count:
                 self._c.extra_to[i] = ffi.addressof(station._c.channel, channel)
             channel += count
+
+    @property
+    def sensors(self) -> tuple[float, ...]:
+        """Readings of the sensors without an actuator at the last latch: m, then N."""
+        return tuple(self._c.sensor[0 : self.config.kinematics.sensors])
 
     def reseed(self) -> None:
         """Restart the noise of the sensors from the seed."""

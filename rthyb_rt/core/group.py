@@ -88,6 +88,54 @@ class InterfaceConfig:
     watches: Mapping[str, Watch] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class SensorWatches:
+    """A sensor without an actuator; values before tare, in m or N.
+
+    ``range``: a reading at or beyond it is not used; 0: none. ``stuck``: ticks for which a reading
+    may be repeated while the command moves. ``jump``: change from one reading to the next.
+    """
+
+    name: str = ""
+    range: float = 0.0
+    stuck: Watch | None = None
+    jump: Watch | None = None
+
+    def mapping(self) -> dict[str, Any]:
+        """Return the ``rthyb_lone_config`` of the C core."""
+        return {
+            "range": self.range,
+            **{
+                name: (0.0, 0) if watch is None else _watch(watch)
+                for name, watch in (("stuck", self.stuck), ("jump", self.jump))
+            },
+        }
+
+    @classmethod
+    def of(cls, plain: Mapping[str, Any]) -> SensorWatches:
+        """Return the settings from `dataclasses.asdict`."""
+        given = dict(plain)
+        for name in ("stuck", "jump"):
+            given[name] = None if given[name] is None else Watch(**given[name])
+        return cls(**given)
+
+
+def sensor_channels(sensors: Sequence[tuple[str, str]]) -> tuple[Channel, ...]:
+    """Return the channels of sensors without an actuator.
+
+    They are consecutive channels of a row, in this order, from ``StationConfig.lone_channel`` on.
+
+    Args:
+        sensors: name and unit of each: displacements, then forces.
+
+    Returns:
+        The value used of each, after the tare, measured or predicted; then each as read, before the
+        tare, nan if nothing was, with ``_read`` after its name.
+    """
+    used = [Channel(name, unit) for name, unit in sensors]
+    return (*used, *(Channel(f"{name}_read", unit) for name, unit in sensors))
+
+
 def names_of(given: Sequence[AxisConfig | InterfaceConfig]) -> tuple[str, ...]:
     """Return the names of axes or interfaces; without a name, their number from 1."""
     return tuple(one.name or str(k + 1) for k, one in enumerate(given))

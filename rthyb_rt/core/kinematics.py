@@ -24,6 +24,7 @@ from rthyb_rt.core.library import (
     words,
     writing,
 )
+from rthyb_rt.core.sizes import SENSORS_MAX
 
 AXES_MAX: Final = int(lib.RTHYB_COUPLED_MAX)
 """Largest number of axes at one specimen."""
@@ -64,6 +65,13 @@ class Kinematics:
             axes); None: the transposed matrix, for load cells in line with the axes.
         displacements: with a matrix: pose = displacements times those of the axes, (directions,
             axes), with displacements times matrix = identity; None: the least-squares inverse.
+        reads: with a matrix: displacement sensors without an actuator; a row for each with its
+            reading for a unit of every coordinate, (sensors, directions). ``displacements`` then
+            has further columns for them, and times ``matrix`` above ``reads`` is the identity.
+        carries: the same for load cells without an actuator: share of each interface force that
+            such a cell measures, (cells, directions). ``forces`` must then be given, with further
+            columns for them; those of the axes are in line with them, so ``forces`` times (the
+            forces of the axes with a unit resultant, above ``carries``) is the identity.
 
     Raises:
         CoreError: the axes leave a coordinate undetermined, a pin is at its own base, a coordinate
@@ -78,27 +86,33 @@ class Kinematics:
         coordinates: Sequence[Coordinate] = (),
         forces: npt.ArrayLike | None = None,
         displacements: npt.ArrayLike | None = None,
+        reads: npt.ArrayLike | None = None,
+        carries: npt.ArrayLike | None = None,
     ) -> None:
+        further = {"reads": reads, "carries": carries}
         if (matrix is None) == (not pins):
             raise CoreError("kinematics need either a matrix or pins, not both")
         if matrix is None:
-            if forces is not None or displacements is not None:
+            if any(v is not None for v in (forces, displacements, reads, carries)):
                 raise CoreError(
-                    "found forces or displacements together with pins; they go with a matrix only"
+                    "found forces, displacements, reads or carries together with pins; they go "
+                    "with a matrix only"
                 )
             settings = _of_pins(pins, coordinates)
         else:
-            settings = _of_matrix(matrix, forces, displacements)
+            settings = _of_matrix(matrix, forces, displacements, further)
         self._given_as = {
             "matrix": None if matrix is None else np.asarray(matrix, np.float64).tolist(),
             "pins": [asdict(pin) for pin in pins],
             "coordinates": list(coordinates),
         }
-        for name, given in (("forces", forces), ("displacements", displacements)):
+        for name, given in {"forces": forces, "displacements": displacements, **further}.items():
             if given is not None:
                 self._given_as[name] = np.asarray(given, np.float64).tolist()
         self.size: int = settings["size"]
         self.directions: int = settings.get("directions", self.size)
+        self.displacement_sensors: int = settings.get("displacement_sensors", 0)
+        self.force_sensors: int = settings.get("force_sensors", 0)
         self._c = ffi.new("rthyb_kinematics *")
         check(lib.rthyb_kinematics_init(self._c, ffi.new("rthyb_kinematics_config *", settings)))
 
@@ -119,6 +133,8 @@ class Kinematics:
             coordinates=plain["coordinates"],
             forces=plain.get("forces"),
             displacements=plain.get("displacements"),
+            reads=plain.get("reads"),
+            carries=plain.get("carries"),
         )
 
     @property
@@ -137,7 +153,8 @@ class Kinematics:
     def pose(self, axis_m: npt.ArrayLike) -> tuple[FloatArray, int]:
         """Return poses, (directions,) or (n, directions), for axes, (size,) or (n, size); status.
 
-        With pins, two Newton steps per row, each starting at the pose of the previous row.
+        Displacement sensors without an actuator are not used: see `measured_pose`. With pins, two
+        Newton steps per row, each starting at the pose of the previous row.
         """
         return self._run(lib.rthyb_kinematics_pose_run, axis_m, self.size, self.directions)
 
@@ -145,7 +162,8 @@ class Kinematics:
         """Return forces, N, and moments, N m, along the coordinates, (directions,); status bits.
 
         Uses the given matrix, or the transposed Jacobian at the last pose, and the forces of the
-        axes, (size,).
+        axes, (size,). With load cells without an actuator it is always the Jacobian: see
+        `measured_forces`.
         """
         force, out = self._given(axis_n, self.size), np.empty(self.directions)
         if force.shape != (self.size,):
@@ -157,16 +175,88 @@ class Kinematics:
         return out, int(code)
 
     @property
+    def sensors(self) -> int:
+        """Number of sensors without an actuator: displacements, then forces."""
+        return self.displacement_sensors + self.force_sensors
+
+    def measured_pose(self, axis_m: npt.ArrayLike, sensor: npt.ArrayLike) -> FloatArray:
+        """Return the poses measured by the sensors of the axes and those without an actuator.
+
+        Args:
+            axis_m: displacements of the axes, m, (n, size).
+            sensor: readings of the sensors without an actuator, (n, sensors).
+
+        Returns:
+            (n, directions); with pins, each found from the previous one.
+        """
+        return self._measured(lib.rthyb_kinematics_measured_pose, axis_m, sensor)
+
+    def measured_forces(self, axis_n: npt.ArrayLike, sensor: npt.ArrayLike) -> FloatArray:
+        """Return the interface forces measured by all load cells, N or N m, (n, directions).
+
+        Args:
+            axis_n: forces of the axes, N, (n, size).
+            sensor: readings of the sensors without an actuator, (n, sensors).
+        """
+        return self._measured(lib.rthyb_kinematics_measured_forces, axis_n, sensor)
+
+    def _measured(self, run: Any, axes: npt.ArrayLike, sensor: npt.ArrayLike) -> FloatArray:
+        own, further = self._given(axes, self.size), doubles(sensor)
+        if own.ndim != 2 or further.shape != (len(own), self.sensors):
+            raise CoreError(
+                f"found arrays of shape {own.shape} and {further.shape}; there must be a row for "
+                f"each sample, with {self.size} axes and {self.sensors} sensors without an actuator"
+            )
+        out = np.empty((len(own), self.directions))
+        for one, beside, to in zip(own, further, out, strict=True):
+            run(self._c, reading(one), reading(beside), writing(to))
+        return out
+
+    def readings(self, pose: npt.ArrayLike, force: npt.ArrayLike) -> FloatArray:
+        """Return the readings of the sensors without an actuator, (n, sensors).
+
+        Args:
+            pose: (n, directions).
+            force: interface forces, (n, directions).
+        """
+        m = self.directions
+        reads, carries = (
+            np.asarray(self._given_as.get(name) or np.empty((0, m))) for name in _FURTHER
+        )
+        along, pushed = self._given(pose, m), self._given(force, m)
+        return np.concatenate([along @ reads.T, pushed @ carries.T], axis=1)
+
+    @property
     def has_forces(self) -> bool:
         """Whether the interface forces follow from a matrix of their own."""
         return "forces" in self._given_as
 
     def weights(self) -> FloatArray:
-        """Return d pose / d measured axes at the last pose, (directions, size)."""
+        """Return d pose / d measured axes at the last pose, (directions, size).
+
+        Displacement sensors without an actuator follow the axes.
+        """
+        if self.displacement_sensors:
+            own, further = self.shares()
+            return np.asarray(own + further @ np.array(self._given_as["reads"]) @ self.back())
         if self.size == self.directions and "displacements" not in self._given_as:
             return self.back()
         # Constant: the poses of unit displacements are its columns.
         return self.pose(np.eye(self.size))[0].T
+
+    def shares(self) -> tuple[FloatArray, FloatArray]:
+        """Return how the measured pose depends on each sensor.
+
+        Returns:
+            d pose / d sensors of the axes, (directions, size), and d pose / d displacement sensors
+            without an actuator, (directions, displacement_sensors).
+        """
+        if not self.displacement_sensors:
+            return self.weights(), np.empty((self.directions, 0))
+        n, p = self.size, self.displacement_sensors
+        flat = self._c.measure[0 : self.directions * (n + p)]
+        whole = np.array(list(flat)).reshape(self.directions, n + p)
+        return whole[:, :n], whole[:, n:]
 
     def resultants(self, axis_n: npt.ArrayLike) -> FloatArray:
         """Return forces along the coordinates, N or N m, (n, directions), at the last pose.
@@ -223,8 +313,14 @@ class Kinematics:
         return out, int(code)
 
 
+_FURTHER: Final = ("reads", "carries")
+
+
 def _of_matrix(
-    matrix: npt.ArrayLike, forces: npt.ArrayLike | None, displacements: npt.ArrayLike | None
+    matrix: npt.ArrayLike,
+    forces: npt.ArrayLike | None,
+    displacements: npt.ArrayLike | None,
+    further: Mapping[str, npt.ArrayLike | None],
 ) -> dict[str, Any]:
     given = np.asarray(matrix, dtype=np.float64)
     if given.ndim != 2 or not 1 <= given.shape[1] <= given.shape[0] <= AXES_MAX:
@@ -239,21 +335,46 @@ def _of_matrix(
         "given": 0,
         "matrix": given.reshape(-1).tolist(),
     }
-    for name, rows, bit in (
-        ("forces", forces, lib.RTHYB_GIVEN_FORCES),
-        ("displacements", displacements, lib.RTHYB_GIVEN_DISPLACEMENTS),
+    n, m = given.shape
+    counts = [_add_sensors(settings, name, further[name], m) for name in _FURTHER]
+    if counts[1] and forces is None:
+        raise CoreError(
+            f"found {counts[1]} load cells without an actuator, but no forces; give the matrix "
+            "that converts the readings of all load cells to interface forces"
+        )
+    for name, rows, bit, count in (
+        ("forces", forces, lib.RTHYB_GIVEN_FORCES, counts[1]),
+        ("displacements", displacements, lib.RTHYB_GIVEN_DISPLACEMENTS, counts[0]),
     ):
         if rows is None:
             continue
         own = np.asarray(rows, dtype=np.float64)
-        if own.shape != given.shape[::-1]:
+        if own.shape != (m, n + count):
+            also = f" and {count} sensors without an actuator" if count else ""
             raise CoreError(
-                f"{name}: found shape {own.shape}; with a matrix of shape {given.shape} it must be "
-                f"{given.shape[::-1]}"
+                f"{name}: found shape {own.shape}; with a matrix of shape {given.shape}{also} it "
+                f"must be {(m, n + count)}"
             )
         settings["given"] |= bit
         settings[name] = own.reshape(-1).tolist()
     return settings
+
+
+def _add_sensors(
+    settings: dict[str, Any], name: str, given: npt.ArrayLike | None, directions: int
+) -> int:
+    """Add the rows of sensors without an actuator to the settings; return their number."""
+    if given is None:
+        return 0
+    rows = np.asarray(given, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] != directions or not 1 <= len(rows) <= SENSORS_MAX:
+        raise CoreError(
+            f"{name}: found shape {rows.shape}; it must have a row of {directions} numbers, one "
+            f"for each direction, for each of 1 to {SENSORS_MAX} sensors"
+        )
+    count = {"reads": "displacement_sensors", "carries": "force_sensors"}[name]
+    settings[name], settings[count] = rows.reshape(-1).tolist(), len(rows)
+    return len(rows)
 
 
 def _of_pins(pins: Sequence[Pin], coordinates: Sequence[Coordinate]) -> dict[str, Any]:

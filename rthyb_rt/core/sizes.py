@@ -16,5 +16,7 @@ DELAY_MAX: Final[int] = lib.RTHYB_DELAY_MAX
 ELEMENTS_MAX: Final[int] = lib.RTHYB_ELEMENTS_MAX
 DENSE_MAX: Final[int] = lib.RTHYB_DENSE_MAX
 IWAN_SLIDERS: Final[int] = lib.RTHYB_IWAN_SLIDERS
+SENSORS_MAX: Final[int] = lib.RTHYB_SENSORS_MAX
+"""Largest number of displacement sensors, and of load cells, without an actuator."""
 COUPLED_MAX: Final[int] = lib.RTHYB_COUPLED_MAX
 """Largest number of axes at one specimen."""

@@ -17,6 +17,7 @@ from rthyb_rt.core.group import (
     GROUP,
     AxisConfig,
     InterfaceConfig,
+    SensorWatches,
     Watch,
     bare,
     controller_mapping,
@@ -75,7 +76,8 @@ class StationConfig:
     ``law_channel_count``: first channel and number of channels of a row for the values that the
     first axis' control law reports in addition to alpha and beta; ``part_channel``,
     ``part_channel_count`` for the numerical part's responses; ``axis_channel``,
-    ``axis_channel_count`` for the `axis_channels`.
+    ``axis_channel_count`` for the `axis_channels`. ``sensors``: those without an actuator, as many
+    as the kinematics has, and ``lone_channel``, ``lone_channel_count`` for their `sensor_channels`.
     """
 
     controller: ControllerConfig
@@ -96,6 +98,9 @@ class StationConfig:
     part_channel_count: int = 0
     axis_channel: int = 0
     axis_channel_count: int = 0
+    sensors: tuple[SensorWatches, ...] = ()
+    lone_channel: int = 0
+    lone_channel_count: int = 0
 
     @property
     def fs_hz(self) -> float:
@@ -119,6 +124,8 @@ class StationConfig:
         plain["controller"] |= group_plain(self.controller)
         if self.controller.axis_count == 1:
             del plain["axis_channel"], plain["axis_channel_count"]
+        if not self.sensors:
+            del plain["sensors"], plain["lone_channel"], plain["lone_channel_count"]
         return plain
 
     @classmethod
@@ -141,6 +148,7 @@ class StationConfig:
             if inner.get("numerical") is not None:
                 inner["numerical"] = _numerical(inner["numerical"])
             watches = {name: Watch(**watch) for name, watch in given.pop("watches").items()}
+            given["sensors"] = tuple(SensorWatches.of(one) for one in given.get("sensors", ()))
             return cls(controller=ControllerConfig(**inner), watches=watches, **given)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise CoreError(
@@ -377,6 +385,13 @@ class Station:
         self.config = config
         struct = ffi.new("rthyb_station_config *", _mapping_of(config))
         self._part = fill_part(struct.controller.numerical, config.controller.numerical)
+        tie = config.controller.kinematics
+        self._sensors = 0 if tie is None else tie.sensors
+        if len(config.sensors) not in (0, self._sensors):
+            raise CoreError(
+                f"found settings of {len(config.sensors)} sensors without an actuator; the "
+                f"kinematics has {self._sensors} of them"
+            )
         self._axes, self._dtype = (count := config.controller.axis_count), record_dtype(count)
         self._c = ffi.new("rthyb_station *")
         check(lib.rthyb_station_init(self._c, struct))
@@ -398,22 +413,29 @@ class Station:
         taken_over_m: float | None = None,
         axes: Sequence[AxisReading] = (),
         apart: int | None = None,
+        sensors: Sequence[float | None] = (),
     ) -> StationTick:
         """Run one executed tick with the newest pair (before tare), or without one.
 
         ``taken_over_m``: together with the first valid reading, the command that the drive already
         has. ``axes`` replaces the arguments for a single axis; ``apart``: the axis whose drive's
-        sample count differs by more than one from another's.
+        sample count differs by more than one from another's. ``sensors``: readings of the sensors
+        without an actuator, before tare, m and N; None: there is none in this tick.
 
         Raises:
-            CoreError: the number of readings is not that of the axes, or ``taken_over_m`` is given
-                for some axes only.
+            CoreError: the number of readings is not that of the axes or sensors, or
+                ``taken_over_m`` is given for some axes only.
         """
         one = AxisReading(x_m, f_n, lost, link_down, drive_stopped, taken_over_m)
         given = tuple(axes) or (one,)
         if len(given) != self._axes:
             raise CoreError(
                 f"found {len(given)} readings; there must be one for each of the {self._axes} axes"
+            )
+        if len(sensors) != self._sensors:
+            raise CoreError(
+                f"found readings of {len(sensors)} sensors without an actuator; there must be one "
+                f"for each of {self._sensors}"
             )
         taken = [a.taken_over_m is not None for a in given]
         if any(taken) and not all(taken):
@@ -425,6 +447,9 @@ class Station:
         i.taken_over = any(a.taken_over_m is not None for a in given)
         for k, a in enumerate(given):
             i.axis[k] = a.mapping()
+        i.sensors_lost = sum(1 << k for k, value in enumerate(sensors) if value is None)
+        for k, value in enumerate(sensors):
+            i.sensor[k] = 0.0 if value is None else value
         i.skipped, i.command = skipped, COMMANDS.index(command)
         i.apart = 0 if apart is None else 1 + apart
         i.heartbeat_late = heartbeat_late
@@ -448,6 +473,7 @@ class Station:
         codec: Codec | Sequence[Codec | None] | None = None,
         calibration: Calibration | Sequence[Calibration] = IDENTITY,
         parameters: Sequence[tuple[int, Parameters]] = (),
+        sensors: npt.ArrayLike | None = None,
     ) -> RecordArray:
         """Return the rows that this station, which must be new, computes from recorded inputs.
 
@@ -461,12 +487,14 @@ class Station:
                 used as computed. One for each axis, or one for all.
             calibration: of the loop, likewise.
             parameters: every set that was published, with its generation.
+            sensors: readings of the sensors without an actuator in every row, before tare, (n,
+                sensors); None: there are no such sensors.
 
         Returns:
             The rows, (n,); fewer if the given rows do not form complete ticks.
 
         Raises:
-            CoreError: the station has already run, or the rows are those of other axes.
+            CoreError: the station has already run, or the rows are those of other axes or sensors.
         """
         if self.ticks:
             raise CoreError(
@@ -489,6 +517,14 @@ class Station:
             own = codecs[k]
             source.axis[k].codec = ffi.NULL if own is None else own.struct
             source.axis[k].calibration = calibration[k].struct()[0]
+        further = doubles(np.empty((recorded.size, 0)) if sensors is None else sensors)
+        if further.shape != (recorded.size, self._sensors):
+            raise CoreError(
+                f"found readings of shape {further.shape} of sensors without an actuator; for "
+                f"{recorded.size} rows it must be {(recorded.size, self._sensors)}"
+            )
+        read = reading(further.reshape(-1))
+        source.sensors = read
         source.parameters, source.parameter_count = sets, len(parameters)
         pointer = records_pointer(out, self._axes)
         count = lib.rthyb_station_replay(self._c, source, pointer)
@@ -521,6 +557,11 @@ class Station:
         return None if self._c.cause_interface < 0 else int(self._c.cause_interface)
 
     @property
+    def cause_sensor(self) -> int | None:
+        """Sensor without an actuator to which it belongs, or None."""
+        return None if self._c.cause_sensor < 0 else int(self._c.cause_sensor)
+
+    @property
     def cause_value(self) -> float:
         """Value that triggered that cause, in the unit of its watch; 0 if it has no value."""
         return float(self._c.cause_value)
@@ -548,6 +589,11 @@ class Station:
     def refusal_interface(self) -> int | None:
         """Interface to which that refusal belongs, or None."""
         return None if self._c.refused_interface < 0 else int(self._c.refused_interface)
+
+    @property
+    def refusal_sensor(self) -> int | None:
+        """Sensor without an actuator to which that refusal belongs, or None."""
+        return None if self._c.refused_sensor < 0 else int(self._c.refused_sensor)
 
     @property
     def indicated(self) -> list[str]:
@@ -596,6 +642,11 @@ class Station:
         return tuple((axis.tare_x, axis.tare_f) for axis in axes)
 
     @property
+    def sensor_tares(self) -> tuple[float, ...]:
+        """Offsets subtracted from the readings of the sensors without an actuator, m and N."""
+        return tuple(one.tare for one in self._c.lone[0 : self._sensors])
+
+    @property
     def command_tare_m(self) -> float:
         """Offset added to a command for the drive: the drive's command at the tare, m.
 
@@ -627,11 +678,12 @@ def command_allowed(state: str, command: Command) -> bool:
 
 def _mapping_of(config: StationConfig) -> dict[str, Any]:
     own = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
-    for name in ("rest_spread_m", "tare_most_m", "tare_most_n", "watches"):
+    for name in ("rest_spread_m", "tare_most_m", "tare_most_n", "watches", "sensors"):
         del own[name]
     return own | {
         "controller": controller_mapping(config.controller),
         "axis": station_axes(config.controller, config),
         "interface": station_interfaces(config.controller.interfaces),
+        "lone": [one.mapping() for one in config.sensors],
         "watch": watch_table(config.watches),
     }

@@ -61,7 +61,8 @@ class Virtual:
         if error == lib.RTHYB_E_PLANT:
             raise CoreError(
                 f"the station has {station.config.controller.axis_count} axes, but the virtual "
-                f"rig has {lib.rthyb_plant_axes(plant_of(rig))}; the two must be equal"
+                f"rig has {lib.rthyb_plant_axes(plant_of(rig))}; the two must be equal, and so "
+                "must the numbers of their sensors without an actuator"
             )
         if error:
             raise CoreError(

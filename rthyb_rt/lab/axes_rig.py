@@ -7,6 +7,7 @@ import numpy as np
 from rthyb_rt import core
 from rthyb_rt.config import AxesRig, Rate
 from rthyb_rt.config.axesfile import Plant
+from rthyb_rt.config.lonesensors import LoneForce, LoneSensor
 from rthyb_rt.config.own import core_element
 from rthyb_rt.core.coupled_rig import CoupledRig, CoupledRigConfig, StateSpace
 from rthyb_rt.errors import InputError
@@ -44,7 +45,14 @@ def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
         rate.period_s,
         given.attachment_stiffness_n_per_m or 0.0,
         tuple(experiment.extra_sensor_configs(axis.sensors) for axis in rig.axis),
+        tuple(_errors_of(one) for one in rig.lone_sensors),
     )
+
+
+def _errors_of(one: LoneSensor) -> core.SensorConfig:
+    if isinstance(one, LoneForce):
+        return core.SensorConfig(one.noise_std_n, one.lsb_n, one.bias_n, one.range_n or 0.0)
+    return core.SensorConfig(one.noise_std_m, one.lsb_m, one.bias_m, one.range_m or 0.0)
 
 
 def _state_space(plant: Plant, axes: int) -> StateSpace:

@@ -31,6 +31,7 @@ WORDS: Final[dict[str, str]] = {
     "velocity and acceleration limits, and the compensator",
     "apart": "the drives' sample counts drifted apart",
     "no_pose": "the displacements of the axes fit no position of the specimen",
+    "sensor_lost": "no usable reading",
     "not_finite": "a value was not a number",
 }
 _STOPPED: Final = "has stopped by itself, and may have to be released at its panel."
@@ -58,6 +59,8 @@ REMEDIES: Final[dict[str, str]] = {
     "what synchronises them.",
     "no_pose": "The displacements measured on the axes fit no position of the specimen: check "
     "signs, scales and zeros of the displacement sensors, and pins and bases in the rig file.",
+    "sensor_lost": "A sensor that belongs to no axis gave no usable reading for 20 ticks: check "
+    "its connector, and whether its range is large enough for the test.",
     "heartbeat": "Something blocked the program for a second, such as a full disk, a suspended "
     "process or a debugger.",
 }
@@ -90,7 +93,7 @@ def shown(cause: str, of: str | None = None, figures: str | None = None) -> str:
 
     Args:
         cause: the cause, such as "link_lost".
-        of: the axis or direction concerned, if there are several.
+        of: the axis, direction or sensor concerned, if there are several.
         figures: the cause with the measured value and the limit, if it has any.
     """
     return figures or (f"{of}: {in_words(cause)}" if of else in_words(cause))
@@ -108,7 +111,7 @@ def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> s
         state: the last state.
         cause: cause in the words of the station.
         moved: whether anything had moved; otherwise nothing can have been ramped out.
-        of: axis or direction to which the cause belongs, in words.
+        of: axis, direction or sensor to which the cause belongs, in words.
     """
     words = f"{in_words(cause)} of {of}" if of else in_words(cause)
     if state == "TRIPPED":

@@ -161,9 +161,12 @@ class Run:
     @property
     def whose(self) -> str:
         """Axis or direction to which the station's cause belongs; "" if none."""
-        return self._of(self.station.cause_axis, self.station.cause_interface)
+        station = self.station
+        return self._of(station.cause_axis, station.cause_interface, station.cause_sensor)
 
-    def _of(self, axis: int | None, interface: int | None) -> str:
+    def _of(self, axis: int | None, interface: int | None, sensor: int | None) -> str:
+        if sensor is not None:
+            return trips.sensor_of(self.config, sensor)
         return trips.whose(axis, interface, self.bare.axis_names, self.bare.interface_names)
 
     @property
@@ -173,19 +176,31 @@ class Run:
         "" if there are no figures.
         """
         station = self.station
-        return self._figures(self.causing, station.cause_axis, station.cause_interface)
+        return self._figures(
+            self.causing, station.cause_axis, station.cause_interface, station.cause_sensor
+        )
 
     @property
     def refusal_in_figures(self) -> str:
         """The same for the reason why the station refused the last command."""
         station = self.station
-        return self._figures(station.refusal, station.refusal_axis, station.refusal_interface)
+        return self._figures(
+            station.refusal,
+            station.refusal_axis,
+            station.refusal_interface,
+            station.refusal_sensor,
+        )
 
     def _figures(
-        self, met: tuple[str, float, float], axis: int | None, interface: int | None
+        self,
+        met: tuple[str, float, float],
+        axis: int | None,
+        interface: int | None,
+        sensor: int | None,
     ) -> str:
         turns = interface is not None and self._turns(interface)
-        text, whose = trips.figures(*met, turns=turns), self._of(axis, interface)
+        text = trips.figures(*met, turns=turns, alone=sensor is not None)
+        whose = self._of(axis, interface, sensor)
         return f"{whose}: {text}" if text and whose else text
 
     def _turns(self, interface: int) -> bool:

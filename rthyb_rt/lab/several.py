@@ -20,10 +20,18 @@ from rthyb_rt.config.deriving_axes import (
     of_axis,
     resolve_axes,
 )
+from rthyb_rt.config.lonesensors import READ, LoneForce, LoneSensor
 from rthyb_rt.config.placing import placing
 from rthyb_rt.config.testfile import MATRIX, MatrixLaw
 from rthyb_rt.core.coupled_rig import CoupledRig
-from rthyb_rt.core.group import AXIS_WATCHES, AxisConfig, InterfaceConfig, axis_channels
+from rthyb_rt.core.group import (
+    AXIS_WATCHES,
+    AxisConfig,
+    InterfaceConfig,
+    SensorWatches,
+    axis_channels,
+    sensor_channels,
+)
 from rthyb_rt.core.matrix_lead import MatrixLeadConfig
 from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
 from rthyb_rt.errors import InputError
@@ -96,7 +104,7 @@ def prepare(
     reference["f_ref_n"] = force[:, 0]
     controller = controller_config(ordered, rig, derived, end_tick)
     first = replace(derived.axis[0], structure=derived.structure)
-    own_channels = experiment.part_channels(first) + axis_channels(controller)
+    own_channels = experiment.part_channels(first) + axis_channels(controller) + _lone_channels(rig)
     baseline_note = () if baseline.ok else (f"ground motion: {baseline.message}",)
     setup = Setup(
         test=resolved,
@@ -127,6 +135,35 @@ def prepare(
     return setup
 
 
+def _lone_channels(rig: AxesRig) -> tuple[core.Channel, ...]:
+    """Return the channels of the sensors without an actuator."""
+    sensors = rig.lone_sensors
+    return sensor_channels([(one.name, "N" if one.kind == "force" else "m") for one in sensors])
+
+
+def _refuse_names(rig: AxesRig, own: Sequence[core.Channel]) -> None:
+    """Refuse a sensor without an actuator whose channels' names are used already.
+
+    Args:
+        rig: the rig file.
+        own: channels that the recording has without extra sensors.
+
+    Raises:
+        InputError: naming the first such sensor.
+    """
+    names = [one.name for one in own]
+    taken = set(experiment.RECORDED)
+    taken |= {f"{name}_{i}" for name in experiment.TRUE for i in range(1, len(rig.axis))}
+    for i, one in enumerate(rig.sensor or ()):
+        for name in (one.name, f"{one.name}{READ}"):
+            if name in taken or names.count(name) > 1:
+                raise InputError(
+                    f'found "{one.name}", but a recording of this test already has a channel '
+                    f'"{name}"; choose another name',
+                    f"sensor.{i}.name",
+                )
+
+
 def _extra_channels(rig: AxesRig, own: Sequence[core.Channel]) -> tuple[core.Channel, ...]:
     """Return the extra channels of every axis, which stand before all others of a row.
 
@@ -139,11 +176,20 @@ def _extra_channels(rig: AxesRig, own: Sequence[core.Channel]) -> tuple[core.Cha
     """
     taken = experiment.RECORDED | {one.name for one in own}
     taken |= {f"{name}_{i}" for name in experiment.TRUE for i in range(1, len(rig.axis))}
+    _refuse_names(rig, own)
     found = tuple(
         channel
         for i, axis in enumerate(rig.axis)
         for channel in experiment.channels_of_sensors(axis.sensors, taken, f"axis.{i}.sensors")
     )
+    if rig.sensor and len(own) > core.CHANNELS_MAX:
+        raise InputError(
+            f"found {len(rig.sensor)} sensors without an actuator, each with two channels; with "
+            f"the other values of axes, directions and structure these are {len(own)} channels, "
+            f"but a row of the recording has room for {core.CHANNELS_MAX}: record less in "
+            "numerical.record, or remove some of the sensors",
+            "sensor",
+        )
     if found and len(found) + len(own) > core.CHANNELS_MAX:
         raise InputError(
             f"found {len(found)} extra channels; beside the {len(own)} values of axes, directions "
@@ -329,10 +375,11 @@ def _matrix_rfc(test: TestFile, rig: AxesRig, derived: AxesDerived, k_e: Floats)
     own = derived.axis[0]
     enabled = test.controller.rfc.enabled and test.controller.type != "none"
     noise_m = np.array([axis.rest_noise_displacement_m for axis in derived.axis])
-    weights = rig.core_kinematics().weights()
+    weights, further = rig.core_kinematics().shares()
+    lone_m = np.array([one.noise_std_m for one in rig.sensor or () if one.kind == "displacement"])
     return MatrixRfcConfig(
         k_e,
-        tuple(float(v) for v in np.sqrt(weights**2 @ noise_m**2)),
+        tuple(float(v) for v in np.sqrt(weights**2 @ noise_m**2 + further**2 @ lone_m**2)),
         memory_s=max(own.window_samples, 2) * derived.rate.period_s,
         cutoff_hz=own.rfc_cutoff_hz,
         lateness_s=own.force_lateness_s,
@@ -410,6 +457,7 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
     )
     common = {cause: w for cause, w in views[0].watches.items() if cause not in AXIS_WATCHES}
     part, own = experiment.part_channels(setup.derived), axis_channels(setup.controller)
+    lone = _lone_channels(rig)
     return replace(
         views[0],
         controller=replace(setup.controller, axes=axes),
@@ -422,7 +470,24 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
         part_channel_count=len(part),
         axis_channel=setup.channels.index(own[0]) if own else 0,
         axis_channel_count=len(own),
+        sensors=tuple(_watched(one, setup) for one in rig.lone_sensors),
+        lone_channel=setup.channels.index(lone[0]) if lone else 0,
+        lone_channel_count=len(lone),
     )
+
+
+def _watched(one: LoneSensor, setup: Setup) -> SensorWatches:
+    limits: dict[str, tuple[str, Limit | None]] = {"stuck": ("sensor_stuck_s", one.stuck_s)}
+    if isinstance(one, LoneForce):
+        reach, limits["jump"] = one.range_n, ("force_jump_n", one.jump_n)
+    else:
+        reach, limits["jump"] = one.range_m, ("sensor_jump_m", one.jump_m)
+    watches = {
+        name: core.Watch(experiment.at_rate(of, limit.value, setup.rate), limit.action)
+        for name, (of, limit) in limits.items()
+        if limit is not None and limit.acts
+    }
+    return SensorWatches(one.name, reach or 0.0, watches.get("stuck"), watches.get("jump"))
 
 
 def _velocity(own: Derived, axis: AxisConfig, real: bool) -> float | None:

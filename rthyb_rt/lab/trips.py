@@ -15,6 +15,7 @@ from rthyb_rt.record.recording import Recording
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.summary import SummarySettings
+    from rthyb_rt.core import StationConfig
 
 
 class _Watched(NamedTuple):
@@ -43,6 +44,7 @@ _WATCHED: Final[dict[str, _Watched]] = {
     "lost_warning": _Watched("pairs lost", "%", 100.0),
     "skip_warning": _Watched("skipped", "% of the ticks", 100.0),
     "link_lost": _Watched("no usable pair for", "ticks", 1.0),
+    "sensor_lost": _Watched("no usable reading for", "ticks", 1.0),
     "skips": _Watched("skipped", "ticks", 1.0),
     "skip_share": _Watched("skipped", "% of the ticks", 100.0),
     "stalled": _Watched("this PC stalled for", "ticks", 1.0),
@@ -52,6 +54,11 @@ _TURNED: Final[dict[str, _Watched]] = {
     "force": _Watched("moment", "kN m", 1e-3),
 }
 """Watched quantities of a rotation."""
+
+_ALONE: Final[dict[str, _Watched]] = {
+    "position": _Watched("displacement", "mm", 1e3),
+}
+"""Watched quantities of a sensor without an actuator."""
 
 _OF_MOTION: Final = (
     "position", "velocity", "increment", "force", "tracking", "indicator", "energy",
@@ -103,18 +110,34 @@ def whose(
     return ""
 
 
-def figures(cause: str, value: float, limit: float, *, turns: bool = False) -> str:
+def sensor_of(config: StationConfig, sensor: int) -> str:
+    """Return a sensor without an actuator, to which a cause belongs, in words.
+
+    Args:
+        config: settings of the station.
+        sensor: its number in the station.
+    """
+    name = config.sensors[sensor].name if sensor < len(config.sensors) else ""
+    return f"sensor {name or sensor + 1}"
+
+
+def figures(
+    cause: str, value: float, limit: float, *, turns: bool = False, alone: bool = False
+) -> str:
     """Return value and limit in words: "force 15.0 kN (limit 15 kN)"; "" without figures.
 
     Args:
         cause: cause in the words of the station.
         value, limit: value reached and limit, SI.
         turns: they belong to a rotation, in rad and N m.
+        alone: they belong to a sensor without an actuator.
     """
     # Skipped ticks are counted consecutively, or as a share.
     watched = _WATCHED.get("skip_share" if cause == "skips" and limit < 1.0 else cause)
     if turns:
         watched = _TURNED.get(cause, watched)
+    if alone:
+        watched = _ALONE.get(cause, watched)
     if watched is None or not limit:
         return ""
     met = abs(value) * watched.factor

@@ -177,7 +177,7 @@ class _Session:
         identity: identity of the ring.
         evaluator: creates the evaluation.
         reference: the reference simulation, empty without one: shape (n,), or (n, axes).
-        extras: extra channels of the rig.
+        extras: extra channels of the rig, and its sensors without an actuator.
         axes: names of the axes, if several.
         directions: names of the directions, with the unit of their stiffness, if several.
         tie: kinematics from the interface to the axes.
@@ -203,7 +203,7 @@ class _Session:
                     several_axes.axes_judge(rig, reference, rec.fs_hz), test.controller.type
                 ),
                 reference.axis_m,
-                rec.extras(),
+                rec.extras() + rec.lone_sensors(),
                 axes=rec.axis_names,
                 directions=_directions(rig),
                 tie=rig.core_kinematics(),
@@ -746,7 +746,7 @@ class PastSource:
             "created_utc": str(meta.get("created_utc", "")),
             "counters": [
                 *_counters(self._tally),
-                *_readings(self._rec.extras(), self._rec.samples[-1:]),
+                *_readings(self._rec.extras() + self._rec.lone_sensors(), self._rec.samples[-1:]),
             ],
         }
         return found | {

@@ -333,6 +333,15 @@ class Recording:
             axis: tuple(known[name] for name in own if name in known) for axis, own in names.items()
         }
 
+    def lone_sensors(self) -> tuple[Channel, ...]:
+        """Return the channels of the sensors without an actuator, after the tare."""
+        try:
+            names = [one["name"] for one in tomllib.loads(self.rig_toml).get("sensor", ())]
+        except (tomllib.TOMLDecodeError, AttributeError, KeyError, TypeError):
+            return ()
+        known = {channel.name: channel for channel in self.channels}
+        return tuple(known[name] for name in names if name in known)
+
     def running(self) -> NDArray[np.bool_]:
         """Return which rows belong to the test proper, shape (n,): RUNNING, or all if none is."""
         mask: NDArray[np.bool_] = self.samples["state"] == RUNNING

@@ -1,4 +1,4 @@
-"""The figures of a rig's extra channels."""
+"""The figures of a rig's extra channels, and of its sensors without an actuator."""
 
 from __future__ import annotations
 
@@ -11,10 +11,14 @@ from rthyb_rt.report.decimate import robust_limit
 
 
 def plates(rec: Recording) -> list[draw.Plate]:
-    """Return a figure of each extra channel over time."""
+    """Return a figure of each such channel over time."""
     found = []
     t, running = rec.time_s(), rec.running()
-    for channel in rec.extras():
+    kinds = [("Extra channel", "as measured: no offset was subtracted.", one)
+             for one in rec.extras()]  # fmt: skip
+    kinds += [("Sensor", "after the tare; without a reading as predicted.", one)
+              for one in rec.lone_sensors()]  # fmt: skip
+    for kind, how, channel in kinds:
         values = rec.channel(channel.name)
         paper = draw.Paper(f"extra-{channel.name}", draw.FULL_WIDTH_IN, (1.0,))
         (axes,) = paper.axes
@@ -29,7 +33,7 @@ def plates(rec: Recording) -> list[draw.Plate]:
         if own.size:
             note = (
                 f"From {number(float(own.min()))} to {number(float(own.max()))} {channel.unit} in "
-                "the test, as measured: no offset was subtracted."
+                f"the test, {how}"
             )
-        found.append(paper.plate(f"Extra channel {channel.name}", note))
+        found.append(paper.plate(f"{kind} {channel.name}", note))
     return found

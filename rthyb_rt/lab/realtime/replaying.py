@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import config, core
 from rthyb_rt.config import AxesRig, RigFile, TestFile
+from rthyb_rt.config.lonesensors import READ
 from rthyb_rt.core import FLAGS
 from rthyb_rt.core.wire import Codec
 from rthyb_rt.errors import InputError
@@ -61,14 +62,17 @@ def first_cause_in_words(rec: Recording) -> str:
     station = _rerun(rec)[2]
     if station.cause == "none":
         return ""
-    direction = station.cause_interface
-    whose = trips.whose(station.cause_axis, direction, rec.axis_names, rec.interface_names)
+    direction, sensor = station.cause_interface, station.cause_sensor
+    if sensor is None:
+        whose = trips.whose(station.cause_axis, direction, rec.axis_names, rec.interface_names)
+    else:
+        whose = trips.sensor_of(station.config, sensor)
     turns = False
     if direction is not None and rec.interface_names:
         rig = config.parse_any_rig(rec.rig_toml, "recording: rig")
         turns = isinstance(rig, AxesRig) and rig.kinematics.turns()[direction]
     met = station.cause, station.cause_value, station.cause_limit
-    text = trips.figures(*met, turns=turns) or in_words(station.cause)
+    text = trips.figures(*met, turns=turns, alone=sensor is not None) or in_words(station.cause)
     return f"{whose}: {text}" if whose else text
 
 
@@ -92,7 +96,9 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
     published = [(int(one["generation"]), core.Parameters.of_plain(one["values"])) for one in later]
     calibrations = [experiment.calibration(view) for view in views]
     codecs = _codecs(rec.replay.codec, len(views))
-    rows = station.replay(rec.samples, codecs, calibrations, published)
+    further = [rec.samples[f"{one.name}{READ}"] for one in station.config.sensors]
+    sensors = np.column_stack(further) if further else None
+    rows = station.replay(rec.samples, codecs, calibrations, published, sensors)
     return rows, rec, station
 
 

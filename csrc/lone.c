@@ -1,0 +1,222 @@
+/* Sensors without an actuator: readings, tare and checks.
+ *
+ * They count like the sensors of the axes: as long as one of them has no usable reading, everything
+ * is predicted, and after as many ticks as for a pair the test trips. */
+#include "station.h"
+
+static int is_displacement(const rthyb_station *s, int k)
+{
+    return k < s->cfg.controller.kinematics.displacement_sensors;
+}
+
+static int is_sensible(const rthyb_station *s, int k, double reading)
+{
+    const double most = is_displacement(s, k) ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N;
+    return judge(reading, most) == RTHYB_OK;
+}
+
+static int is_off_scale(const rthyb_station *s, int k, double reading)
+{
+    const double range = s->cfg.lone[k].range;
+    return range > 0.0 && fabs(reading) >= range;
+}
+
+/* Whether a value is missing, by the input of a tick. */
+static int is_lost(const rthyb_station_input *in, int k)
+{
+    return (int)(in->sensors_lost >> k & 1u);
+}
+
+int lone_check(const rthyb_station_config *cfg)
+{
+    int good = 1;
+    for (int k = 0; k < RTHYB_SENSORS_ALL; k++) {
+        const rthyb_lone_config *own = &cfg->lone[k];
+        good = good && own->range >= 0.0 && !rthyb_watches_check(&own->stuck, 1) &&
+               !rthyb_watches_check(&own->jump, 1);
+    }
+    return good ? 0 : RTHYB_E_LIMIT;
+}
+
+int lone_is_sound(const rthyb_station *s, const rthyb_station_input *in)
+{
+    int sound = 1;
+    for (int k = 0; k < lones_of(s); k++)
+        sound = sound && !is_lost(in, k) && is_sensible(s, k, in->sensor[k]) &&
+                !is_off_scale(s, k, in->sensor[k]);
+    return sound;
+}
+
+int lone_look(rthyb_station *s, const rthyb_station_input *in)
+{
+    int all = 1;
+    for (int k = 0; k < lones_of(s); k++) {
+        rthyb_lone *own = &s->lone[k];
+        own->lost = is_lost(in, k);
+        own->reading = own->lost ? (double)NAN : in->sensor[k];
+        own->has_reading = is_sensible(s, k, own->reading);
+        own->off_scale = own->has_reading && is_off_scale(s, k, own->reading);
+        all = all && own->has_reading;
+    }
+    return all;
+}
+
+int lone_off_scale(const rthyb_station *s)
+{
+    int bits = 0;
+    for (int k = 0; k < lones_of(s); k++)
+        if (s->lone[k].off_scale)
+            bits |= is_displacement(s, k) ? AXIS_OFF_X : AXIS_OFF_F;
+    return bits;
+}
+
+uint32_t lone_leaps(rthyb_station *s)
+{
+    uint32_t leapt = 0;
+    for (int k = 0; k < lones_of(s); k++) {
+        rthyb_lone *own = &s->lone[k];
+        const int cause = is_displacement(s, k) ? RTHYB_CAUSE_SENSOR_JUMP : RTHYB_CAUSE_FORCE_JUMP;
+        const finding at = {.cause = cause, .where = of_sensor(k)};
+        if (!watch_is_steady(s, &s->cfg.lone[k].jump, at, &own->leaps, own->seen, own->reading))
+            leapt |= 1u << k;
+    }
+    return leapt;
+}
+
+void lone_take(const rthyb_station *s, uint32_t leapt, rthyb_input *pairs)
+{
+    for (int k = 0; k < lones_of(s); k++) {
+        const rthyb_lone *own = &s->lone[k];
+        pairs->sensor[k] = own->reading - own->tare;
+        pairs->sensor_lost[k] = own->lost || leapt >> k & 1u ? RTHYB_LOST : 0;
+        if (own->off_scale)
+            pairs->sensor_lost[k] = RTHYB_LOST | RTHYB_S_OUT_OF_RANGE;
+    }
+}
+
+/* By how much the command has moved the axes since a sensor began to repeat its reading, in those
+ * directions that the sensor responds to. */
+static double moved_since(const rthyb_station *s, int k)
+{
+    const rthyb_kinematics_config *tie = &s->cfg.controller.kinematics;
+    const int m = interfaces_of(s), p = tie->displacement_sensors;
+    const double *row =
+        k < p ? tie->reads + (ptrdiff_t)k * m : tie->carries + (ptrdiff_t)(k - p) * m;
+    double most = 0.0;
+    for (int j = 0; j < m; j++) {
+        const double way = s->controller.interface[j].x_num - s->lone[k].still_at[j];
+        for (int i = 0; i < axes_of(s) && row[j] != 0.0; i++)
+            most = greater_of(most, fabs(tie->matrix[i * m + j] * way));
+    }
+    return most;
+}
+
+static void check_stuck(rthyb_station *s, int k)
+{
+    rthyb_lone *own = &s->lone[k];
+    const rthyb_watch *watch = &s->cfg.lone[k].stuck;
+    if (own->reading != own->still || !is_moving(s->state)) {
+        own->still = own->reading;
+        own->still_ticks = 0;
+        for (int j = 0; j < interfaces_of(s); j++)
+            own->still_at[j] = s->controller.interface[j].x_num;
+        return;
+    }
+    own->still_ticks++;
+    if (!(watch->value > 0.0) || (double)own->still_ticks < watch->value ||
+        !(moved_since(s, k) > s->cfg.axis[0].rest_spread_m))
+        return;
+    const int cause = is_displacement(s, k) ? RTHYB_CAUSE_SENSOR_STUCK : RTHYB_CAUSE_FORCE_STUCK;
+    const finding found = {cause, (double)own->still_ticks, watch->value, of_sensor(k)};
+    s->noted |= watch_react(s, found, watch->reaction, RTHYB_S_SENSOR_STUCK);
+}
+
+void lone_note(rthyb_station *s)
+{
+    for (int k = 0; k < lones_of(s); k++) {
+        check_stuck(s, k);
+        s->lone[k].seen = s->lone[k].reading;
+    }
+}
+
+void lone_begin_tare(rthyb_station *s)
+{
+    for (int k = 0; k < lones_of(s); k++)
+        s->lone[k].sum = 0.0;
+}
+
+void lone_add_to_tare(rthyb_station *s)
+{
+    for (int k = 0; k < lones_of(s); k++)
+        s->lone[k].sum += s->lone[k].reading;
+}
+
+void lone_take_tare(rthyb_station *s)
+{
+    for (int k = 0; k < lones_of(s); k++)
+        s->lone[k].tare = s->lone[k].sum / s->cfg.tare_ticks;
+}
+
+void lone_seen(const rthyb_station *s, double *values)
+{
+    for (int k = 0; k < lones_of(s); k++)
+        values[k] = s->lone[k].seen - s->lone[k].tare;
+}
+
+int lone_finds(const rthyb_station *s, int which, finding *found)
+{
+    for (int k = 0; k < lones_of(s); k++) {
+        const rthyb_lone *own = &s->lone[k];
+        if (!own->off_scale || !(which & (is_displacement(s, k) ? AXIS_OFF_X : AXIS_OFF_F)))
+            continue;
+        const int cause = is_displacement(s, k) ? RTHYB_CAUSE_POSITION : RTHYB_CAUSE_FORCE;
+        *found = (finding){cause, own->reading, s->cfg.lone[k].range, of_sensor(k)};
+        return 1;
+    }
+    return 0;
+}
+
+int lone_not_taken(const rthyb_station *s, uint32_t axis_missing, finding *found)
+{
+    const uint32_t *missing = s->controller.sensor_missing;
+    int longest = -1;
+    for (int k = 0; k < lones_of(s); k++)
+        if (missing[k] > (longest < 0 ? axis_missing : missing[longest]))
+            longest = k;
+    if (longest < 0)
+        return 0;
+    const rthyb_lone *own = &s->lone[longest];
+    *found =
+        (finding){RTHYB_CAUSE_SENSOR_LOST, missing[longest], s->ticks.lost, of_sensor(longest)};
+    if (own->has_reading && !own->off_scale && own->leaps.count > 0) {
+        found->cause =
+            is_displacement(s, longest) ? RTHYB_CAUSE_SENSOR_JUMP : RTHYB_CAUSE_FORCE_JUMP;
+        found->value = own->leaps.level - own->seen;
+        found->limit = s->cfg.lone[longest].jump.value;
+    }
+    return 1;
+}
+
+int lone_not_finite(const rthyb_station *s, const rthyb_input *in)
+{
+    for (int k = 0; k < lones_of(s); k++)
+        if (!in->sensor_lost[k] && !isfinite(in->sensor[k]))
+            return of_sensor(k);
+    return 0;
+}
+
+void lone_note_channels(rthyb_station *s)
+{
+    const uint32_t count = (uint32_t)lones_of(s);
+    for (uint32_t k = 0; k < s->cfg.lone_channel_count && k < 2 * count; k++)
+        s->channel[s->cfg.lone_channel + k] =
+            k < count ? s->controller.sensor[k] : s->lone[k - count].reading;
+}
+
+uint32_t lone_silent_bits(const rthyb_station *s)
+{
+    uint32_t bits = 0;
+    for (int k = 0; k < lones_of(s); k++)
+        bits |= (uint32_t)(s->lone[k].lost != 0) << (RTHYB_SILENT_BIT + k);
+    return bits;
+}

@@ -1,0 +1,776 @@
+"""Displacement sensors and load cells that belong to no axis: kinematics, rig, station, tests."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from axes_bench import NAMES, SIDES, SPECIMEN, Bench, config, rig, shaking, structure
+from command_line import Rthyb
+from kernels import Floats
+from test_axes_redundant import TEST
+
+from rthyb_rt import config as files
+from rthyb_rt import core
+from rthyb_rt.analysis import several_axes as analysis
+from rthyb_rt.analysis import structure_balance
+from rthyb_rt.config import AxesRig
+from rthyb_rt.core import AxisReading, CoreError
+from rthyb_rt.core.group import SensorWatches
+from rthyb_rt.core.kinematics import Kinematics
+from rthyb_rt.core.library import STATUS
+from rthyb_rt.errors import InputError
+from rthyb_rt.lab import several, virtual_time
+from rthyb_rt.lab.realtime import replaying
+from rthyb_rt.record import axis_export
+from rthyb_rt.record.recording import Recording
+from rthyb_rt.rig import identify_axes
+
+READS = np.array([[1.0, 0.45], [0.3, -0.2]])
+"""What two displacement sensors read for x (m) and theta (rad)."""
+CARRIES = np.array([[0.4, 0.0]])
+"""Share of the specimen's force that a load cell below one of its columns carries."""
+FORCES = np.array([[0.5, 0.5, 1.25], [0.2, -0.3, 0.0]])
+"""Half of the force along x from the axes' load cells, half from the column's."""
+BOTH = Kinematics(SIDES, forces=FORCES, reads=READS, carries=CARRIES)
+
+
+# ---- kinematics ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("n", "m", "p"), [(2, 2, 1), (2, 2, 4), (3, 2, 1), (4, 3, 2), (2, 1, 3)])
+def test_the_pose_is_the_least_squares_one_of_all_displacements(
+    n: int, m: int, p: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    matrix, reads = rng.uniform(-1, 1, (n, m)) + np.eye(n, m), rng.uniform(-1, 1, (p, m))
+    x, s = rng.uniform(-0.05, 0.05, (20, n)), rng.uniform(-0.05, 0.05, (20, p))
+    found = Kinematics(matrix, reads=reads).measured_pose(x, s)
+    wanted = np.linalg.lstsq(np.vstack([matrix, reads]), np.hstack([x, s]).T, rcond=None)[0].T
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12)
+
+
+def test_given_displacements_weigh_all_sensors() -> None:
+    # The lower axis' own sensor is not used: x and theta from the upper axis and the first wire.
+    rows = np.vstack([SIDES[0], READS[0]])
+    chosen = np.linalg.inv(rows) @ np.array([[1.0, 0, 0], [0, 0, 1]])
+    tie = Kinematics(SIDES, displacements=chosen, reads=READS[:1])
+    pose = np.array([[0.01, -0.02], [0.003, 0.0]])
+    x = pose @ SIDES.T
+    x[:, 1] += 0.7  # has no weight
+    np.testing.assert_allclose(tie.measured_pose(x, pose @ READS[:1].T), pose, atol=1e-15)
+    # Axes alone determine where the axes are, whatever sensors measure the pose.
+    np.testing.assert_allclose(tie.pose(pose @ SIDES.T)[0], pose, atol=1e-15)
+    np.testing.assert_allclose(np.hstack(tie.shares()), chosen, atol=1e-15)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(("n", "m"), [(2, 2), (3, 2), (4, 1)])
+def test_forces_of_axes_and_cells_do_the_work_of_the_interface(n: int, m: int, seed: int) -> None:
+    """Virtual work: interface forces along any motion, against axes and shares of the specimen."""
+    rng = np.random.default_rng(40 + seed)
+    matrix, carries = rng.uniform(-1, 1, (n, m)) + np.eye(n, m), rng.uniform(0.2, 0.6, (1, m))
+    back = np.linalg.pinv(matrix)
+    weight = rng.uniform(0.1, 0.9, (m, 1))
+    # From the axes what the cell does not measure, by their transposed matrix.
+    forces = np.hstack([(np.eye(m) - weight @ carries) @ matrix.T, weight])
+    tie = Kinematics(matrix, forces=forces, carries=carries)
+    force, moved = rng.uniform(-1e5, 1e5, (20, m)), rng.uniform(-0.05, 0.05, (20, m))
+    found = tie.measured_forces(force @ back, force @ carries.T)
+    axes, _ = tie.axes(moved)
+    np.testing.assert_allclose(
+        np.sum(found * moved, axis=1), np.sum(force @ back * axes, axis=1), rtol=1e-11, atol=1e-9
+    )
+    np.testing.assert_allclose(tie.readings(moved, force), force @ carries.T)
+
+
+def test_a_description_is_restored_and_one_without_sensors_has_no_further_keys() -> None:
+    assert Kinematics.of(BOTH.plain()).plain() == BOTH.plain()
+    assert set(Kinematics(SIDES).plain()) == {"matrix", "pins", "coordinates"}
+    assert BOTH.sensors == 3
+    np.testing.assert_allclose(BOTH.weights(), np.linalg.inv(SIDES), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"reads": np.ones((5, 2))}, r"reads: found shape \(5, 2\)"),
+        ({"reads": [[1.0]]}, r"reads: found shape \(1, 1\)"),
+        ({"reads": [[1.0, math.nan]]}, "do not determine"),
+        ({"carries": CARRIES}, "found 1 load cells without an actuator, but no forces"),
+        ({"carries": CARRIES, "forces": FORCES[:, :2]}, r"forces: found shape \(2, 2\)"),
+        ({"carries": CARRIES, "forces": 2 * FORCES}, "do not determine"),
+        ({"carries": [[math.inf, 0.0]], "forces": FORCES}, "do not determine"),
+        ({"carries": [[0.4, 0.1]], "forces": FORCES}, "do not determine"),
+        ({"reads": READS, "displacements": np.linalg.inv(SIDES)}, "displacements: found shape"),
+        ({"reads": READS[:1], "displacements": np.ones((2, 3))}, "do not determine"),
+    ],
+)
+def test_matrices_that_do_not_give_the_interface_are_refused(
+    wrong: dict[str, Any], said: str
+) -> None:
+    with pytest.raises(CoreError, match=said):
+        Kinematics(SIDES, **wrong)
+
+
+@pytest.mark.parametrize("absurd", [math.nan, math.inf, -math.inf, 1e300])
+@pytest.mark.parametrize("which", range(3))
+def test_a_senseless_reading_is_replaced_by_the_last_good_one(absurd: float, which: int) -> None:
+    tie = Kinematics.of(BOTH.plain())
+    pose, force = np.array([[0.01, 0.002]]), np.array([[4e3, 100.0]])
+    x, f, s = pose @ SIDES.T, force @ np.linalg.inv(SIDES), tie.readings(pose, force)
+    good = tie.measured_pose(x, s), tie.measured_forces(f, s)
+    np.testing.assert_allclose(np.hstack(good), np.hstack([pose, force]), rtol=1e-12)
+    s[0, which] = absurd
+    assert np.array_equal(tie.measured_pose(x, s), good[0])
+    assert np.array_equal(tie.measured_forces(f, s), good[1])
+
+
+# ---- the virtual rig ----------------------------------------------------------------------------
+
+
+def test_the_virtual_rig_reads_the_pose_and_the_forces_of_its_specimen() -> None:
+    plant = rig(BOTH, servos=(core.ServoConfig("pure-delay", delay_samples=0.0),) * 2)
+    for pose in ([1e-3, 2e-3], [-4e-3, 0.0], [0.0, 0.01]):
+        x = SIDES @ pose
+        plant.run(np.array([x]))
+        force = np.array(plant.run(np.array([x]))[1][0]) @ SIDES
+        np.testing.assert_allclose(force, SPECIMEN @ pose, rtol=1e-12)
+        wanted = [*(READS @ pose), *(CARRIES @ force)]
+        np.testing.assert_allclose(plant.sensors, wanted, rtol=1e-12, atol=1e-15)
+
+
+def test_sensors_leave_the_noise_of_the_axes_as_it_is() -> None:
+    noisy = (core.SensorConfig(1e-5),) * 2, (core.SensorConfig(10.0),) * 2
+    errors = (core.SensorConfig(2e-5), core.SensorConfig(0.0, 1e-4), core.SensorConfig(5.0, 0, 9.0))
+    bare = rig(displacement=noisy[0], force=noisy[1])
+    beside = rig(BOTH, displacement=noisy[0], force=noisy[1], sensors=errors)
+    told = 1e-3 * np.stack([shaking(2.0)] * 2, axis=1)
+    read, truth = [], []
+    for row in told:
+        a, b = bare.step(row), beside.step(row)
+        assert np.array_equal(a[0], b[0])
+        assert np.array_equal(a[1], b[1])
+        read.append(beside.sensors)
+        truth.append(BOTH.readings([beside.pose], [SPECIMEN @ beside.pose])[0])
+    off = np.array(read) - np.array(truth)
+    assert off[:, 0].std() == pytest.approx(2e-5, rel=0.05)
+    assert np.abs(off[:, 1]).max() <= 0.5e-4 * (1 + 1e-9)
+    assert off[:, 2].mean() == pytest.approx(9.0, abs=0.5)
+    assert off[:, 2].std() == pytest.approx(5.0, rel=0.05)
+
+
+def test_errors_for_another_number_of_sensors_are_refused() -> None:
+    with pytest.raises(CoreError, match="errors of 1 sensors without an actuator"):
+        rig(BOTH, sensors=(core.SensorConfig(),))
+
+
+# ---- the station --------------------------------------------------------------------------------
+
+OFFSETS = (0.02, -0.01, 700.0)
+"""Readings of the three sensors at the rig's zero."""
+
+
+@dataclass
+class Beside(Bench):
+    """The two axes with three sensors beside them."""
+
+    def step(
+        self, command: core.Command = "none", faults: Any = None, **common: Any
+    ) -> core.StationTick:
+        """One tick; ``faults`` replaces readings, by sensor."""
+        readings = self.read()
+        sensors: list[float | None] = [
+            a + b for a, b in zip(self.plant.sensors, OFFSETS, strict=True)
+        ]
+        for k, value in (faults or {}).items():
+            sensors[k] = value
+        tick = self.station.tick(command=command, axes=readings, sensors=sensors, **common)
+        self.records.append(tick.records.copy())
+        self.channels.append(np.array(list(self.station._c.channel[0:6])))
+        if tick.sent:
+            self.sent.append(tick.commands_m)
+            self.at_drive = tick.commands_m
+        return tick
+
+
+TRIP = core.Watch(0.0, "trip")
+WATCHES = (
+    SensorWatches("wire", 0.2, replace(TRIP, value=30.0), replace(TRIP, value=0.004)),
+    SensorWatches("string"),
+    SensorWatches("column", 2e4, replace(TRIP, value=30.0), replace(TRIP, value=4e3)),
+)
+
+
+def bench(seconds: float = 2.0, **changes: Any) -> Beside:
+    tie = Kinematics.of(BOTH.plain())
+    own = {"sensors": WATCHES, "lone_channel": 0, "lone_channel_count": 6, **changes}
+    return Beside(config({"kinematics": tie}, **own), seconds, plant=rig(tie))
+
+
+def test_tare_and_pose_follow_all_sensors() -> None:
+    """The motion equals that of the same rig without further sensors, which are redundant here."""
+    beside, bare = bench().running(900), Bench(config()).running(900)
+    assert beside.station.sensor_tares == pytest.approx(OFFSETS)
+    assert len(beside.sent) == len(bare.sent)
+    own, wanted = np.array(beside.sent), np.array(bare.sent)
+    np.testing.assert_allclose(own, wanted, rtol=0, atol=1e-9 * np.ptp(wanted))
+    assert np.ptp(wanted) > 1e-3
+    used, read = np.array(beside.channels)[-1, :3], np.array(beside.channels)[-1, 3:]
+    np.testing.assert_allclose(used, read - OFFSETS, atol=1e-12)
+
+
+def test_every_reading_enters_pose_and_force_by_its_column() -> None:
+    one, other = bench().running(), bench().running()
+    by = (1e-3, -2e-3, 1e3)
+    for k in range(3):
+        one.step()
+        other.step(faults={k: one.channels[-1][3 + k] + by[k]})
+        pose, force = (
+            [
+                getattr(each.station._c.controller.interface[j], name)
+                for each in (other, one)
+                for j in range(2)
+            ]
+            for name in ("x_m", "f")
+        )
+        moved, pushed = np.subtract(pose[:2], pose[2:]), np.subtract(force[:2], force[2:])
+        wanted = BOTH.shares()[1][:, k] * by[k] if k < 2 else np.zeros(2)
+        np.testing.assert_allclose(moved, wanted, atol=1e-8)
+        np.testing.assert_allclose(pushed, FORCES[:, 2] * by[k] if k == 2 else 0.0, atol=1.0)
+        one, other = bench().running(), bench().running()
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_a_sensor_without_readings_is_predicted_and_then_trips(k: int) -> None:
+    one = bench().running()
+    for _ in range(5):
+        tick = one.step(faults={k: None})
+        assert tick.records["flags"][-1] & core.FLAGS["predicted"]
+        assert not tick.records["missing"][-1]
+    assert one.station.state == "RUNNING"
+    assert math.isnan(one.channels[-1][3 + k])
+    one.step()
+    assert one.rows()["flags"][-1] & core.FLAGS["fresh"]
+    for n in range(core.LOST_TICKS):
+        assert one.station.state == "RUNNING", n
+        one.step(faults={k: None})
+    assert one.station.state == "TRIPPED"
+    assert (one.station.cause, one.station.cause_sensor) == ("sensor_lost", k)
+    assert one.station.cause_axis is None
+    assert one.station.cause_value == core.LOST_TICKS
+
+
+def test_a_lost_reading_is_predicted_from_the_command() -> None:
+    """The specimen follows its command, apart from the delay of two samples."""
+    whole, gaps = bench().running(500), bench().running(500)
+    for n in range(300):
+        whole.step()
+        gaps.step(faults={n % 3: None} if n % 10 < 3 else None)
+    a, b = np.array(whole.channels)[-300:, :3], np.array(gaps.channels)[-300:, :3]
+    for k in range(3):
+        # Held instead of predicted, it would be off by the motion of three ticks.
+        held = np.abs(a[3:, k] - a[:-3, k]).max()
+        assert np.abs(b[:, k] - a[:, k]).max() < 0.1 * held
+
+
+@pytest.mark.parametrize("k", range(3))
+@pytest.mark.parametrize("absurd", [math.nan, math.inf, -math.inf])
+def test_a_reading_that_is_no_number_trips_at_once(k: int, absurd: float) -> None:
+    one = bench().running()
+    one.step(faults={k: absurd})
+    assert one.station.state == "TRIPPED"
+    assert (one.station.cause, one.station.cause_sensor) == ("not_finite", k)
+    assert all(math.isfinite(v) for v in one.sent[-1])
+
+
+@pytest.mark.parametrize(("k", "value"), [(0, 0.2), (0, -0.3), (2, 2e4), (1, 1e300)])
+def test_a_reading_out_of_range_is_not_used_and_trips_like_a_lost_one(k: int, value: float) -> None:
+    one = bench().running()
+    for _ in range(core.LOST_TICKS):
+        assert one.station.state == "RUNNING"
+        tick = one.step(faults={k: value})
+        assert tick.records["code"][-1] & STATUS["out_of_range"]
+    assert one.station.state == "TRIPPED"
+    assert (one.station.cause, one.station.cause_sensor) == ("sensor_lost", k)
+    assert one.channels[-1][3 + k] == value
+
+
+@pytest.mark.parametrize(("k", "cause"), [(0, "sensor_stuck"), (2, "force_stuck")])
+def test_a_stuck_sensor_trips_by_name(k: int, cause: str) -> None:
+    one = bench().running(400)
+    held = one.channels[-1][3 + k]
+    until = len(one.records)
+    while one.station.state == "RUNNING" and len(one.records) < until + 200:
+        one.step(faults={k: held})
+    assert one.station.state == "TRIPPED"
+    assert (one.station.cause, one.station.cause_sensor) == (cause, k)
+    assert len(one.records) - until >= 30
+
+
+def test_a_sensor_that_does_not_respond_to_the_motion_is_not_stuck() -> None:
+    """A load cell along theta repeats 0 N while only x moves."""
+    carries, k = np.array([[0.0, 0.4]]), np.diag([6e5, 4e4])
+    forces = np.array([[1.0, 1.0, 0.0], [0.1, -0.15, 1.25]])
+    tie = Kinematics(SIDES, forces=forces, carries=carries)
+    watches = (SensorWatches("moment", 0.0, core.Watch(5.0, "trip")),)
+    load = np.array([4220.0, 0.0])
+
+    part = structure(k, load_kg=load)
+    one = core.Station(
+        config({"kinematics": tie, "numerical": part}, sensors=watches), shaking(1.0)
+    )
+    plant = rig(tie, stiffness=k)
+    at = (0.0, 0.0)
+    script = {0: "none", 1: "zero", 70: "arm", 71: "start"}
+    for n in range(1300):
+        x, f = plant.run(np.array([at]))
+        readings = [AxisReading(x[0, i], f[0, i]) for i in range(2)]
+        command: Any = script.get(n, "none")
+        tick = one.tick(command=command, axes=readings, sensors=plant.sensors)
+        at = tick.commands_m if tick.sent else at
+        assert one.state != "TRIPPED", one.cause
+    assert np.ptp(x) >= 0
+
+
+@pytest.mark.parametrize(("k", "by", "cause"), [(0, 0.01, "sensor_jump"), (2, 9e3, "force_jump")])
+def test_a_jump_trips_by_name(k: int, by: float, cause: str) -> None:
+    one = bench().running()
+    one.step(faults={k: one.channels[-1][3 + k] + by})
+    assert one.station.state == "TRIPPED"
+    assert (one.station.cause, one.station.cause_sensor) == (cause, k)
+    assert one.station.cause_value == pytest.approx(by, rel=0.2)
+
+
+def test_arm_is_refused_while_a_sensor_is_off_its_scale() -> None:
+    one = bench()
+    one.step()
+    one.step("zero")
+    one.until("ZEROED")
+    assert one.step("arm", faults={2: 2.5e4}).refused is False
+    # ARM looks at the readings of the tick before.
+    one.step("stop")
+    one.step("zero")
+    one.until("ZEROED")
+    one.step(faults={2: 2.5e4})
+    assert one.step("arm", faults={2: 2.5e4}).refused
+    assert one.station.refusal == ("force", 2.5e4, 2e4)
+    assert (one.station.refusal_sensor, one.station.refusal_axis) == (2, None)
+
+
+def test_zero_waits_for_every_sensor() -> None:
+    one = bench()
+    one.step()
+    one.step("zero")
+    for _ in range(200):
+        one.step(faults={1: None})
+    assert one.station.state == "IDLE"
+    one.until("ZEROED", most=200)
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_readings_with_faults_are_replayed_bit_for_bit(k: int) -> None:
+    one = bench().running()
+    for n in range(60):
+        one.step(faults={k: None} if n % 7 < 3 else {k: 1e7} if n % 11 == 0 else None)
+    one.step(faults={k: math.nan})
+    for _ in range(5):
+        one.step(faults={k: None})
+    rows, channels = one.rows(), np.array(one.channels)
+    again = core.Station(one.settings, shaking(2.0))
+    made = again.replay(rows, sensors=channels[:, 3:])
+    assert made.tobytes() == np.ascontiguousarray(core.rows.as_records(rows)).tobytes()
+    assert (again.cause, again.cause_sensor) == (one.station.cause, one.station.cause_sensor)
+
+
+def test_numbers_of_sensors_that_do_not_match_are_refused() -> None:
+    one = bench()
+    with pytest.raises(CoreError, match="one for each of 3"):
+        one.station.tick(axes=[AxisReading(), AxisReading()])
+    with pytest.raises(CoreError, match="settings of 1 sensors"):
+        bench(sensors=WATCHES[:1])
+    with pytest.raises(CoreError, match="sensors without an actuator"):
+        core.Virtual(one.station, rig())
+    settings = core.StationConfig.of(one.settings.plain())
+    assert settings.plain() == one.settings.plain()
+
+
+# ---- files --------------------------------------------------------------------------------------
+
+AXIS = """[[axis]]
+name = "{name}"
+actuator = {{ kind = "second-order", natural_frequency_hz = {hz}, damping_ratio = 0.7 }}
+limits = {{ command_position_m = "30 mm", force_n = "90 kN" }}
+sensors = {{ displacement = {{ noise_std_m = 5e-6 }}, force = {{ noise_std_n = 20 }} }}
+identified = {{ alpha = 11.0, delay_s = 0.011 }}
+"""
+WIRE = """[[sensor]]
+kind = "displacement"
+name = "wire"
+along = { first = 1, second = 0.5 }
+noise_std_m = 2e-6
+range_m = "80 mm"
+"""
+COLUMN = """[[sensor]]
+kind = "force"
+name = "column"
+along = { first = 0.4 }
+noise_std_n = 10
+range_n = "70 kN"
+stuck_s = 0.2
+jump_n = "20 kN"
+"""
+HALVES = "forces = [[0.5, 0.5, 1.25], [0, 1, 0]]\n"
+HEAD = """schema = "rthyb-rig/1"
+[rig]
+name = "floor"
+seed = 5
+"""
+RIG = (
+    HEAD
+    + "".join(AXIS.format(name=n, hz=hz) for n, hz in zip(NAMES, (20, 22), strict=True))
+    + "#sensors\n"
+    + """[kinematics]
+kind = "matrix"
+interface = ["first", "second"]
+matrix = [[1, 0], [1, 1]]
+#forces
+[specimen]
+stiffness = [[8e6, -1e6], [-1e6, 6e6]]
+[limits]
+ramp_in_s = 1.5
+"""
+)
+MATRIX = np.array([[1.0, 0.0], [1.0, 1.0]])
+STIFFNESS = np.array([[8e6, -1e6], [-1e6, 6e6]])
+WITH_WIRE = RIG.replace("#sensors\n", WIRE)
+WITH_CELL = RIG.replace("#sensors\n", COLUMN).replace("#forces\n", HALVES)
+WITH_BOTH = WITH_CELL.replace("[kinematics]", WIRE + "[kinematics]")
+
+
+def read(text: str) -> AxesRig:
+    found = files.parse_any_rig(text, "floor.toml")
+    assert isinstance(found, AxesRig)
+    return found
+
+
+def test_columns_are_axes_then_sensors_in_the_order_of_the_file() -> None:
+    second = WIRE.replace('"wire"', '"string"').replace("first = 1, second = 0.5", "second = 1")
+    tie = read(WITH_BOTH.replace("[kinematics]", second + "[kinematics]")).core_kinematics()
+    pose, force = np.array([[0.01, 0.03]]), np.array([[1e3, 2e3]])
+    np.testing.assert_allclose(tie.readings(pose, force), [[0.025, 0.03, 400.0]])
+    assert (tie.displacement_sensors, tie.force_sensors) == (2, 1)
+
+
+def test_a_file_is_written_and_read_again() -> None:
+    rig_file = read(WITH_BOTH)
+    assert read(files.dump(rig_file)) == rig_file
+    assert "sensor = " not in files.dump(read(RIG))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('kind = "force"', 'kind = "strain"', 'sensor.column.kind: found "strain"'),
+        ("along = { first = 0.4 }", "along = { third = 0.4 }", 'column: found along = "third"'),
+        ("along = { first = 0.4 }", "along = { first = nan }", "found nan"),
+        ("along = { first = 0.4 }", "along = { first = 0 }", "for a unit along each direction"),
+        ("along = { first = 0.4 }", "along = {}", "found no direction"),
+        ('name = "column"', 'name = "wire"', 'sensors 1 and 2 are both called "wire"'),
+        ('name = "column"', 'name = "Column 1"', 'sensor.Column 1.name: found "Column 1"'),
+        (
+            HALVES,
+            "",
+            "forces is missing; with the load cell column, which belongs to no axis",
+        ),
+        (
+            HALVES,
+            "forces = [[1, 1], [0, 1]]\n",
+            "of 3 numbers, one for each axis (left, right) and each sensor of kind force (column)",
+        ),
+        (
+            HALVES,
+            "forces = [[1, 1, 1.25], [0, 1, 0]]\n",
+            "give [1.5, 0]; [0, 1]; must be the identity",
+        ),
+        (
+            HALVES,
+            HALVES + "displacements = [[1, 0], [-1, 1]]\n",
+            "each sensor of kind displacement (wire)",
+        ),
+        (
+            HALVES,
+            HALVES + "displacements = [[1, 0, 1], [-1, 1, 0]]\n",
+            "displacements: found rows that times matrix with the sensors' along below it give "
+            "[2, 0.5]; [0, 1]",
+        ),
+        (
+            "[kinematics]",
+            '[[axis]]\nname = "far"\nlink = { kind = "serial", channel = "/dev/ttyS0" }\n'
+            "[kinematics]",
+            "such sensors are supported in virtual time only",
+        ),
+        ('range_n = "70 kN"', "range_n = -1", "sensor.column.range_n: found -1"),
+        ("noise_std_n = 10\nrange", "noise_std_m = 10\nrange", "noise_std_m"),
+    ],
+)
+def test_a_fault_is_told_with_file_key_and_value(old: str, new: str, said: str) -> None:
+    assert old in WITH_BOTH
+    with pytest.raises(InputError) as caught:
+        read(WITH_BOTH.replace(old, new, 1))
+    problems = [str(one) for one in caught.value.problems]
+    assert any(said in one for one in problems), problems
+    assert all(one.startswith("floor.toml:") for one in problems)
+
+
+def test_pins_do_not_go_with_sensors() -> None:
+    pins = """[kinematics]
+kind = "pins"
+interface = ["x", "theta"]
+pins_m = { left = [0, 0.1], right = [0, -0.1] }
+directions = { left = [1, 0], right = [1, 0] }
+"""
+    text = (
+        WITH_WIRE[: WITH_WIRE.index("[kinematics]")]
+        .replace("first", "x")
+        .replace("second = 0.5", "theta = 0.5")
+    )
+    text += pins + "[specimen]\nstiffness = [[8e6, 0], [0, 6e6]]\n"
+    with pytest.raises(InputError, match=r'found 1 sensors without an actuator .*kind = "pins"'):
+        read(text)
+
+
+def test_a_key_is_set_by_the_name_of_the_sensor(tmp_path: Path) -> None:
+    path = tmp_path / "floor.toml"
+    path.write_text(WITH_BOTH, encoding="utf-8")
+    found = files.load_any_rig(path, {"rig.sensor.wire.noise_std_m": "3 um"})
+    assert isinstance(found, AxesRig)
+    assert [one.noise_std_m for one in found.lone_sensors if one.kind == "displacement"] == [3e-6]
+    with pytest.raises(InputError, match=r"sensor has the entries 0 to 1 \(column, wire\)"):
+        files.load_any_rig(path, {"rig.sensor.5.noise_std_m": "3 um"})
+
+
+def test_too_many_sensors_of_a_kind_are_refused() -> None:
+    more = "".join(WIRE.replace('"wire"', f'"wire{k}"') for k in range(5))
+    with pytest.raises(InputError, match=r"found 5 sensors of kind = .displacement.*up to 4"):
+        read(RIG.replace("#sensors\n", more))
+
+
+@pytest.mark.parametrize("name", ["x_true_m_1", "x_num_m_1", "state"])
+def test_a_name_that_a_recording_has_already_is_refused(name: str) -> None:
+    test = files.parse_test(TEST, "test.toml")
+    with pytest.raises(InputError, match=f'found "{name}", but a recording of this test already'):
+        several.prepare(test, read(WITH_WIRE.replace('"wire"', f'"{name}"')))
+
+
+# ---- whole tests --------------------------------------------------------------------------------
+
+
+def completed(text: str, test: str = TEST) -> Recording:
+    rec = virtual_time.run(several.prepare(files.parse_test(test, "test.toml"), read(text)))
+    assert rec.meta["end_reason"] == "completed"
+    return rec
+
+
+@pytest.fixture(scope="module")
+def bare() -> Recording:
+    return completed(RIG)
+
+
+@pytest.fixture(scope="module")
+def celled() -> Recording:
+    return completed(WITH_CELL)
+
+
+@pytest.fixture(scope="module")
+def wired() -> Recording:
+    return completed(WITH_WIRE)
+
+
+def axes_of(rec: Recording, key: str) -> Floats:
+    return np.column_stack([rec.axis(n)[key][rec.running()] for n in NAMES])
+
+
+@pytest.mark.parametrize("which", ["celled", "wired"])
+def test_a_test_follows_its_reference(which: str, request: pytest.FixtureRequest) -> None:
+    found = analysis.summarize(request.getfixturevalue(which))
+    assert [one.name for one in found.directions] == ["first", "second"]
+    for direction in found.directions:
+        assert direction.peak > 2e-3
+        assert direction.response_nrmse < 0.05
+
+
+def test_the_force_at_the_interface_is_the_sum_of_all_cells(celled: Recording) -> None:
+    """Against the elastic specimen; the column carries 0.4 of the force along x."""
+    rows = celled.running()
+    f, pose = axes_of(celled, "f_meas_n"), axes_of(celled, "x_meas_m") @ np.linalg.inv(MATRIX).T
+    column_n = celled.samples["column"][rows]
+    wanted = pose @ STIFFNESS
+    found = np.column_stack([f, column_n]) @ np.array([[0.5, 0.5, 1.25], [0.0, 1.0, 0.0]]).T
+    # Noise of 5 um times the stiffness, and of the load cells.
+    assert np.abs(found - wanted).max() < 0.02 * np.abs(wanted).max()
+    assert np.abs(column_n - 0.4 * wanted[:, 0]).max() < 0.02 * np.abs(wanted[:, 0]).max()
+
+
+def test_three_readings_give_two_directions_by_least_squares(wired: Recording) -> None:
+    """Without noise all agree; with it, the pose of all three is what the summary judges."""
+    rows = wired.running()
+    x, wire = axes_of(wired, "x_meas_m"), wired.samples["wire"][rows]
+    pose = np.linalg.lstsq(
+        np.vstack([MATRIX, [1.0, 0.5]]), np.column_stack([x, wire]).T, rcond=None
+    )[0].T
+    np.testing.assert_allclose(wire, pose @ [1.0, 0.5], atol=5e-5)
+    found = analysis.summarize(wired)
+    for j, direction in enumerate(found.directions):
+        own = wired.samples["x_num_m_1" if j else "x_num_m"][rows]
+        error = np.sqrt(np.mean((pose[:, j] - own) ** 2) / np.mean(own**2))
+        assert direction.tracking_nrmse == pytest.approx(error, rel=1e-9)
+    # The axes alone measure another pose, by their own noise.
+    alone = x @ np.linalg.inv(MATRIX).T
+    assert np.abs(alone - pose).max() > 1e-6
+
+
+def test_the_results_have_the_peak_of_each_sensor_and_what_the_others_say_of_it(
+    celled: Recording, wired: Recording
+) -> None:
+    (cell,), (wire,) = (analysis.summarize(rec).sensors for rec in (celled, wired))
+    assert (cell.name, cell.of_force, wire.name, wire.of_force) == ("column", True, "wire", False)
+    for rec, one in ((celled, cell), (wired, wire)):
+        values = rec.samples[one.name][rec.running()]
+        assert one.peak == pytest.approx(np.abs(values).max(), rel=1e-12)
+        assert 0 < one.residual < 0.05 * one.peak
+    rows = wired.running()
+    x = np.column_stack([axes_of(wired, "x_meas_m"), wired.samples["wire"][rows]])
+    stacked = np.vstack([MATRIX, [1.0, 0.5]])
+    left = x - x @ np.linalg.pinv(stacked).T @ stacked.T
+    assert wire.residual == pytest.approx(np.abs(left[:, 2]).max(), rel=1e-6)
+    assert "sensors" not in analysis.summarize(completed(RIG)).as_json()
+
+
+@pytest.mark.parametrize("which", ["celled", "wired"])
+def test_the_energies_of_the_structure_add_up(
+    which: str, bare: Recording, request: pytest.FixtureRequest
+) -> None:
+    """The recording has no force of the interface: it follows from all load cells again."""
+    found, wanted = (
+        structure_balance.of_axes(rec, analysis.summarize(rec).structure)
+        for rec in (request.getfixturevalue(which), bare)
+    )
+    assert found is not None
+    assert wanted is not None
+    assert found.gap < 1e-4
+    assert found.input_j[-1] == pytest.approx(wanted.input_j[-1], rel=1e-3)
+    assert found.strain_j.max() == pytest.approx(wanted.strain_j.max(), rel=1e-3)
+
+
+@pytest.mark.parametrize("which", ["celled", "wired"])
+def test_the_recording_is_replayed_bit_for_bit(which: str, request: pytest.FixtureRequest) -> None:
+    rec = request.getfixturevalue(which)
+    result = replaying.replay(rec)
+    assert result.identical
+    assert result.rows > 6 * 1024
+
+
+def quiet(text: str) -> str:
+    """The same rig without noise."""
+    return re.sub(r"noise_std_(m|n) = [-0-9e]+", r"noise_std_\1 = 0", text)
+
+
+@pytest.mark.parametrize("text", [WITH_CELL, WITH_WIRE, WITH_BOTH])
+def test_without_noise_redundant_sensors_change_nothing(text: str) -> None:
+    """The bias of a sensor neither: it is part of the tare."""
+    off = text.replace('range_n = "70 kN"', "bias_n = 5e3").replace(
+        'range_m = "80 mm"', "bias_m = 2e-3"
+    )
+    one, wanted = completed(quiet(off)), completed(quiet(RIG))
+    for name in ("x_num_m", "x_num_m_1"):
+        a, b = one.samples[name][one.running()], wanted.samples[name][wanted.running()]
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * np.ptp(b))
+
+
+def test_a_rig_without_sensors_is_recorded_as_before(bare: Recording) -> None:
+    assert "sensor = " not in bare.rig_toml
+    station = bare.replay.parameters[0]["values"]["station"]
+    assert not {"sensors", "lone_channel", "lone_channel_count"} & set(station)
+    assert replaying.replay(bare).identical
+
+
+NOT_SUPPORTED: dict[str, Callable[[AxesRig], object]] = {
+    "a test in real time": lambda floor: several.prepare(
+        files.parse_test(TEST, "test.toml"), floor, real_time=True
+    ),
+    "identification": identify_axes.identify_rig,
+    "real time": several.at_rest,
+    "the model of an axis by itself": lambda floor: axis_export.alone(floor, "left"),
+}
+
+
+@pytest.mark.parametrize("what", NOT_SUPPORTED)
+def test_what_is_not_supported_is_refused_by_name(what: str) -> None:
+    said = f'sensor: rig "floor" has sensors without an actuator (column, wire); {what}'
+    with pytest.raises(InputError, match=re.escape(said)):
+        NOT_SUPPORTED[what](read(WITH_BOTH))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        # Saturated, the force in its direction is unknown, which counts as beyond the limit.
+        (WITH_CELL.replace('"70 kN"', '"5 kN"'), "tripped: force limit of sensor column"),
+        (WITH_WIRE.replace('"80 mm"', '"3 mm"'), "tripped: no usable reading of sensor wire"),
+    ],
+)
+def test_a_trip_names_the_sensor_in_words(
+    text: str, said: str, rthyb: Rthyb, tmp_path: Path
+) -> None:
+    """The range of a sensor is smaller than the test needs."""
+    (tmp_path / "floor.toml").write_text(text, encoding="utf-8")
+    path = tmp_path / "test.toml"
+    path.write_text(TEST, encoding="utf-8")
+    done = rthyb("run", str(path), "--out", str(tmp_path / "run"))
+    assert said in done.out + done.err
+
+
+@pytest.mark.parametrize("command", ["jog", "commission", "serve", "rig", "identify"])
+def test_commands_that_move_a_rig_refuse_it_before_anything_moves(
+    command: str, rthyb: Rthyb, tmp_path: Path
+) -> None:
+    path = tmp_path / "floor.toml"
+    path.write_text(WITH_BOTH, encoding="utf-8")
+    more = {"jog": ["0.5 mm", "--axis", "left"], "rig": ["--pty"]}.get(command, [])
+    done = rthyb(command, str(path), *more)
+    assert done.code == InputError.exit_code
+    assert "has sensors without an actuator (column, wire)" in done.err
+
+
+def test_commands_show_the_sensors_and_refuse_what_they_cannot(
+    rthyb: Rthyb, tmp_path: Path
+) -> None:
+    (tmp_path / "floor.toml").write_text(WITH_BOTH, encoding="utf-8")
+    path, out = tmp_path / "test.toml", tmp_path / "run"
+    path.write_text(TEST, encoding="utf-8")
+    assert rthyb("check", str(path)).code == 0
+    done = rthyb("run", str(path), "--out", str(out))
+    assert done.code == 0, done.err
+    assert "Sensor wire: peak" in done.out
+    assert "Sensor column: peak" in done.out
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Sensor column" in page
+    recording = out / "recording.h5"
+    assert rthyb("replay", str(recording)).code == 0
+    for refused in (
+        ["export", str(recording), "--csv", "--axis", "left"],
+        ["diagnose", str(recording), "--model", str(tmp_path / "floor.toml")],
+        ["run", str(path), "--realtime"],
+        ["run", str(path), "--fault", "left.silence:from=5"],
+    ):
+        done = rthyb(*refused)
+        assert done.code == InputError.exit_code, (refused, done.out, done.err)
+        assert "has sensors without an actuator (column, wire)" in done.err
