@@ -452,7 +452,7 @@ def test_recording_is_saved_exported_and_reported(rec: rt.Recording, tmp_path: P
 @pytest.mark.long
 @pytest.mark.speed
 def test_running_from_python_costs_what_the_command_costs() -> None:
-    ratio = interface.ratio_of(interface.run_and_command(pairs=7))
+    ratio = interface.ratio_of(interface.run_and_command(pairs=5))
     print(f"rt.run over rthyb run: {ratio:.3f} of the processor time")
     assert ratio <= 1.05
 

@@ -11,6 +11,7 @@ from rthyb_rt.api.files import Place, Rig, Test, path_of
 from rthyb_rt.api.recordings import Named, Plot, plot_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config import AxesRig
+from rthyb_rt.documents import finite
 
 if TYPE_CHECKING:
     from rthyb_rt.checking.checked_axes import ExaminedAxes
@@ -30,8 +31,9 @@ class Check:
         For several axes: ``modes_hz``, ``modes``, and by name ``axes`` and ``directions``. A name
         that is not there raises `InputError`, with those that are.
         """
-        figures: dict[str, Any] = self.document.get("figures") or {
-            name: self.document[name] for name in ("modes_hz", "modes", "axes", "directions")
+        document = self._found.document()
+        figures: dict[str, Any] = document.get("figures") or {
+            name: document[name] for name in ("modes_hz", "modes", "axes", "directions")
         }
         return Named(figures, "figure", where="check")
 
@@ -47,8 +49,12 @@ class Check:
 
     @cached_property
     def document(self) -> dict[str, Any]:
-        """The complete result, as in ``rthyb check --json``: figures, loop, limits, link."""
-        return self._found.document()
+        """The complete result, as in ``rthyb check --json``: figures, loop, limits, link.
+
+        None stands for a number that JSON does not have: a delay margin without limit.
+        """
+        document: dict[str, Any] = finite(self._found.document())
+        return document
 
     @property
     def table(self) -> list[tuple[str, str, str]]:
