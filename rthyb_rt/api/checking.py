@@ -73,7 +73,7 @@ class Check:
         from rthyb_rt.report.html import extra_needed
 
         with extra_needed("a figure"):
-            from rthyb_rt.checking.drawings import plates
+            from rthyb_rt.checking.plates import plates
         return {one.key: plot_of(one) for one in plates(self._found.setup)}
 
     def report(self, path: Place) -> Path:

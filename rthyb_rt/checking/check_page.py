@@ -28,7 +28,7 @@ def write(found: Examined | ExaminedAxes, path: Path) -> None:
 def render(found: Examined | ExaminedAxes) -> str:
     """Return the page as HTML; errors as for `write`."""
     with extra_needed("a figure of a check"):
-        from rthyb_rt.checking.drawings import plates
+        from rthyb_rt.checking.plates import plates
 
         template = environment(_HERE).get_template("check.html.j2")
     return template.render(

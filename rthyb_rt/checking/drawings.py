@@ -30,16 +30,6 @@ _REACH = 2.2
 """Range on either side of zero in the Nyquist plot; points beyond it are not critical."""
 
 
-def plates(setup: Setup) -> list[draw.Plate]:
-    """Return all figures, in the order of the page."""
-    if setup.group is not None:
-        # Imported here, because that module depends on this one.
-        from rthyb_rt.checking import axes_drawings
-
-        return axes_drawings.plates(setup, setup.group)
-    return [stability(setup), nyquist(setup), tracking(setup)]
-
-
 def stability(setup: Setup) -> draw.Plate:
     """Draw the delays up to which the structure is stable over its period, and the test itself."""
     title, found = "Stability over period and delay", curves.stability_map(setup)

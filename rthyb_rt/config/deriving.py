@@ -110,8 +110,12 @@ class Derived:
 
 
 @placing
-def derive(test: TestFile, rig: RigFile) -> Derived:
+def derive(test: TestFile, rig: RigFile, *, deprecations: bool = True) -> Derived:
     """Combine a test with a rig.
+
+    Args:
+        test, rig: the two files.
+        deprecations: note the deprecated keys of both files; False: the caller does.
 
     Raises:
         InputError: with everything that is incompatible.
@@ -144,8 +148,9 @@ def derive(test: TestFile, rig: RigFile) -> Derived:
     settings = law_settings(test, rig, rate, problems)
     noise_m, noise_n = rest_noise(test, rig, notes)
     limits = limits_file.resolve(test.limits, rig.limits, rig.rig.name, noise_m, problems)
-    notes += [f"test: {note}" for note in test.limits.deprecated()]
-    notes += [f'rig "{rig.rig.name}": {note}' for note in rig.limits.deprecated()]
+    if deprecations:
+        notes += [f"test: {note}" for note in test.limits.deprecated()]
+        notes += [f'rig "{rig.rig.name}": {note}' for note in rig.limits.deprecated()]
     _note_slowness(test, rig, notes)
     _note_stiffness(rig, notes)
     _note_sensor_ranges(limits.limits, rig, notes)

@@ -73,7 +73,6 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
     if problems:
         raise InputError(problems)
     found, notes = list[Derived](), _deprecated(test, rig)
-    of_files = set(notes)
     structure, first = _structure(test, rig, rate, notes)
     if first.frequency_hz > 0.25 * rate.hz:
         raise InputError(
@@ -84,14 +83,14 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
         )
     for name in rig.names:
         try:
-            own = derive(of_axis(test, name, first), rig.of_axis(name))
+            own = derive(of_axis(test, name, first), rig.of_axis(name), deprecations=False)
         except InputError as error:
             problems += [
                 Problem(f"axis {name}: {one.where}", one.message) for one in error.problems
             ]
             continue
         found.append(own)
-        notes += [f"axis {name}: {note}" for note in own.notes if note not in of_files]
+        notes += [f"axis {name}: {note}" for note in own.notes]
     if problems:
         raise InputError(problems)
     return AxesDerived(rate.hz, structure, first, tuple(found), rig.k_e, tuple(notes))
