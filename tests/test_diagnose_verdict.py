@@ -10,6 +10,8 @@ import hypothesis.strategies as st
 import numpy as np
 import pytest
 
+from rthyb_rt.diagnose import engine, remainder
+from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.verdict import (
     TURNS,
@@ -86,6 +88,40 @@ def test_noise_of_any_colour_has_to_be_within_the_sheet() -> None:
     left = replace(FRICTION, before=0.5, after=0.4, coloured=True)
     assert said(Seen(left)).said == "unknown"
     assert said(Seen(left), sheet=True).said == "explained"
+
+
+def test_what_a_naive_model_leaves_is_measured_in_the_force_whatever_its_colour() -> None:
+    """Noise of a free colour takes up the form of its laws, and shows less of it than there is."""
+    left = replace(FRICTION, before=0.5, after=0.01, coloured=True, naive=True, of_force=0.2)
+    assert said(Seen(left)).said == "explained"
+    assert said(Seen(replace(left, of_force=POLICY.left_naive))).said == "unknown"
+    assert said(Seen(replace(left, of_force=0.9, after=0.3, before=1.8))).said == "unknown"
+    stated = replace(left, naive=False)
+    assert said(Seen(stated)).said == "unknown"
+
+
+@pytest.mark.long
+def test_part_of_the_residual_that_a_set_leaves_is_taken_from_the_force_itself() -> None:
+    """Friction of 40 N that a naive spring lacks: it leaves the noise, half of it half of it."""
+    n, fs_hz, noise = 1024, 256.0, 1.0
+    t = np.arange(n) / fs_hz
+    x, v = 0.01 * np.sin(2 * np.pi * t), np.cos(2 * np.pi * t)
+    sensors = np.random.default_rng(2)
+    channels = {
+        "x_meas": x + 1e-6 * sensors.standard_normal(n),
+        "f_meas": 1e4 * x + 40.0 * np.sign(v) + noise * sensors.standard_normal(n),
+    }
+    model = Model("drive", fs_hz, 9e3, 10.0, 0.0, x_std=1e-6, f_std=noise)
+    search = engine.diagnose(Case("f", model, t, channels, np.ones(n, dtype=np.bool_))).force
+    assert search is not None
+    assert search.best.names == ("coulomb",)
+    assert remainder.left_of(replace(search, best=search.null)).of_force == 1.0
+    half = replace(search.best, betas=tuple(0.5 * b for b in search.best.betas))
+    half = replace(half, nuisance=0.5 * (half.nuisance + search.null.nuisance))
+    assert remainder.left_of(replace(search, best=half)).of_force == pytest.approx(0.25, abs=0.02)
+    # In white noise it is what is left in units of the noise.
+    left = remainder.left_of(search)
+    assert left.of_force == pytest.approx(left.after / left.before, rel=0.05)
 
 
 def test_noise_of_a_colour_that_comes_in_bursts_is_no_noise_however_little_stays() -> None:
@@ -207,6 +243,16 @@ def test_numbers_of_the_model_are_named_within_the_blur_too() -> None:
     assert said(seen).names == ("stiffness",)
     bent = Seen(replace(BLURRED, bent=5.0))
     assert said(bent).names == ("coulomb",)
+
+
+def test_blur_of_an_estimated_motion_excuses_nothing_that_the_motion_itself_shows() -> None:
+    """Near resonance a force within the blur moves a body by far more than its sensor's noise."""
+    missed = replace(MET, nrmse=0.05)
+    assert said(Seen(BLURRED), simulated=missed).names == ("coulomb",)
+    assert said(Seen(BLURRED), simulated=MET).said == "none"
+    # Whether the set may stay is decided by what it simulates itself.
+    poor = Reproduced(before=400.0, after=40.0)
+    assert said(Seen(BLURRED), simulated=missed, reproduced=poor).said == "unknown"
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,22 @@ def left_of(search: Search) -> Left:
         late=any(m.effect.late for m in best.members),
         cell="f_meas" in problem.case.channels and bool(np.any(found.force)),
         loud=loud(search),
+        of_force=_left_in_force(search),
     )
+
+
+def _left_in_force(search: Search) -> float:
+    """Return the fraction of the model's residual that the best set leaves in the force as it is.
+
+    In power, beyond the noise of the data sheet. In units of a coloured noise, what is slow counts
+    for little, however large it is.
+    """
+    rows, sheet = search.problem.estimate.rows, stated(search.problem.case) or 0.0
+    null, best = (
+        float(np.mean(left_by(search, fit)[rows] ** 2)) - sheet**2
+        for fit in (search.null, search.best)
+    )
+    return max(best, 0.0) / null if null > 0.0 else 0.0
 
 
 def loud(search: Search) -> bool:

@@ -45,6 +45,8 @@ class Left:
         late: whether a law of the set begins in mid-recording.
         cell: whether a load cell measures the force.
         loud: whether the model alone leaves more of it than its data sheet permits for noise.
+        of_force: fraction of the power of the model's residual beyond the data sheet's noise that
+            the set leaves, in the force as it is.
     """
 
     names: Names = ()
@@ -67,6 +69,7 @@ class Left:
     late: bool = False
     cell: bool = True
     loud: bool = False
+    of_force: float = 1.0
 
     @property
     def size(self) -> int:
@@ -262,6 +265,10 @@ def understood(left: Left, policy: Policy, sheet: Callable[[], bool]) -> bool:
         blurred = small(left, left.part_before, policy) and within(left.bent, policy)
         return not left.coloured and (nothing or left.naive or blurred)
     above = left.scale < policy.colourless and left.after < policy.colourless_excess
+    if left.coloured and left.naive:
+        # The residual of a naive model is due to form, of which noise with a free colour has
+        # absorbed what it could: the force itself shows how much is left.
+        return left.of_force < allowed(left, policy)
     if left.coloured_noise(policy):
         # Noise with a free colour has absorbed only what is within the data sheet.
         return False
@@ -299,10 +306,17 @@ Turn = tuple[bool, bool]
 
 
 def blur(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """If the model alone is within the accuracy of an estimated motion, no law is needed."""
+    """If the model alone is within the accuracy of an estimated motion, no law is needed.
+
+    Unless the motion itself shows that the model lacks something: a force within that accuracy
+    moves a body near resonance by far more than the noise of the displacement.
+    """
     if left.moved or not small(left, left.part_before, court.policy):
         return named, known
     if named and within(left.bent, court.policy) and not set(left.names) <= left.stated:
+        made: Simulated | None = court.ask("simulated")
+        if made is not None and not simulates(made, court.policy):
+            return named, known
         court.rules("blur", left.names, left.part_before, blur_of(left, court.policy))
         return False, known
     return named, known

@@ -502,6 +502,21 @@ def _no_noise(search: forces.Search) -> str:
     return f"{noise}, but it is larger than the data sheet states, or comes in bursts"
 
 
+def _leaves(search: forces.Search) -> str:
+    """Return what the best set leaves that is neither noise nor the form of a law."""
+    left = left_of(search)
+    # Of a naive model, the form of its laws is measured in the force itself.
+    of_form = left.naive and left.coloured
+    if left.coloured_noise(POLICY) and not of_form:
+        return _no_noise(search)
+    share = left.of_force if of_form else left.after / max(left.before, 1e-12)
+    return (
+        f"the best set leaves {_percent(share)} of the misfit; at most "
+        f"{_percent(allowed(left, POLICY))} of the misfit can be "
+        "attributed to an inexact formula of an effect"
+    )
+
+
 def _verdict(d: Diagnosis) -> str:
     search = d.force
     if d.verdict == "unknown" and "heldout_nrmse_after" in d.fit:
@@ -536,15 +551,8 @@ def _verdict(d: Diagnosis) -> str:
                 f"the residual of the model alone has {count(search.excess_before + 1.0)} times "
                 "the power of the noise"
             )
-        if search is not None and left_of(search).coloured_noise(POLICY):
-            return f"unknown: {_no_noise(search)}"
         if search is not None:
-            share = search.excess_after / max(search.excess_before, 1e-12)
-            return (
-                f"unknown: the best set leaves {_percent(share)} of the misfit; at most "
-                f"{_percent(allowed(left_of(search), POLICY))} of the misfit can be "
-                "attributed to an inexact formula of an effect"
-            )
+            return f"unknown: {_leaves(search)}"
     turned = [TURNED[r.rule] for r in d.ledger]
     if d.verdict == "none" and search is not None and search.best.members and turned:
         return f"none: {turned[-1]}"
