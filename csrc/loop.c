@@ -49,24 +49,6 @@ static int ring_fits(const rthyb_ring *ring, int32_t axes)
     return !ring || ring->record_words * sizeof(uint64_t) == record_bytes(axes);
 }
 
-static int sensors_of(const rthyb_station *station)
-{
-    return rthyb_kinematics_sensors(&station->cfg.controller.kinematics);
-}
-
-/* Whether the reading of each sensor without an actuator is an extra channel of an axis. */
-static int sensors_ok(const rthyb_loop_config *cfg)
-{
-    const int axes = cfg->station->cfg.controller.axis_count;
-    for (int k = 0; k < sensors_of(cfg->station); k++) {
-        const int32_t axis = cfg->sensor_axis[k];
-        if (axis < 0 || axis >= axes ||
-            cfg->sensor_extra[k] >= cfg->axis[axis].wire->codec.extra_count)
-            return 0;
-    }
-    return 1;
-}
-
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
 {
     const double h = cfg->station->cfg.controller.period_s;
@@ -77,7 +59,8 @@ int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
     loop->rate_hz = rthyb_ticker_rate_hz(h);
     if (!loop->rate_hz)
         return RTHYB_E_PERIOD;
-    if (!sensors_ok(cfg))
+    /* No link has readings of sensors without an actuator. */
+    if (rthyb_kinematics_sensors(&cfg->station->cfg.controller.kinematics) > 0)
         return RTHYB_E_KINEMATICS;
     loop->heartbeat_ticks = standard_ticks(RTHYB_HEARTBEAT_TICKS, h);
     loop->watchdog_ticks = standard_ticks(RTHYB_DRIVE_WATCHDOG, h);
@@ -181,7 +164,6 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
     const rthyb_controller_config *next = &load->station->cfg.controller;
     const int unfit = another && (loop->cfg.station->state != RTHYB_IDLE ||
                                   next->axis_count != loop->axis_count ||
-                                  sensors_of(load->station) != sensors_of(loop->cfg.station) ||
                                   next->period_s != loop->cfg.station->cfg.controller.period_s);
     const int refused = unfit || !ring_fits(load->ring, loop->axis_count);
     if (!refused) {
@@ -550,16 +532,6 @@ static rthyb_axis_input gather_axis(rthyb_loop *loop, int axis, const arrival *f
     };
 }
 
-/* A channel without a value counts like one that did not arrive. */
-static void gather_sensors(const rthyb_loop *loop, rthyb_station_input *in)
-{
-    for (int k = 0; k < sensors_of(loop->cfg.station); k++) {
-        const rthyb_wire *wire = loop->cfg.axis[loop->cfg.sensor_axis[k]].wire;
-        in->sensor[k] = rthyb_wire_extra(wire, loop->cfg.sensor_extra[k]);
-        in->sensors_lost |= (uint32_t)isnan(in->sensor[k]) << k;
-    }
-}
-
 static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint64_t mail,
                                   arrivals *found)
 {
@@ -574,7 +546,6 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
         down |= in.axis[i].link_down;
         stopped |= in.axis[i].drive_stopped;
     }
-    gather_sensors(loop, &in);
     add(&loop->counters.down, (uint64_t)down);
     add(&loop->counters.stopped, (uint64_t)stopped);
     in.skipped = skipped_ticks(loop, tick);

@@ -237,17 +237,11 @@ int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
     return fresh ? RTHYB_OK : RTHYB_LOST | refused;
 }
 
-double rthyb_wire_extra(const rthyb_wire *w, uint32_t number)
-{
-    const int is_new = w->counters.pairs > 0 && w->age == 0;
-    return is_new && number < w->codec.extra_count ? w->pair.extra[number] : (double)NAN;
-}
-
 void rthyb_wire_record_extras(const rthyb_wire *w, double *channels)
 {
     for (uint32_t i = 0; i < w->codec.extra_count; i++) {
         const uint32_t at = w->extra_channel + i;
         if (at < RTHYB_CHANNELS_MAX)
-            channels[at] = rthyb_wire_extra(w, i);
+            channels[at] = w->counters.pairs > 0 && w->age == 0 ? w->pair.extra[i] : (double)NAN;
     }
 }

@@ -30,7 +30,7 @@ from rthyb_rt.config.fields import (
     written,
 )
 from rthyb_rt.config.limits import Limits
-from rthyb_rt.config.lonesensors import LoneSensor, extras_fault, in_order, places, rows_along
+from rthyb_rt.config.lonesensors import LoneSensor, in_order, rows_along
 from rthyb_rt.config.lonesensors import fault as lone_fault
 from rthyb_rt.config.rate import STANDARD, Rate
 from rthyb_rt.config.rigfile import (
@@ -809,22 +809,15 @@ def _one_clock(axes: list[Axis]) -> str | None:
     return None
 
 
-def _sensors_arrive(axes: list[Axis], sensors: list[LoneSensor] | None) -> str | None:
-    fault = extras_fault(sensors or (), _extras_of(axes))
-    if fault:
-        return fault
+def _sensors_in_virtual_time(axes: list[Axis], sensors: list[LoneSensor] | None) -> str | None:
     linked = [axis.name for axis in axes if axis.link is not None]
-    silent = [one.name for one in sensors or () if one.extra is None]
-    if not linked or not silent:
+    if not linked or not sensors:
         return None
     return (
-        f"{silent[0]}: extra is missing; axis {linked[0]} has a link, so state which extra channel "
-        "of an axis ([[axis.sensors.extra]]) has the readings of this sensor"
+        f"found sensors without an actuator ({', '.join(one.name for one in sensors)}), and a link "
+        f"of axis {linked[0]}; such sensors are supported in virtual time only: remove [axis.link] "
+        "of every axis"
     )
-
-
-def _extras_of(axes: Sequence[Axis]) -> list[list[tuple[str, str]]]:
-    return [[(one.name, one.unit) for one in axis.sensors.extra] for axis in axes]
 
 
 def _sensors_fit(kinematics: Kinematics, sensors: list[LoneSensor] | None) -> str | None:
@@ -873,7 +866,7 @@ class AxesRig(WholeFile):
         Condition("axis", ("axis",), _one_clock),
         Condition("sensor", ("kinematics", "sensor"), _sensors_fit),
         Condition("kinematics", ("axis", "kinematics", "sensor"), _kinematics_fault),
-        Condition("sensor", ("axis", "sensor"), _sensors_arrive),
+        Condition("axis", ("axis", "sensor"), _sensors_in_virtual_time),
         Condition("axis", ("axis", "kinematics"), _in_virtual_time),
         Condition("kinematics", ("rig", "kinematics", "sensor"), _cells_fit),
         Condition("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
@@ -926,43 +919,27 @@ class AxesRig(WholeFile):
         return in_order(self.sensor or ())
 
     @property
-    def sensor_places(self) -> list[tuple[int, int] | None]:
-        """Axis, and number of its extra channel, with the reading of each of `lone_sensors`."""
-        return places(self.lone_sensors, _extras_of(self.axis))
-
-    def refuse_silent_sensors(self, what: str) -> None:
-        """Refuse what needs the readings of every sensor from a link.
-
-        Args:
-            what: what is asked for, as the subject of a sentence.
-
-        Raises:
-            InputError: a sensor without an actuator names no extra channel.
-        """
-        silent = [one.name for one in self.sensor or () if one.extra is None]
-        if silent:
-            raise InputError(
-                f'rig "{self.rig.name}" has sensors without an actuator that name no extra '
-                f"channel ({', '.join(silent)}); {what} needs their readings from the link: give "
-                "each extra = the name of an [[axis.sensors.extra]], or run tests in virtual time",
-                "sensor",
-            )
-
-    @property
     def is_redundant(self) -> bool:
         """Whether there are more axes than directions."""
         return len(self.axis) > len(self.directions)
 
     def refuse_redundant(self, what: str, instead: str) -> None:
-        """Refuse what is not supported with more axes than directions.
+        """Refuse what needs exactly the sensors of one axis for each direction.
 
         Args:
             what: what is asked for, as the subject of a sentence.
             instead: what the user can do.
 
         Raises:
-            InputError: there are more axes than directions.
+            InputError: there are more axes than directions, or sensors without an actuator.
         """
+        if self.sensor:
+            raise InputError(
+                f'rig "{self.rig.name}" has sensors without an actuator '
+                f"({', '.join(one.name for one in self.sensor)}); {what} is not supported with "
+                f"them; {instead}",
+                "sensor",
+            )
         if self.is_redundant:
             raise InputError(
                 f'rig "{self.rig.name}" has {len(self.axis)} axes ({", ".join(self.names)}) for '

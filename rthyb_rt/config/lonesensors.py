@@ -23,11 +23,6 @@ CHANNEL: Final = Text(
     r"[a-z][a-z0-9_]{0,26}",
     "up to 27 characters of a-z 0-9 _ in quotes, starting with a letter",
 )
-_EXTRA: Final = Text(
-    "the name of an extra channel",
-    r"[a-z][a-z0-9_]{0,31}",
-    "up to 32 characters of a-z 0-9 _ in quotes, starting with a letter",
-)
 READ: Final = "_read"
 """Ends the name of the channel with the readings as received."""
 
@@ -60,8 +55,7 @@ class LoneDisplacement(DisplacementSensor):
     """A displacement sensor at the specimen that belongs to no axis.
 
     ``along`` states what it reads for a unit of each direction of the interface; directions that it
-    omits do not affect it. ``extra`` names the extra channel of an axis in whose frames its reading
-    arrives, which a test in real time needs.
+    omits do not affect it.
     """
 
     checks: ClassVar[tuple[Condition, ...]] = _ALONG
@@ -69,7 +63,6 @@ class LoneDisplacement(DisplacementSensor):
     kind: Literal["displacement"]
     name: Annotated[str, CHANNEL]
     along: _Along
-    extra: Annotated[str, _EXTRA] | None = None
     stuck_s: TimeLimit | None = None
     jump_m: IncrementLimit | None = None
 
@@ -77,8 +70,7 @@ class LoneDisplacement(DisplacementSensor):
 class LoneForce(ForceSensor):
     """A load cell at the specimen that belongs to no axis.
 
-    ``along`` states which share of the specimen's force in each direction it carries; ``extra`` is
-    as for a displacement sensor.
+    ``along`` states which share of the specimen's force in each direction it carries.
     """
 
     checks: ClassVar[tuple[Condition, ...]] = _ALONG
@@ -86,7 +78,6 @@ class LoneForce(ForceSensor):
     kind: Literal["force"]
     name: Annotated[str, CHANNEL]
     along: _Along
-    extra: Annotated[str, _EXTRA] | None = None
     stuck_s: TimeLimit | None = None
     jump_n: StepLimit | None = None
 
@@ -111,52 +102,6 @@ def rows_along(
 def in_order(sensors: Sequence[LoneSensor]) -> list[LoneSensor]:
     """Return the sensors in the order of the core: displacements, then forces."""
     return sorted(sensors, key=lambda one: one.kind != "displacement")
-
-
-Extras = Sequence[Sequence[tuple[str, str]]]
-"""Name and unit of the extra channels of each axis."""
-
-
-def places(sensors: Sequence[LoneSensor], extras: Extras) -> list[tuple[int, int] | None]:
-    """Return the axis and the number of the extra channel with the reading of each sensor.
-
-    None for a sensor without ``extra``.
-    """
-    found = {
-        name: (axis, number)
-        for axis, own in enumerate(extras)
-        for number, (name, _) in enumerate(own)
-    }
-    return [None if one.extra is None else found[one.extra] for one in sensors]
-
-
-def extras_fault(sensors: Sequence[LoneSensor], extras: Extras) -> str | None:
-    """Return what is wrong with the extra channels that sensors name, or None."""
-    units = {name: unit for own in extras for name, unit in own}
-    taken = dict[str, str]()
-    for one in sensors:
-        if one.extra is None:
-            continue
-        if one.extra not in units:
-            known = ", ".join(units) or "none"
-            return (
-                f"{one.name}: found extra = {written(one.extra)}{nearest(one.extra, list(units))}; "
-                f"it must name an [[axis.sensors.extra]]; the file has: {known}"
-            )
-        unit = "N" if one.kind == "force" else "m"
-        if units[one.extra] != unit:
-            return (
-                f"{one.name}: found extra = {written(one.extra)} with the unit "
-                f"{written(units[one.extra])}; a sensor of kind {one.kind} needs a channel in "
-                f"{unit}: convert it by the channel's scale"
-            )
-        if one.extra in taken:
-            return (
-                f"sensors {taken[one.extra]} and {one.name} both name the extra channel "
-                f"{one.extra}; each needs its own"
-            )
-        taken[one.extra] = one.name
-    return None
 
 
 def values_of(sensors: Sequence[LoneSensor], samples: NDArray[np.void]) -> NDArray[np.float64]:

@@ -598,9 +598,7 @@ class ForceSensor(Table):
 
 
 class ExtraSensor(Table):
-    """A channel in addition to displacement and force, recorded by its name.
-
-    On a rig of several axes, a ``[[sensor]]`` may be read through it; nothing else uses it.
+    """A channel in addition to displacement and force, which is only recorded, by its name.
 
     ``scale`` and ``offset`` convert the wire to the value; at the end of a serial packet the wire
     has steps of ``wire_step``. ``measures``, ``gain`` and the errors apply to the virtual rig.

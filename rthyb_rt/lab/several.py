@@ -75,7 +75,6 @@ def prepare(
     _refuse_what_is_of_one(test)
     if real_time:
         rig.refuse_redundant("a test in real time", "run it in virtual time, without --realtime")
-        rig.refuse_silent_sensors("a test in real time")
         experiment.refuse_other_rate(test, rig)
         experiment.refuse_python(test, [own.law for own in rig.specimen.element])
 
@@ -297,7 +296,6 @@ def at_rest(rig: AxesRig) -> Setup:
         InputError: the values of the rig file are inconsistent, or the actuators are redundant.
     """
     rig.refuse_redundant("real time", "only tests in virtual time are: rthyb run TEST.toml")
-    rig.refuse_silent_sensors("real time")
     storeys = range(1, len(rig.directions) + 1)
     masses = np.diag(rig.k_e) / (2.0 * np.pi) ** 2
     text = _AT_REST.format(

@@ -122,7 +122,6 @@ def drives_of(
             actuators.
     """
     rig.refuse_redundant("a rig on a link", "run tests in virtual time: rthyb run TEST.toml")
-    rig.refuse_silent_sensors("a rig on a link")
     seed = rig.rig.seed if plan.seed is None else plan.seed
     given = rig.model_copy(update={"rig": rig.rig.model_copy(update={"seed": seed})})
     plant: CoupledRig = axes_rig.virtual_rig(given, rate_of(rig, plan).hz)
