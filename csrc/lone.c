@@ -32,19 +32,33 @@ int lone_check(const rthyb_station_config *cfg)
     int good = 1;
     for (int k = 0; k < RTHYB_SENSORS_ALL; k++) {
         const rthyb_lone_config *own = &cfg->lone[k];
-        good = good && own->range >= 0.0 && !rthyb_watches_check(&own->stuck, 1) &&
-               !rthyb_watches_check(&own->jump, 1);
+        good = good && own->range >= 0.0 && own->rest_spread >= 0.0 && own->tare_most >= 0.0 &&
+               !rthyb_watches_check(&own->stuck, 1) && !rthyb_watches_check(&own->jump, 1);
     }
     return good ? 0 : RTHYB_E_LIMIT;
 }
 
-int lone_is_sound(const rthyb_station *s, const rthyb_station_input *in)
+static finding at_end_of_range(const rthyb_station *s, int k, double reading)
 {
-    int sound = 1;
-    for (int k = 0; k < lones_of(s); k++)
-        sound = sound && !is_lost(in, k) && is_sensible(s, k, in->sensor[k]) &&
-                !is_off_scale(s, k, in->sensor[k]);
-    return sound;
+    const int cause = is_displacement(s, k) ? RTHYB_CAUSE_POSITION : RTHYB_CAUSE_FORCE;
+    return (finding){cause, reading, s->cfg.lone[k].range, of_sensor(k)};
+}
+
+int lone_is_sound(const rthyb_station *s, const rthyb_station_input *in, finding *found)
+{
+    for (int k = 0; k < lones_of(s); k++) {
+        if (is_lost(in, k) || !is_sensible(s, k, in->sensor[k])) {
+            /* The controller has not counted this tick yet. */
+            const double missing = s->controller.sensor_missing[k] + 1.0;
+            *found = (finding){RTHYB_CAUSE_SENSOR_LOST, missing, s->ticks.lost, of_sensor(k)};
+            return 0;
+        }
+        if (is_off_scale(s, k, in->sensor[k])) {
+            *found = at_end_of_range(s, k, in->sensor[k]);
+            return 0;
+        }
+    }
+    return 1;
 }
 
 int lone_look(rthyb_station *s, const rthyb_station_input *in)
@@ -141,14 +155,41 @@ void lone_note(rthyb_station *s)
 
 void lone_begin_tare(rthyb_station *s)
 {
-    for (int k = 0; k < lones_of(s); k++)
+    for (int k = 0; k < lones_of(s); k++) {
         s->lone[k].sum = 0.0;
+        s->lone[k].low = (double)INFINITY;
+        s->lone[k].high = -(double)INFINITY;
+    }
 }
 
-void lone_add_to_tare(rthyb_station *s)
+int lone_add_to_tare(rthyb_station *s, finding *found)
 {
-    for (int k = 0; k < lones_of(s); k++)
-        s->lone[k].sum += s->lone[k].reading;
+    for (int k = 0; k < lones_of(s); k++) {
+        rthyb_lone *own = &s->lone[k];
+        const double most = s->cfg.lone[k].rest_spread;
+        own->sum += own->reading;
+        own->low = fmin(own->low, own->reading);
+        own->high = fmax(own->high, own->reading);
+        const double spread = own->high - own->low;
+        if (most > 0.0 && spread > most) {
+            *found = (finding){RTHYB_CAUSE_NONE, spread, most, of_sensor(k)};
+            return 0;
+        }
+    }
+    return 1;
+}
+
+int lone_is_far_off(const rthyb_station *s, finding *found)
+{
+    for (int k = 0; k < lones_of(s); k++) {
+        const double tare = s->lone[k].sum / s->cfg.tare_ticks, most = s->cfg.lone[k].tare_most;
+        if (!(most > 0.0) || !(fabs(tare) > most))
+            continue;
+        const int cause = is_displacement(s, k) ? RTHYB_CAUSE_RIG_POSITION : RTHYB_CAUSE_RIG_FORCE;
+        *found = (finding){cause, tare, most, of_sensor(k)};
+        return 1;
+    }
+    return 0;
 }
 
 void lone_take_tare(rthyb_station *s)
@@ -169,8 +210,7 @@ int lone_finds(const rthyb_station *s, int which, finding *found)
         const rthyb_lone *own = &s->lone[k];
         if (!own->off_scale || !(which & (is_displacement(s, k) ? AXIS_OFF_X : AXIS_OFF_F)))
             continue;
-        const int cause = is_displacement(s, k) ? RTHYB_CAUSE_POSITION : RTHYB_CAUSE_FORCE;
-        *found = (finding){cause, own->reading, s->cfg.lone[k].range, of_sensor(k)};
+        *found = at_end_of_range(s, k, own->reading);
         return 1;
     }
     return 0;
@@ -194,6 +234,16 @@ int lone_not_taken(const rthyb_station *s, uint32_t axis_missing, finding *found
         found->value = own->leaps.level - own->seen;
         found->limit = s->cfg.lone[longest].jump.value;
     }
+    return 1;
+}
+
+int lone_withholds(const rthyb_station *s, finding *found)
+{
+    if (!lone_not_taken(s, s->ticks.lost - 1, found))
+        return 0;
+    const int k = found->where - SENSOR_PLACE;
+    if (s->lone[k].off_scale)
+        *found = at_end_of_range(s, k, s->lone[k].reading);
     return 1;
 }
 

@@ -15,13 +15,15 @@ typedef struct {
     double range;      /* a reading at or beyond it is not used; 0 = off */
     rthyb_watch stuck; /* value: ticks */
     rthyb_watch jump;  /* value: change from one reading to the next */
+    /* ZERO is refused if the reading varies by more than the first, or if the tare exceeds the second; 0 = no limit */
+    double rest_spread, tare_most;
 } rthyb_lone_config;
 
 /* State; readings are before tare. */
 typedef struct {
-    double tare, sum;
-    double reading; /* as received in this tick; NaN if nothing was */
-    double seen;    /* last reading of a tick in which every axis and every sensor had one */
+    double tare, sum, low, high; /* low, high: of the readings of the tare so far */
+    double reading;              /* as received in this tick; NaN if nothing was */
+    double seen; /* last reading of a tick in which every axis and every sensor had one */
     rthyb_leaps leaps;
     /* repeated reading, for how many ticks it has been repeated, and the commands along the interface when the repetition
      * began */

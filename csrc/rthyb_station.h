@@ -153,7 +153,8 @@ typedef struct {
     int32_t leg;
     /* displacement, velocity, acceleration of each interface */
     double resume[RTHYB_COUPLED_MAX][3];
-    /* 0 no, 1 in progress; failed: 2 reading not at rest, 3 tare too large, 4 no pose */
+    /* 0 no, 1 in progress; failed: 2 reading not at rest, 3 tare too large, 4 no pose, 5 a sensor without an actuator
+     * gives no usable reading */
     int32_t zeroing;
     int32_t tare_readings; /* readings in the tare so far */
     int32_t tared;         /* there is a valid tare: not before the first, nor after a RESET */

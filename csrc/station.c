@@ -218,14 +218,15 @@ static void clear_cause(rthyb_station *s)
 }
 
 /* Whether every axis has a pair of plausible values, and every further sensor a value, none of them
- * at the end of its sensor's range. */
-static int is_sound(const rthyb_station *s, const rthyb_station_input *in)
+ * at the end of its sensor's range. If only a further sensor has none, *found says which one. */
+static int is_sound(const rthyb_station *s, const rthyb_station_input *in, finding *found)
 {
     int sound = 1;
+    *found = plain(RTHYB_CAUSE_NONE);
     for (int i = 0; i < axes_of(s); i++)
         sound = sound && axis_is_sensible(&in->axis[i]) &&
                 !axis_off_scale(&s->cfg.axis[i], &in->axis[i]);
-    return sound && lone_is_sound(s, in);
+    return sound && lone_is_sound(s, in, found);
 }
 
 /* 1 + index of the first axis whose link is down, 0 if there is none; the next two functions
@@ -359,8 +360,8 @@ static int can_reset(rthyb_station *s, const rthyb_station_input *in)
     finding found;
     if (s->state == RTHYB_IDLE && (!first_stopped(s, in) || s->zeroing == 1))
         return 0;
-    if (!is_sound(s, in))
-        return 0;
+    if (!is_sound(s, in, &found))
+        return refuse(s, found);
     int rests = !first_down(s, in) && s->in_state >= s->ticks.rest;
     for (int i = 0; i < axes_of(s); i++) {
         const rthyb_axis *a = &s->axis[i];
@@ -399,6 +400,8 @@ static int start(rthyb_station *s)
 {
     finding found;
     if (watch_finds(s, &found) || watch_wandered(s, &found))
+        return refuse(s, found);
+    if (lone_not_taken(s, 0, &found))
         return refuse(s, found);
     if (!s->seen || s->controller.missing)
         return 0;
@@ -522,6 +525,8 @@ static int tare_is_refused(const rthyb_station *s, finding *found)
             return 1;
         }
     }
+    if (lone_is_far_off(s, found))
+        return 1;
     *found = plain(RTHYB_CAUSE_NO_POSE);
     return !rthyb_controller_has_pose(&s->controller, x);
 }
@@ -533,16 +538,20 @@ static void take_tare(rthyb_station *s, const rthyb_station_input *in)
     const rthyb_axis_config *cfg = s->cfg.axis;
     const double ticks = s->cfg.tare_ticks;
     double x[MOST];
+    finding found;
     for (int i = 0; i < axes_of(s); i++)
         if (!axis_add_to_tare(&s->axis[i], &cfg[i], &in->axis[i])) {
             s->zeroing = 2;
             return;
         }
-    lone_add_to_tare(s);
+    if (!lone_add_to_tare(s, &found)) {
+        (void)refuse(s, found);
+        s->zeroing = 2;
+        return;
+    }
     if (++s->tare_readings < s->cfg.tare_ticks)
         return;
     (void)refuse(s, plain(RTHYB_CAUSE_NONE));
-    finding found;
     if (tare_is_refused(s, &found)) {
         (void)refuse(s, found);
         s->zeroing = found.cause == RTHYB_CAUSE_NO_POSE ? 4 : 3;
@@ -851,16 +860,20 @@ static rthyb_input take_pairs(rthyb_station *s, const rthyb_station_input *in, c
 }
 
 /* While a drive has stopped on its own, its command follows the measured position, so that nothing
- * jumps when the drive is released. */
+ * jumps when the drive is released. For this the axes need their own readings only, whatever other
+ * sensor has none. */
 static void stand_by(rthyb_station *s, const rthyb_station_input *in)
 {
     double x[MOST];
-    if (s->state != RTHYB_IDLE || !first_stopped(s, in) || s->controller.missing)
+    if (s->state != RTHYB_IDLE || !s->seen || !first_stopped(s, in))
         return;
+    for (int i = 0; i < axes_of(s); i++)
+        if (s->controller.axis[i].missing)
+            return;
     for (int i = 0; i < axes_of(s); i++) {
         const int stopped = in->axis[i].drive_stopped;
         rthyb_axis *a = &s->axis[i];
-        x[i] = stopped ? a->seen_x - a->tare_x : s->controller.axis[i].x_cmd;
+        x[i] = stopped ? in->axis[i].x_m - a->tare_x : s->controller.axis[i].x_cmd;
         a->gap = stopped ? 0.0 : a->gap;
     }
     rthyb_controller_rest(&s->controller, x);
@@ -871,7 +884,8 @@ static void stand_by(rthyb_station *s, const rthyb_station_input *in)
 static int take_over(rthyb_station *s, const rthyb_station_input *in)
 {
     double x[MOST];
-    int good = in->taken_over && !s->seen && is_sound(s, in);
+    finding unsound;
+    int good = in->taken_over && !s->seen && is_sound(s, in, &unsound);
     for (int i = 0; i < axes_of(s); i++) {
         x[i] = in->axis[i].x_cmd_m;
         good = good && judge(x[i], RTHYB_DISPLACEMENT_MAX_M) == RTHYB_OK;
@@ -881,6 +895,16 @@ static int take_over(rthyb_station *s, const rthyb_station_input *in)
     rthyb_controller_rest(&s->controller, x);
     s->commands = 1;
     return 1;
+}
+
+/* A tare whose readings do not come would remain in progress without saying why. */
+static void give_up_tare(rthyb_station *s)
+{
+    finding found;
+    if (s->zeroing != 1 || !lone_withholds(s, &found))
+        return;
+    (void)refuse(s, found);
+    s->zeroing = 5;
 }
 
 void rthyb_station_advance(rthyb_station *s)
@@ -927,6 +951,7 @@ int rthyb_station_tick(rthyb_station *s, const rthyb_station_input *in, const do
     rthyb_record *last = &records[made_up];
     sample(s, &pairs, 0, last);
     stand_by(s, in);
+    give_up_tare(s);
     note_tick(s, 0);
     write_output(s, refused, made_up + 1, out);
     if (s->cfg.law_channel_count > 0)

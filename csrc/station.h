@@ -104,8 +104,8 @@ void course_bounds(const rthyb_station *s, int axis, rthyb_axis_output *out);
 
 /* 0 or RTHYB_E_LIMIT. */
 int lone_check(const rthyb_station_config *cfg);
-/* Whether each has a plausible value that is not at the end of its range. */
-int lone_is_sound(const rthyb_station *s, const rthyb_station_input *in);
+/* Whether each has a plausible value that is not at the end of its range; if not, *found says which one. */
+int lone_is_sound(const rthyb_station *s, const rthyb_station_input *in, finding *found);
 /* Stores the readings of this tick; 1 if all are plausible. */
 int lone_look(rthyb_station *s, const rthyb_station_input *in);
 /* Bits of enum axis_off, for any of them. */
@@ -117,7 +117,10 @@ void lone_take(const rthyb_station *s, uint32_t leapt, rthyb_input *pairs);
 /* After a tick in which all axes and sensors had a reading: keeps it, and checks whether it only repeats. */
 void lone_note(rthyb_station *s);
 void lone_begin_tare(rthyb_station *s);
-void lone_add_to_tare(rthyb_station *s);
+/* Adds the readings of this tick; 0 if one is not at rest: *found has the sensor, and by how much its readings vary. */
+int lone_add_to_tare(rthyb_station *s, finding *found);
+/* Whether a tare would exceed its limit, because the specimen is deformed or loaded, or a sensor is misadjusted. */
+int lone_is_far_off(const rthyb_station *s, finding *found);
 void lone_take_tare(rthyb_station *s);
 /* Last readings, after tare. */
 void lone_seen(const rthyb_station *s, double *values);
@@ -125,6 +128,8 @@ void lone_seen(const rthyb_station *s, double *values);
 int lone_finds(const rthyb_station *s, int which, finding *found);
 /* Whether a sensor has been without a reading for longer than every axis. */
 int lone_not_taken(const rthyb_station *s, uint32_t axis_missing, finding *found);
+/* Whether one has had no usable reading for so long that a test would trip. */
+int lone_withholds(const rthyb_station *s, finding *found);
 /* finding.where of the first value that is not finite; 0: none. */
 int lone_not_finite(const rthyb_station *s, const rthyb_input *in);
 void lone_note_channels(rthyb_station *s);

@@ -34,13 +34,20 @@ def tare(tare_m: float, tare_n: float) -> str:
 
 
 def tare_of_status(found: Mapping[str, Any]) -> str:
-    """Return the tare in a service's status; for several axes, with the name of each."""
+    """Return the tare in a service's status; for several axes and sensors, with their names."""
     each = found.get("axes") or {}
     if not each:
         return tare(found["displacement_m"], found["force_n"])
-    return "; ".join(
-        f"{name} {tare(own['displacement_m'], own['force_n'])}" for name, own in each.items()
-    )
+    words = [f"{name} {tare(own['displacement_m'], own['force_n'])}" for name, own in each.items()]
+    for name, own in (found.get("sensors") or {}).items():
+        of_force = "force_n" in own
+        text = (
+            f"{own['force_n'] * 1e-3:.3f} kN"
+            if of_force
+            else f"{own['displacement_m'] * 1e3:.3f} mm"
+        )
+        words.append(f"{name} tare {text}")
+    return "; ".join(words)
 
 
 def percent(fraction: float | None, digits: int = 2) -> str:

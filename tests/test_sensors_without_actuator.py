@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 from axes_bench import NAMES, SIDES, SPECIMEN, Bench, config, rig, shaking, structure
 from command_line import Rthyb
 from kernels import Floats
@@ -25,10 +26,10 @@ from rthyb_rt.core import AxisReading, CoreError
 from rthyb_rt.core.group import SensorWatches
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.core.library import STATUS
-from rthyb_rt.errors import InputError
-from rthyb_rt.lab import several, virtual_time
+from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.lab import several, virtual_time, zeroing
 from rthyb_rt.lab.realtime import replaying
-from rthyb_rt.record import axis_export
+from rthyb_rt.record import axis_export, export
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig import identify_axes
 
@@ -365,14 +366,126 @@ def test_arm_is_refused_while_a_sensor_is_off_its_scale() -> None:
     assert (one.station.refusal_sensor, one.station.refusal_axis) == (2, None)
 
 
-def test_zero_waits_for_every_sensor() -> None:
+LIMITED = (
+    SensorWatches("wire", 0.2, rest_spread=1e-3, tare_most=0.05),
+    SensorWatches("string", rest_spread=1e-3, tare_most=0.05),
+    SensorWatches("column", 2e4, tare_most=5e3),
+)
+
+
+def zero(faults: Callable[[int], Any], sensors: tuple[SensorWatches, ...] = LIMITED) -> Beside:
+    """Zero with readings replaced by the number of the tick, until it ends either way."""
+    one = bench(sensors=sensors)
+    one.step(faults=faults(0))
+    one.step("zero", faults=faults(1))
+    for n in range(2, 300):
+        if one.station.state == "ZEROED" or one.station.zeroing_failed:
+            break
+        one.step(faults=faults(n))
+    return one
+
+
+def test_zero_waits_for_a_reading_of_every_sensor() -> None:
+    one = zero(lambda n: {1: None} if n % core.LOST_TICKS else {})
+    assert one.station.state == "IDLE"
+    assert not one.station.zeroing_failed
+    one.until("ZEROED", most=200)
+    assert one.station.sensor_tares == pytest.approx(OFFSETS)
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_zero_ends_and_names_a_sensor_that_gives_no_reading(k: int) -> None:
+    one = zero(lambda n: {k: None} if n >= 10 else {})
+    assert len(one.records) == 10 + core.LOST_TICKS
+    assert one.station.state == "IDLE"
+    assert one.station.zeroing_failed
+    assert not one.station.tare_too_large
+    assert one.station.refusal == ("sensor_lost", core.LOST_TICKS, core.LOST_TICKS)
+    assert (one.station.refusal_sensor, one.station.refusal_axis) == (k, None)
+    one.step("zero")
+    one.until("ZEROED", most=200)
+
+
+@pytest.mark.parametrize(
+    ("k", "value", "found"), [(0, -0.25, ("position", -0.25, 0.2)), (2, 3e4, ("force", 3e4, 2e4))]
+)
+def test_zero_names_a_sensor_at_the_end_of_its_range(k: int, value: float, found: Any) -> None:
+    one = zero(lambda _: {k: value})
+    assert one.station.zeroing_failed
+    assert (one.station.refusal, one.station.refusal_sensor) == (found, k)
+
+
+@pytest.mark.parametrize("k", range(2))
+def test_zero_is_refused_if_a_displacement_sensor_moves(k: int) -> None:
+    one = zero(lambda n: {k: OFFSETS[k] + 1e-4 * n})
+    assert one.station.state == "IDLE"
+    assert one.station.zeroing_failed
+    assert not one.station.tare_too_large
+    cause, spread, allowed = one.station.refusal
+    assert (cause, allowed, one.station.refusal_sensor) == ("none", 1e-3, k)
+    assert 1e-3 < spread < 1.15e-3
+    # The same way down, within what is allowed, over the 64 readings of the tare.
+    still = zero(lambda n: {k: OFFSETS[k] - 1.4e-5 * n})
+    assert still.station.state == "ZEROED"
+
+
+@pytest.mark.parametrize(
+    ("k", "cause", "limit"), [(0, "rig_position", 0.05), (1, "rig_position", 0.05),
+                              (2, "rig_force", 5e3)],
+)  # fmt: skip
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_zero_is_refused_if_the_tare_of_a_sensor_is_too_large(
+    k: int, cause: str, limit: float, sign: float
+) -> None:
+    one = zero(lambda _: {k: sign * 1.01 * limit})
+    assert one.station.state == "IDLE"
+    assert one.station.tare_too_large
+    assert one.station.refusal == (cause, pytest.approx(sign * 1.01 * limit), limit)
+    assert (one.station.refusal_sensor, one.station.refusal_axis) == (k, None)
+    assert one.station.sensor_tares == (0.0, 0.0, 0.0)
+    assert zero(lambda _: {k: sign * 0.99 * limit}).station.state == "ZEROED"
+
+
+def test_start_and_reset_name_a_sensor_without_a_reading() -> None:
     one = bench()
     one.step()
     one.step("zero")
-    for _ in range(200):
+    one.until("ZEROED")
+    one.step("arm")
+    for _ in range(3):
         one.step(faults={1: None})
-    assert one.station.state == "IDLE"
-    one.until("ZEROED", most=200)
+    assert one.step("start", faults={1: None}).refused
+    assert (one.station.refusal, one.station.refusal_sensor) == (("sensor_lost", 3.0, 20.0), 1)
+    one.step("trip")
+    for _ in range(40):
+        one.step(faults={0: None})
+    assert one.step("reset", faults={0: None}).refused
+    assert (one.station.refusal, one.station.refusal_sensor) == (("sensor_lost", 41.0, 20.0), 0)
+    assert one.step("reset", faults={2: 3e4}).refused
+    assert (one.station.refusal, one.station.refusal_sensor) == (("force", 3e4, 2e4), 2)
+    for _ in range(40):
+        one.step()
+    assert not one.step("reset").refused
+
+
+@pytest.mark.parametrize("which", ["none", "sensor", "axis"])
+def test_the_command_of_a_stopped_drive_follows_its_axis_without_the_sensors(which: str) -> None:
+    """Otherwise a drive that is released would jump back to where it stood before."""
+    one = bench(sensors=(SensorWatches("wire"), SensorWatches("string"), SensorWatches("column")))
+
+    def tick(x_m: float, *, missing: bool, **own: Any) -> core.StationTick:
+        lost = missing and which == "axis"
+        axes = [AxisReading(x_m, 0.0, lost=lost, **own), AxisReading(0.01, 0.0)]
+        wire = None if missing and which == "sensor" else 0.0
+        return one.station.tick(axes=axes, sensors=(wire, 0.0, 0.0))
+
+    for _ in range(5):
+        tick(0.01, missing=False)
+    for n in range(60):
+        tick(0.01 + 1e-4 * n, missing=True, drive_stopped=True)
+    told = tick(0.01 + 1e-4 * 59, missing=True)
+    assert told.sent
+    assert told.commands_m == pytest.approx((0.01 if which == "axis" else 0.0159, 0.01))
 
 
 @pytest.mark.parametrize("k", range(3))
@@ -483,6 +596,7 @@ def test_a_file_is_written_and_read_again() -> None:
         ("along = { first = 0.4 }", "along = { first = nan }", "found nan"),
         ("along = { first = 0.4 }", "along = { first = 0 }", "for a unit along each direction"),
         ("along = { first = 0.4 }", "along = {}", "found no direction"),
+        ("along = { first = 0.4 }\n", "", "column.along: missing; add along = { name = value"),
         ('name = "column"', 'name = "wire"', 'sensors 1 and 2 are both called "wire"'),
         ('name = "column"', 'name = "Column 1"', 'sensor.Column 1.name: found "Column 1"'),
         (
@@ -530,6 +644,23 @@ def test_a_fault_is_told_with_file_key_and_value(old: str, new: str, said: str) 
     assert all(one.startswith("floor.toml:") for one in problems)
 
 
+@pytest.mark.parametrize("cell", ["", COLUMN])
+def test_sensors_that_blur_the_position_are_named_as_the_reason(cell: str) -> None:
+    """Alone, the axes determine the position, although they are nearly side by side."""
+    near = RIG.replace("matrix = [[1, 0], [1, 1]]", "matrix = [[1, 1], [1, 1.001]]")
+    read(near)
+    text = near.replace("#sensors\n", WIRE.replace("second = 0.5", "second = 1") + cell)
+    if cell:
+        # Half of the force along first from the axes, half from the column: no fault of theirs.
+        rows = "[[0.5, 0.5, 1.25], [1, 1.001, 0]]"
+        text = text.replace("#forces\n", f"forces = {rows}\n")
+    with pytest.raises(InputError) as caught:
+        read(text)
+    (said,) = (str(one) for one in caught.value.problems)
+    assert "kinematics: matrix: found the rows [1, 1]; [1, 1.001], and below them" in said
+    assert "displacement sensors (along) [1, 1]" in said
+
+
 def test_pins_do_not_go_with_sensors() -> None:
     pins = """[kinematics]
 kind = "pins"
@@ -568,6 +699,131 @@ def test_a_name_that_a_recording_has_already_is_refused(name: str) -> None:
     test = files.parse_test(TEST, "test.toml")
     with pytest.raises(InputError, match=f'found "{name}", but a recording of this test already'):
         several.prepare(test, read(WITH_WIRE.replace('"wire"', f'"{name}"')))
+
+
+def test_the_name_of_a_variable_of_exported_files_is_refused(
+    bare: Recording, tmp_path: Path
+) -> None:
+    export.to_mat(bare, tmp_path / "bare.mat")
+    own = {name for name, _, _ in scipy.io.whosmat(tmp_path / "bare.mat")}
+    beside = own - set(bare.samples.dtype.names or ()) - {"ag_mps2"}
+    assert beside >= {"x_ref_m", "t_s", "meta"}
+    test = files.parse_test(TEST, "test.toml")
+    for name in beside:
+        with pytest.raises(InputError, match=f'exported files have a variable "{name}"'):
+            several.prepare(test, read(WITH_WIRE.replace('"wire"', f'"{name}"')))
+
+
+@pytest.mark.parametrize("name", ["wire", "wire_read"])
+def test_the_name_of_an_extra_sensor_is_refused_where_the_sensor_has_it(name: str) -> None:
+    text = WITH_WIRE.replace(
+        "sensors = { ", f'sensors = {{ extra = [{{ name = "{name}", unit = "m" }}], ', 1
+    )
+    with pytest.raises(InputError) as caught:
+        several.prepare(files.parse_test(TEST, "test.toml"), read(text))
+    (said,) = (str(one) for one in caught.value.problems)
+    assert f'found "wire", but axis left has an extra sensor "{name}"' in said
+    assert said.split(": ")[1].startswith("sensor.")
+
+
+# ---- zeroing ------------------------------------------------------------------------------------
+
+
+def watches_of(text: str, test: str = TEST) -> dict[str, SensorWatches]:
+    setup = several.prepare(files.parse_test(test, "test.toml"), read(text))
+    assert setup.group is not None
+    return {one.name: one for one in several.station_config(setup, setup.group).sensors}
+
+
+def test_a_tare_may_be_what_the_limits_of_the_axes_give_a_sensor() -> None:
+    """A fifth of 30 mm and 90 kN at each axis: first = x, second = x2 - x1; first = f1 + f2."""
+    found = watches_of(WITH_BOTH)
+    assert found["wire"].tare_most == pytest.approx(0.5 * 6e-3 + 0.5 * 6e-3)
+    assert found["column"].tare_most == pytest.approx(0.4 * (18e3 + 18e3))
+    assert watches_of(
+        WITH_BOTH.replace("along = { first = 1, second = 0.5 }", "along = { second = 2 }")
+    )["wire"].tare_most == pytest.approx(2 * (6e-3 + 6e-3))
+    # An axis without a limit: none for a cell that carries its force.
+    free = watches_of(WITH_BOTH.replace(', force_n = "90 kN"', "", 1))
+    assert (free["column"].tare_most, free["wire"].tare_most) == (0.0, found["wire"].tare_most)
+
+
+def test_a_displacement_sensor_may_vary_as_the_axes_may_or_by_its_noise() -> None:
+    stated = TEST + '\n[limits]\nrest_spread_m = "0.2 mm"\n'
+    noisy = WITH_BOTH.replace("noise_std_m = 2e-6", "noise_std_m = 2e-5")
+    coarse = WITH_BOTH.replace("noise_std_m = 2e-6", "lsb_m = 1e-4")
+    assert watches_of(WITH_BOTH)["wire"].rest_spread == pytest.approx(1e-4)
+    assert watches_of(WITH_BOTH, stated)["wire"].rest_spread == pytest.approx(2e-4)
+    assert watches_of(noisy)["wire"].rest_spread == pytest.approx(20 * 2e-5)
+    assert watches_of(noisy, stated)["wire"].rest_spread == pytest.approx(20 * 2e-5)
+    assert watches_of(coarse)["wire"].rest_spread == pytest.approx(20 * 1e-4 / math.sqrt(12))
+    assert watches_of(noisy)["column"].rest_spread == 0.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "noise_std_m = 2e-6",
+            "bias_m = 9e-3",
+            "the tare of the displacement of sensor wire would be 9 mm, but at most 6 mm is",
+        ),
+        (
+            "noise_std_n = 10\n",
+            'bias_n = "-20 kN"\n',
+            "the tare of the force of sensor column would be -20 kN, but at most 14.4 kN",
+        ),
+        ("noise_std_m = 2e-6", "bias_m = 0.09", "sensor wire: displacement 80.0 mm (limit 80 mm)"),
+        ("noise_std_n = 10\n", "bias_n = -8e4\n", "sensor column: force 70.0 kN (limit 70 kN)"),
+    ],
+)
+def test_a_test_that_cannot_be_zeroed_names_the_sensor(old: str, new: str, said: str) -> None:
+    assert old in WITH_BOTH
+    with pytest.raises(RthybError, match=re.escape(said)):
+        completed(WITH_BOTH.replace(old, new, 1))
+
+
+def test_a_sensor_that_moves_during_the_tare_is_named() -> None:
+    setup = several.prepare(files.parse_test(TEST, "test.toml"), read(WITH_BOTH))
+    assert setup.group is not None
+    found = several.station_config(setup, setup.group)
+    # Its noise has a span of some 13 um.
+    sensors = tuple(replace(one, rest_spread=one.rest_spread / 20) for one in found.sensors)
+    one = virtual_time.Bench(setup, config=replace(found, sensors=sensors))
+    with pytest.raises(
+        RthybError,
+        match=r"not at rest: the displacement of sensor wire moved by 0\.\d+ mm during the tare of "
+        r"1 s, but at most 0\.005 mm is allowed \(limits\.rest_spread_m\)",
+    ):
+        virtual_time.conduct(one)
+
+
+def test_a_sensor_without_readings_is_named_among_what_is_silent() -> None:
+    text = WITH_BOTH.replace("noise_std_n = 10\n", "bias_n = -8e4\n")
+    one = virtual_time.Bench(several.prepare(files.parse_test(TEST, "test.toml"), read(text)))
+    assert not zeroing.silent_sensors(one.run)
+    one.advance(25)
+    assert zeroing.silent_sensors(one.run) == "sensor column: no usable reading for 25 ticks"
+
+
+def test_the_tares_of_the_sensors_are_told_by_name() -> None:
+    text = quiet(WITH_BOTH).replace("range_m", "bias_m = 2e-3\nrange_m")
+    setup = several.prepare(
+        files.parse_test(TEST, "test.toml"), read(text.replace("range_n", "bias_n = -5e3\nrange_n"))
+    )
+    one = virtual_time.Bench(setup)
+    one.command("zero")
+    one.advance(2 * one.config.tare_ticks)
+    assert one.state == "ZEROED"
+    found = zeroing.tares(one.run)["sensors"]
+    assert found["wire"] == {"displacement_m": pytest.approx(2e-3)}
+    assert found["column"] == {"force_n": pytest.approx(-5e3)}
+    said = zeroing.in_words(one.run)
+    assert said.startswith("left tare ")
+    assert said.endswith("wire tare 2.000 mm; column tare -5.000 kN")
+    assert "sensors" not in zeroing.tares(virtual_time.Bench(
+        several.prepare(files.parse_test(TEST, "test.toml"), read(RIG))
+    ).run)  # fmt: skip
 
 
 # ---- whole tests --------------------------------------------------------------------------------

@@ -466,9 +466,19 @@ def _singular(given: MatrixKinematics, sensors: Sequence[LoneSensor]) -> str:
                 f"the identity, so that every motion along {along} is measured as it is, and no "
                 "other"
             )
-    assert given.forces is not None
+    elif reads is not None:
+        try:
+            CoreKinematics(given.matrix, reads=reads)
+        except CoreError:
+            return (
+                f"matrix: found the rows {_shown(given.matrix)}, and below them those of the "
+                f"displacement sensors (along) {_shown(reads)}; one of their columns is, almost, "
+                "zero or a combination of the others, so their readings together do not determine "
+                f"the position along {along} precisely enough: correct them, or choose with "
+                "displacements which sensors determine it"
+            )
     carries = rows_along(sensors, "force", given.interface)
-    if carries is not None:
+    if carries is not None and given.forces is not None:
         of_axes = CoreKinematics(given.matrix).back().T.tolist()
         found = _times(given.forces, [*of_axes, *carries])
         return (
@@ -476,6 +486,12 @@ def _singular(given: MatrixKinematics, sensors: Sequence[LoneSensor]) -> str:
             f"measure for a unit force of the specimen in each direction ({along}), give "
             f"{_shown(found)}; must be the identity. The load cells of the axes are in line with "
             f"them and measure {_shown(of_axes)}, the sensors (along) {_shown(carries)}"
+        )
+    if given.forces is None:
+        return (
+            f"matrix: found the rows {_shown(given.matrix)}, which are, almost, combinations of "
+            f"one another, so the forces along {along} are not determined; some rows must differ "
+            "more"
         )
     return (
         f"forces: found the rows {_shown(given.forces)}, one of which is zero or a combination of "

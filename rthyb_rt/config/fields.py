@@ -560,12 +560,16 @@ def _literals(annotation: Any) -> list[str]:
     return [str(name) for part in literals for name in typing.get_args(part)]
 
 
+def _tables(annotation: Any) -> list[type[Table]]:
+    """Return the tables among the parts of an annotation."""
+    parts = (part for part in _parts(annotation) if isinstance(part, type))
+    return [part for part in parts if issubclass(part, Table)]
+
+
 def _tags(annotation: Any, key: str) -> list[str]:
-    tables = (part for part in _parts(annotation) if isinstance(part, type))
     return [
         name
-        for table in tables
-        if issubclass(table, Table)
+        for table in _tables(annotation)
         for name in _literals(table.model_fields[key].annotation)
     ]
 
@@ -592,4 +596,6 @@ def _allowed(info: FieldInfo, key: str) -> str:
         return "must be " + " or ".join(f'{key} = "{name}"' for name in names)
     if typing.get_origin(info.annotation) is list:
         return f"add at least one table [[{key}]]"
+    if typing.get_origin(info.annotation) is dict and not _tables(info.annotation):
+        return f"add {key} = {{ name = value, ... }}"
     return f"add the table [{key}]"

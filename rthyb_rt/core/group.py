@@ -93,18 +93,24 @@ class SensorWatches:
     """A sensor without an actuator; values before tare, in m or N.
 
     ``range``: a reading at or beyond it is not used; 0: none. ``stuck``: ticks for which a reading
-    may be repeated while the command moves. ``jump``: change from one reading to the next.
+    may be repeated while the command moves. ``jump``: change from one reading to the next. ZERO is
+    refused if the reading varies by more than ``rest_spread``, or if the tare exceeds
+    ``tare_most``; 0: no limit.
     """
 
     name: str = ""
     range: float = 0.0
     stuck: Watch | None = None
     jump: Watch | None = None
+    rest_spread: float = 0.0
+    tare_most: float = 0.0
 
     def mapping(self) -> dict[str, Any]:
         """Return the ``rthyb_lone_config`` of the C core."""
         return {
             "range": self.range,
+            "rest_spread": self.rest_spread,
+            "tare_most": self.tare_most,
             **{
                 name: (0.0, 0) if watch is None else _watch(watch)
                 for name, watch in (("stuck", self.stuck), ("jump", self.jump))

@@ -607,8 +607,12 @@ class Station:
 
     @property
     def zeroing_failed(self) -> bool:
-        """Whether the last tare was refused: movement, `tare_too_large`, or no matching pose."""
-        return int(self._c.zeroing) in (2, 3, 4)
+        """Whether the last tare was refused.
+
+        Because of movement, `tare_too_large`, no matching pose, or a sensor without an actuator
+        that gives no usable reading. `refusal_sensor` is the sensor that caused it, if one did.
+        """
+        return int(self._c.zeroing) in (2, 3, 4, 5)
 
     @property
     def tare_too_large(self) -> bool:
@@ -645,6 +649,11 @@ class Station:
     def sensor_tares(self) -> tuple[float, ...]:
         """Offsets subtracted from the readings of the sensors without an actuator, m and N."""
         return tuple(one.tare for one in self._c.lone[0 : self._sensors])
+
+    @property
+    def sensors_missing(self) -> tuple[int, ...]:
+        """Ticks for which each sensor without an actuator has had no usable reading."""
+        return tuple(int(n) for n in self._c.controller.sensor_missing[0 : self._sensors])
 
     @property
     def command_tare_m(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -20,7 +21,7 @@ from rthyb_rt.config.deriving_axes import (
     of_axis,
     resolve_axes,
 )
-from rthyb_rt.config.lonesensors import READ, LoneForce, LoneSensor
+from rthyb_rt.config.lonesensors import READ, LoneDisplacement, LoneForce, LoneSensor
 from rthyb_rt.config.placing import placing
 from rthyb_rt.config.testfile import MATRIX, MatrixLaw
 from rthyb_rt.core.coupled_rig import CoupledRig
@@ -38,6 +39,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import axes_rig, experiment
 from rthyb_rt.lab.experiment import Group, Setup
+from rthyb_rt.record.recording import BESIDE_SAMPLES
 
 Floats = NDArray[np.float64]
 
@@ -154,13 +156,19 @@ def _refuse_names(rig: AxesRig, own: Sequence[core.Channel]) -> None:
     names = [one.name for one in own]
     taken = set(experiment.RECORDED)
     taken |= {f"{name}_{i}" for name in experiment.TRUE for i in range(1, len(rig.axis))}
+    extra = {each.name: axis.name for axis in rig.axis for each in axis.sensors.extra}
     for i, one in enumerate(rig.sensor or ()):
         for name in (one.name, f"{one.name}{READ}"):
+            why = ""
             if name in taken or names.count(name) > 1:
+                why = f'a recording of this test already has a channel "{name}"'
+            elif name in extra:
+                why = f'axis {extra[name]} has an extra sensor "{name}", recorded by that name'
+            elif name in BESIDE_SAMPLES:
+                why = f'exported files have a variable "{name}" beside the channels'
+            if why:
                 raise InputError(
-                    f'found "{one.name}", but a recording of this test already has a channel '
-                    f'"{name}"; choose another name',
-                    f"sensor.{i}.name",
+                    f'found "{one.name}", but {why}; choose another name', f"sensor.{i}.name"
                 )
 
 
@@ -470,13 +478,15 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
         part_channel_count=len(part),
         axis_channel=setup.channels.index(own[0]) if own else 0,
         axis_channel_count=len(own),
-        sensors=tuple(_watched(one, setup) for one in rig.lone_sensors),
+        sensors=tuple(_watched(one, setup, group, views) for one in rig.lone_sensors),
         lone_channel=setup.channels.index(lone[0]) if lone else 0,
         lone_channel_count=len(lone),
     )
 
 
-def _watched(one: LoneSensor, setup: Setup) -> SensorWatches:
+def _watched(
+    one: LoneSensor, setup: Setup, group: Group, views: Sequence[core.StationConfig]
+) -> SensorWatches:
     limits: dict[str, tuple[str, Limit | None]] = {"stuck": ("sensor_stuck_s", one.stuck_s)}
     if isinstance(one, LoneForce):
         reach, limits["jump"] = one.range_n, ("force_jump_n", one.jump_n)
@@ -487,7 +497,44 @@ def _watched(one: LoneSensor, setup: Setup) -> SensorWatches:
         for name, (of, limit) in limits.items()
         if limit is not None and limit.acts
     }
-    return SensorWatches(one.name, reach or 0.0, watches.get("stuck"), watches.get("jump"))
+    return SensorWatches(
+        one.name,
+        reach or 0.0,
+        watches.get("stuck"),
+        watches.get("jump"),
+        0.0 if isinstance(one, LoneForce) else _rest_spread_m(one, group),
+        _tare_most(one, group.rig, views),
+    )
+
+
+def _rest_spread_m(one: LoneDisplacement, group: Group) -> float:
+    """Return by how much the readings of a displacement sensor may vary during the tare.
+
+    It is what the axes may, but never so little that the stated noise of the sensor refuses it. A
+    test with all its limits written out states that of the axes, and must give the same.
+    """
+    noise_m = max(one.noise_std_m, one.lsb_m / math.sqrt(12))
+    return max(
+        limits_file.REST_SPREAD_SIGMAS * noise_m,
+        *(own.limits.rest_spread_m for own in group.derived.axis),
+    )
+
+
+def _tare_most(one: LoneSensor, rig: AxesRig, views: Sequence[core.StationConfig]) -> float:
+    """Return the greatest allowed tare of a sensor, m or N; 0: any.
+
+    It is what the sensor reads if the tare of every axis is at its own limit, with the signs that
+    add up; where an axis to which it responds has no limit, it has none. The readings r = a u for
+    the interface's displacement u follow from those of the axes, u = B^+ x; those of a load cell, r
+    = a F, from the forces of the axes with the same work, F = B^T f.
+    """
+    along = np.array([one.along.get(name, 0.0) for name in rig.directions])
+    tie = rig.core_kinematics()
+    of_force = isinstance(one, LoneForce)
+    by_axis = np.abs(along @ (tie.jacobian().T if of_force else tie.back()))
+    most = np.array([view.tare_most_n if of_force else view.tare_most_m for view in views])
+    felt = by_axis > 1e-9 * by_axis.max()
+    return float(by_axis @ most) if (most[felt] > 0.0).all() else 0.0
 
 
 def _velocity(own: Derived, axis: AxisConfig, real: bool) -> float | None:

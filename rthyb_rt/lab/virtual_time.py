@@ -12,7 +12,7 @@ from rthyb_rt import core
 from rthyb_rt.core import FLAGS, Channel
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.errors import RthybError
-from rthyb_rt.lab import experiment
+from rthyb_rt.lab import experiment, zeroing
 from rthyb_rt.lab.end_reasons import RefusedError
 from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.runs import Run
@@ -154,6 +154,8 @@ class Bench:
 
     def not_zeroed(self) -> RthybError:
         """Return why the tare did not end."""
+        if why := zeroing.refused(self.run) or zeroing.silent_sensors(self.run):
+            return RthybError(f"the virtual rig was not zeroed: {why}")
         return RthybError(
             "the virtual rig is not at rest: its displacement moves by more than "
             f"{self.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m) during the tare; "

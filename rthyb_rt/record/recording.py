@@ -191,6 +191,11 @@ def units_of(axis_count: int = 1) -> dict[str, str]:
 
 REFERENCE_UNITS: dict[str, str] = {"x_ref_m": "m", "v_ref_mps": "m/s", "f_ref_n": "N"}
 """Unit of each field of `Recording.reference`."""
+BESIDE_SAMPLES: frozenset[str] = frozenset(REFERENCE_UNITS) | {
+    *("t_s", "fs_hz", "test_toml", "rig_toml", "units", "flag_bits", "state_names"),
+    *("ground_motion", "history_m", "meta"),
+}
+"""Names that exported files and tables of signals use beside those of the samples."""
 
 _CONVERTED = "converted_from"
 """Attribute of a file that was written from an older version: that version."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt import core, numbers
+from rthyb_rt import core
 from rthyb_rt.config.defaults import SKIPS
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import RigFile, default_lead_us
@@ -25,8 +25,8 @@ from rthyb_rt.core import FLAGS, ticker
 from rthyb_rt.core.loop import Clock, Link, Loop, LoopAxis
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import experiment, extras, jitter
-from rthyb_rt.lab.end_reasons import REMEDIES, WORDS, RefusedError, TimingError
+from rthyb_rt.lab import experiment, extras, jitter, zeroing
+from rthyb_rt.lab.end_reasons import REMEDIES, RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
 from rthyb_rt.lab.runs import AT_REST
 
@@ -476,30 +476,9 @@ class Conductor:
 
     def why_not_zeroed(self) -> str:
         """Return in words why the tare did not end."""
-        run = self.run
         if not self.zeroing_failed:
             return f"the feedback stopped during zeroing; {self.no_feedback()}"
-        if run.station.refusal[0] == "no_pose":
-            return f"{WORDS['no_pose']}. {REMEDIES['no_pose']}"
-        if run.station.tare_too_large:
-            cause, value, limit = run.station.refusal
-            share = run.setup.derived.limits.tare_share_most
-            name, unit, factor = ("force", "kN", 1e-3)
-            if cause == "rig_position":
-                name, unit, factor = ("displacement", "mm", 1e3)
-            return (
-                f"the tare of the {name} would be {value * factor:.3g} {unit}, but at most "
-                f"{limit * factor:.3g} {unit} is allowed, {100 * share:g} % of the rig's limit "
-                "(limits.tare_share_most); bring the specimen to rest without load, or check "
-                f"the sensor and calibration.{name} in the rig file"
-            )
-        whose, spread_m, allowed_m = self._restless()
-        return (
-            f"the rig is not at rest: the displacement{whose} moved by {spread_m * 1e3:.3g} mm "
-            f"during the tare of {run.config.tare_ticks / self.rate.hz:g} s, but at most "
-            f"{allowed_m * 1e3:.3g} mm is allowed (limits.rest_spread_m); wait until it is at "
-            "rest, or check its sensor"
-        )
+        return zeroing.refused(self.run) or zeroing.restless(self.run, *self._restless())
 
     def _restless(self) -> tuple[str, float, float]:
         """Return the axis that moved most during the tare, in words, its motion, and the limit.
@@ -517,32 +496,17 @@ class Conductor:
 
     @property
     def tare(self) -> dict[str, Any]:
-        """Offsets that zeroing subtracts from the readings: ``displacement_m`` and ``force_n``.
-
-        With several axes those of the first, and under ``axes`` those of each by its name.
-        """
-        names, station = self.run.setup.axis_names, self.run.station
-        x_m, f_n = station.tare
-        found: dict[str, Any] = {"displacement_m": x_m, "force_n": f_n}
-        if names:
-            found["axes"] = {
-                name: {"displacement_m": own_m, "force_n": own_n}
-                for name, (own_m, own_n) in zip(names, station.tares, strict=True)
-            }
-        return found
+        """Offsets that zeroing subtracts from the readings, as `zeroing.tares`."""
+        return zeroing.tares(self.run)
 
     def tare_in_words(self) -> str:
         """Return the tare in words."""
-        names, station = self.run.setup.axis_names, self.run.station
-        if not names:
-            return numbers.tare(*station.tare)
-        each = zip(names, station.tares, strict=True)
-        return "; ".join(f"{name} {numbers.tare(*own)}" for name, own in each)
+        return zeroing.in_words(self.run)
 
     def no_feedback(self) -> str:
         """Return in words why no valid pairs arrive from a drive that follows.
 
-        With several axes, every axis concerned is named.
+        With several axes, every axis and every further sensor concerned is named.
         """
         if self.opened.failure is not None:
             return f"the thread that exchanges its frames has ended: {self.opened.failure}"
@@ -554,6 +518,8 @@ class Conductor:
             for name, way in zip(names, self.ways, strict=True)
             if way.link.down != "up" or not way.wire.counters()["pairs"]
         ]
+        if sensors := zeroing.silent_sensors(self.run):
+            silent.append(sensors)
         if silent:
             return "; ".join(silent)
         whose = _stopped_axes(flags, names)
