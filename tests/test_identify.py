@@ -340,3 +340,16 @@ def test_whatever_is_written_is_a_rig_file_or_refused(table: IdentificationResul
 
     with pytest.raises(InputError, match=r"identified\.gain"):
         identified_rig(rig(TABLE), replace(table, gain=1e-4))
+
+
+def test_what_a_rig_file_leaves_out_is_said_before_it_is_written_out() -> None:
+    """The file that is written has every value: no later command would know."""
+    rig = config.parse_rig(
+        'schema = "rthyb-rig/1"\nrig = { name = "mine", elastic_stiffness_n_per_m = 6.7e5 }\n'
+        'actuator = { kind = "servo-hydraulic", moving_mass_kg = 40 }\n'
+        '[[specimen]]\nelement = "stiffness"\nk_n_per_m = 6.7e5\n'
+    )
+    note = identify(rig, SweepPlan.up_to(2.0)).notes[0]
+    assert note.startswith('rig "mine" omits kp_per_s')
+    assert "friction_n = 80" in note
+    assert "moving_mass_kg" not in note

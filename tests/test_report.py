@@ -20,6 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from recording_data import FS_HZ, K_E, recording
 
+from rthyb_rt import config
 from rthyb_rt.analysis import measures
 from rthyb_rt.analysis.summary import (
     OUT_OF_RANGE,
@@ -32,6 +33,7 @@ from rthyb_rt.analysis.summary import (
 )
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.numbers import number, percent, quantity
 from rthyb_rt.record.recording import UNITS, Recording
 from rthyb_rt.report import render, write_report, zoom
@@ -644,6 +646,25 @@ def test_chart_that_can_be_enlarged_holds_the_signals_themselves() -> None:
     assert long["step"] > 1 / FS_HZ
     assert long["window"] is None
     assert len(long["panels"][1]["series"][0]["data"]) * 3 / 8 <= zoom.MOST_ROWS
+
+
+def test_chart_of_a_slow_test_has_the_ground_motion_of_the_structure_not_of_the_laboratory() -> (
+    None
+):
+    def peak_g(time_scale: float) -> float:
+        setup = experiment.prepare(
+            *config.load_both(
+                None, None, ["ground_motion.duration_s=2", f"test.time_scale={time_scale:g}"]
+            )
+        )
+        rec = virtual_time.run(setup)
+        ground = zoom.chart(rec, summarize(rec), (0.0, np.nan))["panels"][0]
+        assert ground["label"] == "ground acceleration, g"
+        counts = np.frombuffer(base64.b64decode(ground["series"][0]["data"]), "<i2")
+        return float(np.abs(counts * ground["scale"]).max())
+
+    # Of the slow test every n-th row is drawn.
+    assert peak_g(4.0) == pytest.approx(peak_g(1.0), rel=0.05)
 
 
 def test_browser_draws_the_chart_without_a_network_and_keeps_the_drawing_for_paper(

@@ -156,7 +156,7 @@ def derive(test: TestFile, rig: RigFile, *, deprecations: bool = True) -> Derive
     _note_sensor_ranges(limits.limits, rig, notes)
     _note_friction(test, rig, mass, rate, notes)
     _note_substeps(rig, notes)
-    _note_omitted(rig, notes)
+    notes += omitted(rig)
     rigsettings.note_defaults(test, rig, notes)
     controller = test.controller
     window = window_samples_of(test, period, rate, problems)
@@ -653,19 +653,19 @@ def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes:
             )
 
 
-def _note_omitted(rig: RigFile, notes: list[str]) -> None:
-    """Report values of a servo-hydraulic actuator that are only defaults."""
+def omitted(rig: RigFile) -> list[str]:
+    """Return the note on values of a servo-hydraulic actuator that are only defaults, if any."""
     actuator = rig.actuator
     if not isinstance(actuator, ServoHydraulic):
-        return
-    omitted = [key for key in type(actuator).model_fields if key not in actuator.model_fields_set]
-    if not omitted:
-        return
-    values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in omitted)
-    notes.append(
-        f'rig "{rig.rig.name}" omits {", ".join(omitted)} of its actuator, so the values of '
+        return []
+    left_out = [key for key in type(actuator).model_fields if key not in actuator.model_fields_set]
+    if not left_out:
+        return []
+    values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in left_out)
+    return [
+        f'rig "{rig.rig.name}" omits {", ".join(left_out)} of its actuator, so the values of '
         f"shaking-table-portal-frame are used: {values}; give the values of this rig"
-    )
+    ]
 
 
 def _note_substeps(rig: RigFile, notes: list[str]) -> None:

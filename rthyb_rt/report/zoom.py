@@ -95,8 +95,9 @@ def chart(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> di
     with np.errstate(over="ignore", invalid="ignore"):
         every = math.ceil(len(rec.samples) / MOST_ROWS)
         samples = rec.samples[::every]
-        ground = _panel("ground acceleration, g", [(samples["ag_mps2"] / 9.80665, colours.GREY, 1.0,
-                                                    "ground")])  # fmt: skip
+        # On a slow time scale, the laboratory's ground acceleration is smaller by its square.
+        g = samples["ag_mps2"] / 9.80665 * summary.setup.time_scale**2
+        ground = _panel("ground acceleration, g", [(g, colours.GREY, 1.0, "ground")])
         # The command is a thin line on a broad line of the measurement, as in the static figure.
         signals = [
             (samples["x_meas_m"] * 1e3, colours.BLUE, 2.5, "measured"),

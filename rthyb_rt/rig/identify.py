@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.config import STANDARD, Identified, Rate, RigFile, dump, parse_rig, response
+from rthyb_rt.config.deriving import omitted
 from rthyb_rt.core import FLAGS, RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -357,7 +358,8 @@ def _result(
         rest_noise_n=noise_n,
         offset_m=offset_m + tare[0],
         offset_n=offset_n + tare[1],
-        notes=tuple(_notes(tones, stiffness, alpha)),
+        # The rig file that is written has every value, so no later command would say so.
+        notes=(*omitted(rig), *_notes(tones, stiffness, alpha)),
         resonance_hz=_resonance(tones),
         sample_rate_hz=rate.hz,
     )
