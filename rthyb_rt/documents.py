@@ -23,6 +23,17 @@ def toml(text: str) -> dict[str, Any]:
     return copy.deepcopy(_tables(text))
 
 
+def toml_if_valid(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text, as `toml` does; none if it is not TOML.
+
+    For the files in a recording, which may be damaged or of another version.
+    """
+    try:
+        return toml(text)
+    except tomllib.TOMLDecodeError:
+        return {}
+
+
 @functools.lru_cache(maxsize=8)
 def _tables(text: str) -> dict[str, Any]:
     return tomllib.loads(text)

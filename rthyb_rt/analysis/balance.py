@@ -13,9 +13,8 @@ structures", Earthquake Engineering & Structural Dynamics 19 (1990) 77-90.
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +75,7 @@ def of_recording(rec: Recording, given: SummarySettings) -> EnergyBalance | None
         rec: the recording.
         given: settings from its files.
     """
-    test = _parsed(rec.test_toml)
+    test = documents.toml_if_valid(rec.test_toml)
     numerical = test.get("numerical", {})
     # What a user's own part does with its energy is not known here.
     if not isinstance(numerical, dict) or numerical.keys() & {"library", "fmu", "python"}:
@@ -109,13 +108,6 @@ def uninterrupted(rec: Recording) -> NDArray[np.intp]:
     rows = np.flatnonzero(rec.running())
     breaks = np.flatnonzero(np.diff(rows) > 1)
     return rows[: breaks[0] + 1] if breaks.size else rows
-
-
-def _parsed(text: str) -> dict[str, Any]:
-    try:
-        return documents.toml(text)
-    except tomllib.TOMLDecodeError:
-        return {}
 
 
 def balance(

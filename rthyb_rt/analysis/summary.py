@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import tomllib
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, NamedTuple, cast
 
@@ -111,7 +110,7 @@ def setup(rec: Recording) -> SummarySettings:
 
     Tolerant, since a recording of another version must still give a report.
     """
-    test, rig = _parse(rec.test_toml), _parse(rec.rig_toml)
+    test, rig = map(documents.toml_if_valid, (rec.test_toml, rec.rig_toml))
     name = _get(test, "controller", "type")
     controller = name if isinstance(name, str) else None
     compensated = not passes(controller)
@@ -190,7 +189,7 @@ def setup(rec: Recording) -> SummarySettings:
 
 def recorded_structure(rec: Recording) -> Structure | SparseStructure | None:
     """Return the numerical part of a recording if it has many degrees of freedom, else None."""
-    test, rig = _parse(rec.test_toml), _parse(rec.rig_toml)
+    test, rig = map(documents.toml_if_valid, (rec.test_toml, rec.rig_toml))
     k_e = _positive(_get(rig, "rig", "elastic_stiffness_n_per_m"))
     return structure_of_recording(test, k_e, Rate(rec.fs_hz))
 
@@ -282,13 +281,6 @@ def _gain(law: LawDescription | None, controller: Any, rate: Rate) -> str | None
 
 def _words(value: Any) -> str:
     return value if isinstance(value, str) else ""
-
-
-def _parse(text: str) -> dict[str, Any]:
-    try:
-        return documents.toml(text)
-    except tomllib.TOMLDecodeError:
-        return {}
 
 
 def _get(tree: Any, *path: str) -> Any:

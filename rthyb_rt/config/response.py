@@ -464,7 +464,7 @@ def _certain(columns: Floats, wanted: Floats) -> float:
             if (found < 0.0).any() or left >= best:
                 continue
             best, certain = left, 0.0
-            if used[:1] == (0,):
+            if 0 in used:
                 spread = np.linalg.pinv((part / size).T @ (part / size))[0, 0]
                 free = max(wanted.size - len(used), 1)
                 error = math.sqrt(left / free * spread)

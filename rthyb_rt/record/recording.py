@@ -341,7 +341,7 @@ class Recording:
     def lone_sensors(self) -> tuple[Channel, ...]:
         """Return the channels of the sensors without an actuator, after the tare."""
         try:
-            names = [one["name"] for one in tomllib.loads(self.rig_toml).get("sensor", ())]
+            names = [one["name"] for one in documents.toml(self.rig_toml).get("sensor", ())]
         except (tomllib.TOMLDecodeError, AttributeError, KeyError, TypeError):
             return ()
         known = {channel.name: channel for channel in self.channels}
