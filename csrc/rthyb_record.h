@@ -66,9 +66,11 @@ enum rthyb_coupled_size {
 /* This is the only declaration of the record: Python reads the names, types and offsets of the fields from here, and
  * they define the rows of a recording and the slots of the ring. Sizes in words of 8 bytes, without padding. */
 enum rthyb_record_size {
-    RTHYB_CHANNELS_MAX = 32, /* named values that a row may contain in addition to its record */
-    RTHYB_TEST_WORDS = 13,   /* words of a record without its axes */
-    RTHYB_AXIS_WORDS = 6,    /* words of each axis */
+    /* named values that a row may contain in addition to its record: those of four axes are 15, those of eight sensors
+     * without an actuator 16, and each axis may have RTHYB_EXTRAS_MAX extra channels */
+    RTHYB_CHANNELS_MAX = 64,
+    RTHYB_TEST_WORDS = 13, /* words of a record without its axes */
+    RTHYB_AXIS_WORDS = 6,  /* words of each axis */
     RTHYB_RECORD_WORDS = RTHYB_TEST_WORDS + RTHYB_COUPLED_MAX * RTHYB_AXIS_WORDS
 };
 

@@ -190,7 +190,7 @@ def test_a_table_of_channels_that_makes_no_sense_costs_the_channels_alone(
         ([Channel("oil", "K", 0.0)], "not a valid factor"),
         ([Channel("oil", "K", float("nan"))], "not a valid factor"),
         ([Channel("oil", "K", float("inf"))], "not a valid factor"),
-        ([Channel(f"c{n}", "1") for n in range(33)], "room for 32"),
+        ([Channel(f"c{n}", "1") for n in range(65)], "room for 64"),
     ],
 )
 def test_channels_that_no_row_can_have_are_refused(channels: list[Channel], message: str) -> None:
@@ -198,10 +198,10 @@ def test_channels_that_no_row_can_have_are_refused(channels: list[Channel], mess
         core.row_dtype(channels)
 
 
-def test_a_row_has_room_for_32_channels() -> None:
-    assert CHANNELS_MAX == core.CHANNELS_MAX == 32
-    dtype = core.row_dtype([Channel(f"c{n}", "1") for n in range(32)])
-    assert dtype.itemsize == core.RECORD_DTYPE.itemsize + 32 * 8
+def test_a_row_has_room_for_64_channels() -> None:
+    assert CHANNELS_MAX == core.CHANNELS_MAX == 64
+    dtype = core.row_dtype([Channel(f"c{n}", "1") for n in range(64)])
+    assert dtype.itemsize == core.RECORD_DTYPE.itemsize + 64 * 8
 
 
 def test_channels_are_exported_in_their_unit(tmp_path: Path) -> None:
@@ -332,7 +332,7 @@ def test_a_loop_records_what_its_station_has_in_its_channels(tmp_path: Path) -> 
     rows, values = np.zeros(8, core.RECORD_DTYPE), np.zeros((8, 1))
     assert test.run(rows, "none", values) == 8
     assert set(values[:, 0]) == {293.0}
-    for wrong in (np.zeros((7, 1)), np.zeros((8, 33))):
+    for wrong in (np.zeros((7, 1)), np.zeros((8, 65))):
         with pytest.raises(core.CoreError, match="one row for each record"):
             test.run(rows, "none", wrong)
 
@@ -374,7 +374,7 @@ def test_law_that_has_alpha_and_beta_alone_makes_no_row_longer() -> None:
 def test_station_refuses_more_values_of_a_law_than_a_row_has_room_for() -> None:
     test, rig = config.load_both(None, None, ["controller.type=ats"])
     settings = experiment.station_config(experiment.prepare(test, rig))
-    for first, count in ((30, 3), (33, 0), (0, 33), (2**32 - 1, 2)):
+    for first, count in ((62, 3), (65, 0), (0, 65), (2**32 - 1, 2)):
         wrong = dataclasses.replace(settings, law_channel=first, law_channel_count=count)
         with pytest.raises(core.CoreError):
             core.Station(wrong, np.zeros(8))
