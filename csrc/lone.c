@@ -108,21 +108,21 @@ void lone_take(const rthyb_station *s, uint32_t leapt, rthyb_input *pairs)
     }
 }
 
-/* By how much the command has moved the axes since a sensor began to repeat its reading, in those
- * directions that the sensor responds to. */
-static double moved_since(const rthyb_station *s, int k)
+/* Whether, since a sensor began to repeat its reading, the command has moved an axis by more than
+ * the readings of that axis vary at rest, in a direction that the sensor responds to. */
+static int has_moved(const rthyb_station *s, int k)
 {
     const rthyb_kinematics_config *tie = &s->cfg.controller.kinematics;
     const int m = interfaces_of(s), p = tie->displacement_sensors;
     const double *row =
         k < p ? tie->reads + (ptrdiff_t)k * m : tie->carries + (ptrdiff_t)(k - p) * m;
-    double most = 0.0;
     for (int j = 0; j < m; j++) {
         const double way = s->controller.interface[j].x_num - s->lone[k].still_at[j];
         for (int i = 0; i < axes_of(s) && row[j] != 0.0; i++)
-            most = greater_of(most, fabs(tie->matrix[i * m + j] * way));
+            if (fabs(tie->matrix[i * m + j] * way) > s->cfg.axis[i].rest_spread_m)
+                return 1;
     }
-    return most;
+    return 0;
 }
 
 static void check_stuck(rthyb_station *s, int k)
@@ -137,8 +137,7 @@ static void check_stuck(rthyb_station *s, int k)
         return;
     }
     own->still_ticks++;
-    if (!(watch->value > 0.0) || (double)own->still_ticks < watch->value ||
-        !(moved_since(s, k) > s->cfg.axis[0].rest_spread_m))
+    if (!(watch->value > 0.0) || (double)own->still_ticks < watch->value || !has_moved(s, k))
         return;
     const int cause = is_displacement(s, k) ? RTHYB_CAUSE_SENSOR_STUCK : RTHYB_CAUSE_FORCE_STUCK;
     const finding found = {cause, (double)own->still_ticks, watch->value, of_sensor(k)};

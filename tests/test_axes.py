@@ -215,7 +215,7 @@ def test_twenty_ticks_without_a_pair_of_one_axis_trip_all(axis: int) -> None:
     assert bench.step(faults={axis: {"lost": True}}).state == "TRIPPED"
     assert bench.station.cause == "link_lost"
     assert bench.station.cause_axis == axis
-    assert core.placed_cause(int(bench.rows()["cause"][-1]))[1:] == (axis, None)
+    assert core.placed_cause(int(bench.rows()["cause"][-1]))[1:] == (axis, None, None)
     sent = len(bench.sent)
     for _ in range(10):
         bench.step()
@@ -314,7 +314,7 @@ def test_a_limit_of_an_interface_direction_is_named(name: str, interface: int) -
     assert bench.station.cause_interface == interface
     assert abs(bench.station.cause_value) > most
     row = core.placed_cause(int(bench.rows()["cause"][-1]))
-    assert row == (core.CAUSES.index(name), None, interface)
+    assert row == (core.CAUSES.index(name), None, interface, None)
     bench.until("IDLE")
 
 

@@ -267,6 +267,8 @@ def test_a_sensor_without_readings_is_predicted_and_then_trips(k: int) -> None:
     assert (one.station.cause, one.station.cause_sensor) == ("sensor_lost", k)
     assert one.station.cause_axis is None
     assert one.station.cause_value == core.LOST_TICKS
+    placed = core.placed_cause(int(one.rows()["cause"][-1]))
+    assert placed == (core.CAUSES.index("sensor_lost"), None, None, k)
 
 
 def test_a_lost_reading_is_predicted_from_the_command() -> None:
@@ -314,6 +316,22 @@ def test_a_stuck_sensor_trips_by_name(k: int, cause: str) -> None:
     assert one.station.state == "TRIPPED"
     assert (one.station.cause, one.station.cause_sensor) == (cause, k)
     assert len(one.records) - until >= 30
+
+
+@pytest.mark.parametrize("least", range(2))
+def test_a_sensor_is_stuck_once_any_axis_has_moved_more_than_it_may_at_rest(least: int) -> None:
+    """The other axis may vary by more than it ever moves here, the first of the two or not."""
+    tie = Kinematics.of(BOTH.plain())
+    axes = tuple(
+        replace(one, rest_spread_m=1e-4 if i == least else 1.0)
+        for i, one in enumerate(config().controller.axes)
+    )
+    settings = config({"kinematics": tie, "axes": axes}, sensors=WATCHES)
+    one = Beside(settings, plant=rig(tie)).running(400)
+    held = one.station._c.lone[0].reading
+    for _ in range(200):
+        one.step(faults={0: held})
+    assert (one.station.cause, one.station.cause_sensor) == ("sensor_stuck", 0)
 
 
 def test_a_sensor_that_does_not_respond_to_the_motion_is_not_stuck() -> None:
@@ -692,6 +710,90 @@ def test_too_many_sensors_of_a_kind_are_refused() -> None:
     more = "".join(WIRE.replace('"wire"', f'"wire{k}"') for k in range(5))
     with pytest.raises(InputError, match=r"found 5 sensors of kind = .displacement.*up to 4"):
         read(RIG.replace("#sensors\n", more))
+
+
+REDUNDANT = (
+    HEAD
+    + "".join(AXIS.format(name=n, hz=20) for n in ("left", "middle", "right"))
+    + COLUMN
+    + """[kinematics]
+kind = "matrix"
+interface = ["first", "second"]
+matrix = [[1, 0], [1, 1], [1, 1]]
+forces = FORCES
+[specimen]
+stiffness = [[8e6, -1e6], [-1e6, 6e6]]
+attachment_stiffness_n_per_m = 1e8
+"""
+)
+
+
+def test_forces_by_which_redundant_actuators_oppose_each_other_are_no_force_of_the_specimen() -> (
+    None
+):
+    """Middle and right push on the same line: what both of them count alike has no resultant."""
+    tie = read(
+        REDUNDANT.replace("FORCES", "[[0.5, 0.5, 0.5, 1.25], [0, 1, 1, 0]]")
+    ).core_kinematics()
+    pushing = np.array([[0.0, 7e3, -7e3]])
+    np.testing.assert_allclose(tie.measured_forces(pushing, [[0.0]]), 0.0, atol=1e-9)
+    for rows, said in (
+        # Right for the shares that the axes have of a force of the specimen, 1/2 each.
+        ("[[0.5, 1, 0, 1.25], [0, 1, 1, 0]]", "forces: found the row [0.5, 1, 0, 1.25] for first"),
+        ("[[0.5, 0.5, 0.5, 1.25], [0, 2, 0, 0]]", "found the row [0, 2, 0, 0] for second, which"),
+    ):
+        with pytest.raises(InputError) as caught:
+            read(REDUNDANT.replace("FORCES", rows))
+        (problem,) = (str(one) for one in caught.value.problems)
+        assert said in problem
+        assert "left 0 N, middle" in problem
+        assert "only push against each other" in problem
+
+
+@pytest.mark.parametrize("axes", [2, 3, 4])
+def test_four_sensors_of_each_kind_fit_beside_any_number_of_axes(axes: int) -> None:
+    names = [f"a{k}" for k in range(axes)]
+    along = ", ".join(f"d{k} = {0.5 + 0.1 * k:g}" for k in range(axes))
+    of = {
+        kind: "".join(
+            text.replace(f'"{name}"', f'"{name}{n}"').replace(old, f"along = {{ {along} }}")
+            for n in range(4)
+        )
+        for kind, text, name, old in (
+            ("m", WIRE, "wire", "along = { first = 1, second = 0.5 }"),
+            ("N", COLUMN, "column", "along = { first = 0.4 }"),
+        )
+    }
+    eye = np.eye(axes)
+    text = (
+        HEAD
+        + "".join(AXIS.format(name=name, hz=20) for name in names)
+        + of["m"]
+        + of["N"]
+        + f"""[kinematics]
+kind = "matrix"
+interface = {[f"d{k}" for k in range(axes)]}
+matrix = {eye.tolist()}
+forces = {np.hstack([eye, np.zeros((axes, 4))]).tolist()}
+[specimen]
+stiffness = {(6e6 * eye).tolist()}
+"""
+    )
+    storeys = "".join(f'[[interface]]\nname = "d{k}"\nstorey = {k + 1}\n' for k in range(axes))
+    test = TEST[: TEST.index("[[interface]]")] + storeys + '[controller]\ntype = "paper"\n'
+    test = test.replace("count = 3", f"count = {axes + 1}").replace('"6 s"', '"1 s"')
+    test = test.replace("0.1 g", "0.02 g")
+    test = test.replace(
+        "[1, 2]\n[numerical.damping]", f"{[*range(1, axes + 1)]}\n[numerical.damping]"
+    )
+    setup = several.prepare(files.parse_test(test, "test.toml"), read(text))
+    names = [one.name for one in setup.channels]
+    assert len(names) == 5 * (axes - 1) + 16 + 2 * (axes + 1)  # and drifts and shears
+    done = virtual_time.run(setup)
+    assert done.meta["end_reason"] == "completed"
+    for name in ("wire0_read", "wire3", "column0", "column3_read"):
+        assert np.ptp(done.samples[name][done.running()]) > 0
+    assert replaying.replay(done).identical
 
 
 @pytest.mark.parametrize("name", ["x_true_m_1", "x_num_m_1", "state"])

@@ -375,7 +375,7 @@ def _kinematics_fault(
         core_kinematics(given, names, sensors)
     except CoreError:
         return _left_free(given, names, sensors)
-    return None
+    return _opposing_fault(given, names, sensors)
 
 
 def _matrix_fault(
@@ -407,6 +407,44 @@ def _matrix_fault(
                 f"axes ({axes}){also}"
             )
     return None
+
+
+_ROUNDED: Final = 1e-6
+"""Of a product of matrices, relative: entries may be rounded to seven digits (kinematics.c)."""
+
+
+def _opposing_fault(
+    given: Kinematics, names: list[str], sensors: Sequence[LoneSensor]
+) -> str | None:
+    """Refuse ``forces`` that take the actuators' opposing forces for a force of the specimen.
+
+    The load cells of redundant axes also measure forces g by which the actuators push against each
+    other. They have no resultant, B^T g = 0 with B the matrix, and the specimen does not feel them.
+    """
+    if not isinstance(given, MatrixKinematics) or given.forces is None:
+        return None
+    if not any(one.kind == "force" for one in sensors) or len(names) == len(given.interface):
+        return None
+    import numpy as np
+
+    matrix = np.array(given.matrix)
+    of_axes = np.array(given.forces)[:, : len(names)]
+    # Each row of B^T belongs to one direction, whose unit must not matter.
+    against = np.linalg.svd((matrix / np.linalg.norm(matrix, axis=0)).T)[2][matrix.shape[1] :]
+    found = of_axes @ against.T
+    felt = np.abs(found) > _ROUNDED * np.maximum(1.0, np.abs(of_axes) @ np.abs(against.T))
+    if not felt.any():
+        return None
+    row, column = np.argwhere(felt)[0]
+    pushes = against[column] / np.abs(against[column]).max()
+    shown = ", ".join(f"{name} {push:.6g} N" for name, push in zip(names, pushes, strict=True))
+    force = found[row, column] / np.abs(against[column]).max()
+    return (
+        f"forces: found the row {_shown([given.forces[row]])} for {given.interface[row]}, which "
+        f"gives {force:.6g} for forces by which the actuators only push against each other "
+        f"({shown}); the load cells of the axes measure them, the specimen does not feel them: "
+        "the columns of the axes must be combinations of those of the matrix"
+    )
 
 
 def _pins_fault(names: list[str], given: PinKinematics) -> str | None:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
@@ -28,12 +28,28 @@ STOPPED_BIT: Final[int] = lib.RTHYB_F_STOPPED_BIT
 """Several axes: this bit and those above it mark the axes whose drive stopped on its own."""
 
 
-def placed_cause(cause: int) -> tuple[int, int | None, int | None]:
-    """Return the number of a row's ``cause``, its axis and its interface."""
-    number = cause >> lib.RTHYB_PLACE_BIT & 7
+class PlacedCause(NamedTuple):
+    """A row's ``cause``: its number, and the axis, interface or sensor without an actuator that it
+    belongs to, each counted from 0, or None.
+    """
+
+    cause: int
+    axis: int | None
+    interface: int | None
+    sensor: int | None
+
+
+def placed_cause(cause: int) -> PlacedCause:
+    """Return what a row's ``cause`` says."""
+    number, sensor = cause >> lib.RTHYB_PLACE_BIT & 7, cause >> lib.RTHYB_PLACE_SENSOR_BIT & 15
     place = number - 1 if number else None
     interface = bool(cause & lib.RTHYB_PLACE_INTERFACE)
-    return cause & 255, None if interface else place, place if interface else None
+    return PlacedCause(
+        cause & 255,
+        None if interface else place,
+        place if interface else None,
+        sensor - 1 if sensor else None,
+    )
 
 
 STATES: Final = tuple(members("rthyb_state", "RTHYB_"))

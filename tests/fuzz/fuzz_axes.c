@@ -1,5 +1,5 @@
-/* Random tests of two to four axes: operators, kinematics, limits, and troubles of each axis
- * separately, checked against the rules that must hold for all of them together.
+/* Random tests of two to four axes, some with sensors without an actuator: operators, kinematics,
+ * limits, and troubles of each axis and each sensor separately, checked against the rules that must hold for all of them together.
  *
  *   fuzz_axes ticks COUNT [SEED]     this many ticks, or
  *   fuzz_axes seconds COUNT [SEED]   this many seconds: prints how often each rule was checked and,
@@ -31,7 +31,13 @@
  * largest movement in 15 million ticks was 2.0 um. */
 #define SETTLES_M 5e-6
 
-enum { MOST = RTHYB_COUPLED_MAX, ROWS = 1 << 14, WAY_BACK = 32, PARTS = 2 };
+enum {
+    MOST = RTHYB_COUPLED_MAX,
+    SENSORS = RTHYB_SENSORS_ALL,
+    ROWS = 1 << 14,
+    WAY_BACK = 32,
+    PARTS = 2
+};
 
 enum axes_rule {
     AXES_FINITE,
@@ -50,6 +56,10 @@ enum axes_rule {
     AXES_CLOCKS,
     AXES_ARMED,
     AXES_FORCE,
+    AXES_SENSOR_NO_NUMBER,
+    AXES_SENSOR_MISSING,
+    AXES_SENSOR_READY,
+    AXES_SENSOR_TARE,
     AXES_REPLAY,
     AXES_RULES
 };
@@ -72,6 +82,11 @@ static const char *const AXES_TEXT[AXES_RULES] = {
     [AXES_CLOCKS] = "counts apart for twenty ticks from ARMED on: TRIPPED, by that axis",
     [AXES_ARMED] = "ARM is refused to drives on clocks apart, and before they are compared",
     [AXES_FORCE] = "force of any axis beyond a limit that trips: TRIPPED in that tick",
+    [AXES_SENSOR_NO_NUMBER] = "a reading of any sensor that is no number: TRIPPED, by that sensor",
+    [AXES_SENSOR_MISSING] =
+        "twenty ticks without a usable reading of any sensor: TRIPPED, by the first to be lost",
+    [AXES_SENSOR_READY] = "ARM and START are refused while a sensor is at the end of its range",
+    [AXES_SENSOR_TARE] = "ZERO ends with tares of all sensors that are within their limits",
     [AXES_REPLAY] = "the rows replay bit for bit",
 };
 
@@ -108,6 +123,13 @@ typedef struct {
     int apart; /* as reported to the station */
     uint32_t apart_left, apart_ticks;
     uint32_t missing[MOST];
+    /* sensors without an actuator: their troubles, and the reading at which one began to repeat */
+    dice sensor_dice;
+    int sensors;
+    double sensor_bias[SENSORS], sensor_held[SENSORS];
+    trouble sensor_trouble[SENSORS];
+    uint32_t sensor_rarity, sensor_missing[SENSORS];
+    int sensor_at_end; /* any, in the tick before */
     /* tracked independently of the station */
     int known;
     double before[MOST], step[MOST], pose[MOST];
@@ -121,7 +143,8 @@ typedef struct {
 
 static axes_episode one;
 static uint64_t packed[ROWS][RTHYB_RECORD_WORDS], again[ROWS][RTHYB_RECORD_WORDS];
-static uint64_t all_ticks, tests, trips, held, redundant;
+static double packed_sensors[ROWS][SENSORS];
+static uint64_t all_ticks, tests, trips, held, redundant, with_sensors;
 static int shown; /* prints what happens in an episode */
 
 static void axes_must(axes_episode *e, int rule, int holds, double value, double bound)
@@ -212,6 +235,69 @@ static void some_kinematics(dice *d, int n, rthyb_kinematics_config *k)
         k->matrix[i] = (i % (n + 1) == 0 ? 1.0 : 0.0) + between(d, -0.25, 0.25);
 }
 
+/* Load cells carry shares C of the specimen's forces; with any weights W for them, (I - W C) B' and W
+ * give the forces along the interface, because B' gives them from those of the axes. */
+static void some_cells(dice *d, rthyb_kinematics_config *k)
+{
+    const int n = k->size, m = rthyb_kinematics_directions(k);
+    const int q = k->force_sensors;
+    double weight[MOST][RTHYB_SENSORS_MAX] = {{0.0}}, kept[MOST][MOST] = {{0.0}};
+    k->given |= RTHYB_GIVEN_FORCES;
+    for (int i = 0; i < q * m; i++)
+        k->carries[i] = one_in(d, 4) ? 0.0 : between(d, 0.1, 0.6);
+    for (int j = 0; j < m; j++) {
+        kept[j][j] = 1.0;
+        for (int c = 0; c < q; c++) {
+            weight[j][c] = between(d, -0.5, 1.0);
+            for (int h = 0; h < m; h++)
+                kept[j][h] -= weight[j][c] * k->carries[c * m + h];
+        }
+    }
+    for (int j = 0; j < m; j++)
+        for (int i = 0; i < n + q; i++) {
+            double sum = i < n ? 0.0 : weight[j][i - n];
+            for (int h = 0; h < m && i < n; h++)
+                sum += kept[j][h] * k->matrix[i * m + h];
+            k->forces[j * (n + q) + i] = sum;
+        }
+}
+
+static void some_sensors(axes_episode *e)
+{
+    dice *d = &e->sensor_dice;
+    rthyb_kinematics_config *k = &e->cfg.controller.kinematics;
+    if (k->size == 0 || k->kind != RTHYB_KINEMATICS_MATRIX || one_in(d, 2))
+        return;
+    k->displacement_sensors = (int32_t)below(d, RTHYB_SENSORS_MAX + 1);
+    k->force_sensors = (int32_t)below(d, RTHYB_SENSORS_MAX + 1);
+    k->given &= k->displacement_sensors > 0 ? ~RTHYB_GIVEN_DISPLACEMENTS : ~0;
+    for (int i = 0; i < k->displacement_sensors * rthyb_kinematics_directions(k); i++)
+        k->reads[i] = between(d, -1.0, 1.0);
+    if (k->force_sensors > 0)
+        some_cells(d, k);
+    e->sensors = k->displacement_sensors + k->force_sensors;
+    with_sensors += e->sensors > 0;
+    static const uint32_t RARITY[] = {0, 4000, 1500, 500, 150};
+    e->sensor_rarity = RARITY[below(d, 5)];
+    for (int i = 0; i < e->sensors; i++) {
+        const int of_x = i < k->displacement_sensors;
+        const double size = of_x ? e->size.peak_m : e->size.k_e_n_per_m * e->size.peak_m;
+        rthyb_lone_config *c = &e->cfg.lone[i];
+        e->sensor_bias[i] = one_in(d, 3) ? 0.0 : between(d, -0.5, 0.5) * size;
+        c->range = one_in(d, 3) ? 0.0 : size * some(d, 1.0, 10.0);
+        if (one_in(d, 2))
+            c->stuck = some_watch(d, 30.0);
+        if (one_in(d, 3))
+            c->jump = some_watch(d, 0.2 * size);
+        if (of_x && one_in(d, 3))
+            c->rest_spread = some(d, 2e-5, 1e-3);
+        if (one_in(d, 4))
+            c->tare_most = some(d, 0.1, 1.0) * size;
+    }
+    e->cfg.lone_channel = RTHYB_CHANNELS_MAX - 2 * (uint32_t)e->sensors;
+    e->cfg.lone_channel_count = 2 * (uint32_t)e->sensors;
+}
+
 static void some_axis(dice *d, axes_episode *e, int i)
 {
     rthyb_station_config *c = &e->cfg;
@@ -280,6 +366,8 @@ static int set_up_axes(axes_episode *e)
     dice own = {e->seed ^ 0x5deece66dULL};
     if (k->size > 0 && k->kind == RTHYB_KINEMATICS_MATRIX && one_in(&own, 2))
         some_redundant(&own, k);
+    e->sensor_dice.state = e->seed ^ 0x2545f4914f6cdd1dULL;
+    some_sensors(e);
     e->m = k->size > 0 ? rthyb_kinematics_directions(k) : e->n;
     e->cfg.controller.axis_count = e->n;
     e->cfg.controller.interface_count = e->m;
@@ -317,6 +405,87 @@ static void read_axes(axes_episode *e, rthyb_station_input *in)
         in->axis[i].x_m = x + e->origin[i] + between(&e->d, -1.0, 1.0) * e->noise_m;
         in->axis[i].f_n = e->k[i] * x + e->bias[i];
         in->axis[i].drive_stopped = e->tells && e->latched[i];
+    }
+}
+
+/* What the sensors without an actuator read: pose and forces of a specimen that the axes hold. */
+static void read_sensors(axes_episode *e, rthyb_station_input *in)
+{
+    const rthyb_kinematics_config *k = &e->cfg.controller.kinematics;
+    for (int s = 0; s < e->sensors; s++) {
+        const int p = k->displacement_sensors, of_x = s < p;
+        double sum = 0.0;
+        for (int j = 0; j < e->m; j++) {
+            double along = 0.0;
+            for (int i = 0; i < e->n; i++) {
+                const double x = e->received_m[i][(e->tick - e->delay[i]) % WAY_BACK];
+                along += of_x ? e->kinematics.inverse[j * e->n + i] * x
+                              : k->matrix[i * e->m + j] * e->k[i] * x;
+            }
+            sum += along * (of_x ? k->reads[s * e->m + j] : k->carries[(s - p) * e->m + j]);
+        }
+        const double noise = of_x ? e->noise_m : e->noise_m * e->size.k_e_n_per_m;
+        in->sensor[s] = sum + e->sensor_bias[s] + between(&e->sensor_dice, -1.0, 1.0) * noise;
+    }
+}
+
+static void suffer_sensor(axes_episode *e, int s, rthyb_station_input *in)
+{
+    dice *d = &e->sensor_dice;
+    trouble *t = &e->sensor_trouble[s];
+    const int of_x = s < e->cfg.controller.kinematics.displacement_sensors;
+    const double size = of_x ? e->size.peak_m : e->size.k_e_n_per_m * e->size.peak_m;
+    const double range = e->cfg.lone[s].range;
+    if (t->age++ == 0)
+        e->sensor_held[s] = in->sensor[s];
+    t->left--;
+    switch (t->kind) {
+    case TROUBLE_LOST:
+        in->sensors_lost |= 1u << s;
+        break;
+    case TROUBLE_SPARSE:
+        in->sensors_lost |= one_in(d, 19) ? 0u : 1u << s;
+        break;
+    case TROUBLE_STUCK_X:
+        in->sensor[s] = e->sensor_held[s];
+        break;
+    case TROUBLE_JUMP:
+        in->sensor[s] += t->size * size;
+        break;
+    case TROUBLE_NOT_FINITE:
+        in->sensor[s] = no_number(d);
+        break;
+    case TROUBLE_SENSELESS:
+        in->sensor[s] = copysign(one_in(d, 2) ? 1e300 : 1e13, t->size);
+        break;
+    case TROUBLE_OUT_OF_RANGE:
+        in->sensor[s] = range > 0.0 ? copysign(range, t->size) : in->sensor[s];
+        break;
+    default:
+        in->sensor[s] += t->size * size * (double)t->age / 300.0;
+        break;
+    }
+}
+
+/* Each sensor has troubles of its own. */
+static void suffer_sensors(axes_episode *e, rthyb_station_input *in)
+{
+    static const struct {
+        int32_t kind;
+        double longest;
+    } SOME[] = {{TROUBLE_LOST, 40.0},         {TROUBLE_SPARSE, 3000.0},  {TROUBLE_STUCK_X, 400.0},
+                {TROUBLE_JUMP, 30.0},         {TROUBLE_NOT_FINITE, 2.0}, {TROUBLE_SENSELESS, 25.0},
+                {TROUBLE_OUT_OF_RANGE, 30.0}, {TROUBLE_DRIFT, 1000.0}};
+    dice *d = &e->sensor_dice;
+    for (int s = 0; s < e->sensors; s++) {
+        trouble *t = &e->sensor_trouble[s];
+        if (t->left == 0 && e->sensor_rarity && one_in(d, e->sensor_rarity)) {
+            const uint32_t which = below(d, sizeof SOME / sizeof *SOME);
+            *t = (trouble){.kind = SOME[which].kind, .size = between(d, -1.0, 1.0)};
+            t->left = (uint32_t)ticks(d, 1.0, SOME[which].longest) + 1;
+        }
+        if (t->left > 0)
+            suffer_sensor(e, s, in);
     }
 }
 
@@ -511,12 +680,34 @@ static void trips_by(axes_episode *e, int rule, int was, int clean, int axis)
 }
 
 typedef struct {
-    int no_number, missing, down, stopped, force, count; /* 1 + axis; and of how many axes */
+    int no_number, missing, down, stopped, force; /* 1 + axis */
+    int sensor_no_number, sensor_missing;         /* 1 + sensor */
+    int sensor_at_end;                            /* any */
 } found_faults;
 
 static int trips_at(const rthyb_watch *watch)
 {
     return watch->reaction == RTHYB_REACT_TRIP && watch->value > 0.0;
+}
+
+/* 1 if all sensors have a usable reading. */
+static int look_at_sensors(axes_episode *e, const rthyb_station_input *in, uint32_t made_up,
+                           found_faults *f)
+{
+    int all = 1;
+    for (int s = e->sensors - 1; s >= 0; s--) {
+        const int of_x = s < e->cfg.controller.kinematics.displacement_sensors;
+        const int lost = (int)(in->sensors_lost >> s & 1u);
+        const double reading = in->sensor[s], range = e->cfg.lone[s].range;
+        const double most = of_x ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N;
+        const int sound = !lost && in_range(reading, range, most);
+        f->sensor_no_number = !lost && !isfinite(reading) ? s + 1 : f->sensor_no_number;
+        f->sensor_at_end |= !lost && !sound && in_range(reading, 0.0, most);
+        e->sensor_missing[s] = sound ? 0 : e->sensor_missing[s] + made_up + 1;
+        f->sensor_missing = e->sensor_missing[s] >= LOST_TICKS ? s + 1 : f->sensor_missing;
+        all = all && sound;
+    }
+    return all;
 }
 
 static found_faults look_at_axes(axes_episode *e, const rthyb_station_input *in, uint32_t made_up)
@@ -542,7 +733,7 @@ static found_faults look_at_axes(axes_episode *e, const rthyb_station_input *in,
                       (e->station.tared && trips_at(own) && fabs(f_n) > own->value)))
             f.force = i + 1;
     }
-    e->seen += all;
+    e->seen += all & look_at_sensors(e, in, made_up, &f);
     return f;
 }
 
@@ -595,6 +786,49 @@ static void judge_faults_of_axes(axes_episode *e, const rthyb_station_input *in,
                   0.0);
 }
 
+/* The sensor that has been without a usable reading for longest, the first of several. */
+static int longest_missing_sensor(const axes_episode *e)
+{
+    int longest = 0;
+    for (int s = 1; s < e->sensors; s++)
+        longest = e->sensor_missing[s] > e->sensor_missing[longest] ? s : longest;
+    return longest;
+}
+
+static void judge_sensors(axes_episode *e, const rthyb_station_input *in, found_faults f, int was,
+                          int refused)
+{
+    const rthyb_station *s = &e->station;
+    const int trips_now = was != RTHYB_TRIPPED && s->state == RTHYB_TRIPPED;
+    if (f.sensor_no_number)
+        axes_must(e, AXES_SENSOR_NO_NUMBER, s->state == RTHYB_TRIPPED, s->state,
+                  f.sensor_no_number - 1);
+    if (trips_now && f.sensor_no_number && s->cause == RTHYB_CAUSE_NOT_FINITE && s->cause_axis < 0)
+        axes_must(e, AXES_SENSOR_NO_NUMBER, s->cause_sensor == f.sensor_no_number - 1,
+                  s->cause_sensor, f.sensor_no_number - 1);
+    if (f.sensor_missing && s->state != RTHYB_IDLE)
+        axes_must(e, AXES_SENSOR_MISSING, s->state == RTHYB_TRIPPED, s->state,
+                  f.sensor_missing - 1);
+    const int longest = longest_missing_sensor(e);
+    if (trips_now && s->cause == RTHYB_CAUSE_SENSOR_LOST)
+        axes_must(e, AXES_SENSOR_MISSING,
+                  e->cfg.lone[longest].jump.value > 0.0 || s->cause_sensor == longest,
+                  s->cause_sensor, longest);
+    if (e->sensors > 0 && in->command == RTHYB_CMD_ARM && !refused)
+        axes_must(e, AXES_SENSOR_READY, !e->sensor_at_end || in->skipped, e->sensor_at_end, 0.0);
+    if (e->sensors > 0 && in->command == RTHYB_CMD_START && !refused)
+        axes_must(e, AXES_SENSOR_READY, !e->sensor_at_end || in->skipped, e->sensor_at_end, 1.0);
+    e->sensor_at_end = f.sensor_at_end;
+    for (int k = 0; k < e->sensors; k++) {
+        const double tare = s->lone[k].tare, most = e->cfg.lone[k].tare_most;
+        if (was == RTHYB_IDLE && s->state == RTHYB_ZEROED)
+            axes_must(e, AXES_SENSOR_TARE, isfinite(tare) && (most == 0.0 || fabs(tare) <= most),
+                      tare, most);
+        axes_must(e, AXES_FINITE, isfinite(s->channel[e->cfg.lone_channel + (uint32_t)k]),
+                  s->channel[e->cfg.lone_channel + (uint32_t)k], k);
+    }
+}
+
 static void judge_rows_of_axes(axes_episode *e, const rthyb_record *rows, uint32_t count)
 {
     for (uint32_t k = 0; k < count; k++)
@@ -609,7 +843,8 @@ static void judge_rows_of_axes(axes_episode *e, const rthyb_record *rows, uint32
 
 /* ---- a tick ---------------------------------------------------------------------------------------- */
 
-static void keep_rows(axes_episode *e, const rthyb_record *rows, uint32_t count, uint32_t sent)
+static void keep_rows(axes_episode *e, const rthyb_station_input *in, const rthyb_record *rows,
+                      uint32_t count, uint32_t sent)
 {
     for (uint32_t k = 0; k < count && e->rows < ROWS; k++) {
         rthyb_record row = rows[k];
@@ -618,6 +853,8 @@ static void keep_rows(axes_episode *e, const rthyb_record *rows, uint32_t count,
             for (int i = 0; i < e->n; i++)
                 row.flags |= sent >> i & 1u ? 0u : unsent_flag(i, e->n);
         }
+        memcpy(&packed_sensors[0][0] + e->rows * (size_t)e->sensors, in->sensor,
+               (size_t)e->sensors * sizeof(double));
         memcpy((char *)packed + e->rows++ * record_bytes(e->n), &row, record_bytes(e->n));
     }
 }
@@ -632,6 +869,8 @@ static void tick_axes(axes_episode *e)
     int unsent = 0;
     read_axes(e, &in);
     suffer_axes(e, &in, &unsent);
+    read_sensors(e, &in);
+    suffer_sensors(e, &in);
     const int was = s->state, cause = s->cause, leg = s->leg;
     const uint64_t apart = s->apart;
     for (int j = 0; j < e->m; j++)
@@ -646,6 +885,7 @@ static void tick_axes(axes_episode *e)
     if (s->seen && out.send)
         judge_commands(e, &in, &out, x, sent, was);
     judge_faults_of_axes(e, &in, f, was, cause);
+    judge_sensors(e, &in, f, was, out.refused);
     if (in.command == RTHYB_CMD_ARM && !out.refused)
         axes_must(e, AXES_ARMED, apart < LOST_TICKS && in.apart != RTHYB_APART_UNKNOWN,
                   (double)apart, in.apart);
@@ -656,7 +896,7 @@ static void tick_axes(axes_episode *e)
     held += was == RTHYB_HOLD && leg == 1;
     tests += in.command == RTHYB_CMD_START && !out.refused;
     trips += s->state == RTHYB_TRIPPED && was != RTHYB_TRIPPED;
-    keep_rows(e, rows, out.records, sent);
+    keep_rows(e, &in, rows, out.records, sent);
     drive_axes(e, &out, x, sent);
     e->tick++;
     all_ticks += out.records;
@@ -680,7 +920,12 @@ static void show_difference(const axes_episode *e, size_t at)
 static void judge_axes_replay(axes_episode *e)
 {
     rthyb_replay source = {
-        .rows = packed, .count = e->rows, .ag_mps2 = e->ag, .ag_count = e->ag_count};
+        .rows = packed,
+        .count = e->rows,
+        .ag_mps2 = e->ag,
+        .ag_count = e->ag_count,
+        .sensors = packed_sensors[0],
+    };
     for (int i = 0; i < e->n; i++)
         source.axis[i] = (rthyb_replay_axis){&e->codec, {1.0, 0.0, 1.0, 0.0, 1.0, 0.0}};
     rthyb_station_config cfg = e->cfg;
@@ -729,9 +974,10 @@ static int report_axes(uint64_t episodes, double seconds)
                t->broken, t->seed, t->tick, t->value, t->bound);
     }
     printf("%" PRIu64 " episodes, %" PRIu64 " ticks, %" PRIu64 " tests, %" PRIu64 " trips, %" PRIu64
-           " held, %" PRIu64 " with redundant actuators, %.0f ticks/s: %s\n",
-           episodes, all_ticks, tests, trips, held, redundant, (double)all_ticks / seconds,
-           broken ? "BROKEN" : "nothing broken");
+           " held, %" PRIu64 " with redundant actuators, %" PRIu64
+           " with sensors, %.0f ticks/s: %s\n",
+           episodes, all_ticks, tests, trips, held, redundant, with_sensors,
+           (double)all_ticks / seconds, broken ? "BROKEN" : "nothing broken");
     return broken;
 }
 
