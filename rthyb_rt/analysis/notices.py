@@ -37,6 +37,11 @@ def not_finite_notices(rows: int) -> list[Notice]:
     ]
 
 
+def omission_notices(omitted: Sequence[str]) -> list[Notice]:
+    """Return the notices on values that the rig file omitted."""
+    return [Notice("note", f"{text[0].upper()}{text[1:]}.") for text in omitted]
+
+
 def flag_notices(flags: Mapping[str, int], test_samples: int, skipped_ticks: int) -> list[Notice]:
     """Return the notices for the flags of the rows.
 

@@ -16,6 +16,7 @@ from rthyb_rt.analysis.notices import (
     axis_attention_in_words,
     flag_notices,
     not_finite_notices,
+    omission_notices,
 )
 from rthyb_rt.analysis.summary import Live, Summary, SummaryRow, live, live_notices, live_rows
 from rthyb_rt.config import AxesRig, lonesensors
@@ -146,6 +147,7 @@ class AxesSummary:
         signals: the underlying signals.
         structure: the numerical part.
         sensors: results of each sensor without an actuator.
+        omitted: notes on values that the rig file omitted.
     """
 
     test_name: str
@@ -167,6 +169,7 @@ class AxesSummary:
     signals: Signals
     structure: SparseStructure | OwnStructure
     sensors: tuple[OfSensor, ...] = ()
+    omitted: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures as plain values."""
@@ -239,6 +242,7 @@ def summarize(rec: Recording) -> AxesSummary:
             )
             for k, one in enumerate(rig.lone_sensors)
         ),
+        summary.omitted(rec),
     )
 
 
@@ -427,7 +431,7 @@ def notices(s: AxesSummary) -> list[Notice]:
         for name, one in s.attention
     ]
     found += flag_notices(s.flags, s.rows, s.skipped_ticks)
-    return found + live_notices(s.live)
+    return found + live_notices(s.live) + omission_notices(s.omitted)
 
 
 def verdict(s: AxesSummary) -> str:

@@ -18,6 +18,7 @@ from rthyb_rt.analysis.notices import (
     attention_in_words,
     flag_notices,
     not_finite_notices,
+    omission_notices,
 )
 from rthyb_rt.config.deriving import structure_of_test
 from rthyb_rt.config.numerical import Matrices
@@ -31,7 +32,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import trips
 from rthyb_rt.lab.trips import Met
 from rthyb_rt.numbers import count, delay, number, percent, quantity
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import OMITTED, Recording
 
 Floats = NDArray[np.float64]
 NAN = float("nan")
@@ -76,6 +77,7 @@ class SummarySettings:
         history: the prescribed history, as text; "": a hybrid test.
         time_scale: seconds in the laboratory per second of the structure; masses, damping and
             periods are given in the laboratory's time.
+        omitted: notes on values that the rig file omitted.
     """
 
     controller: str | None
@@ -103,6 +105,7 @@ class SummarySettings:
     history: str = ""
     time_scale: float = 1.0
     alpha_start: float | None = None
+    omitted: tuple[str, ...] = ()
 
 
 def setup(rec: Recording) -> SummarySettings:
@@ -184,7 +187,14 @@ def setup(rec: Recording) -> SummarySettings:
         history=_words(rec.ground_motion.get("name")) if _get(test, "history") else "",
         time_scale=slow,
         alpha_start=_times(_number(_get(test, "controller", "alpha0")), rate.pace),
+        omitted=omitted(rec),
     )
+
+
+def omitted(rec: Recording) -> tuple[str, ...]:
+    """Return the notes on values that the rig file of a recording omitted."""
+    found = rec.meta.get(OMITTED)
+    return tuple(map(str, found)) if isinstance(found, list) else ()
 
 
 def recorded_structure(rec: Recording) -> Structure | SparseStructure | None:
@@ -740,7 +750,7 @@ def notices(s: Summary) -> list[Notice]:
                 f"No force compensation for {share} of the test: the tangent stiffness was zero.",
             )
         )
-    return found
+    return found + omission_notices(s.setup.omitted)
 
 
 def live_notices(found: Live | None) -> list[Notice]:

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rthyb_rt.api.files import Place, Rig, path_of
+from rthyb_rt.api.files import Place, Rig, path_of, toml_given
 from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options, require_progress
 from rthyb_rt.api.recordings import Recording
 from rthyb_rt.config.fields import written
@@ -237,7 +237,8 @@ def _as_files(
             return given.save(Path(folder) / name / (given.name or name) / "recording.h5")
 
         if isinstance(model, Rig):
-            model_path = model.save(Path(folder) / f"{model.name}.toml")
+            model_path = Path(folder) / f"{model.name}.toml"
+            model_path.write_text(toml_given(model), encoding="utf-8")
         else:
             what = "a rig, test or baseline file, or the name of a shipped one"
             model_path = find_model(str(path_of(model, "diagnose: model", what)))

@@ -227,6 +227,7 @@ class _Document(Generic[_File]):
                 problems += error.problems
         if problems:
             raise InputError(problems)
+        config.remove_omitted(self._file, values)
         given = {key: config.inline(value) for key, value in changes.items() if key not in gone}
         return parse(config.dump_values(values), self._origin, given, config.IN_PYTHON)
 
@@ -540,6 +541,11 @@ def file_of_test(test: Test) -> TestFile:
 def file_of_rig(rig: Rig) -> RigFile | AxesRig:
     """Return the validated file of a rig."""
     return rig._file
+
+
+def toml_given(rig: Rig) -> str:
+    """Return a rig as TOML without the values of another rig that stand for those it omits."""
+    return config.dump_given(rig._file)
 
 
 def origin_of(rig: Rig) -> str | None:

@@ -46,7 +46,8 @@ class Sweep:
         rows: rows by run number: the values of the parameters, ``ending``, ``cause``, and the
             numerical measures under the names used in `Recording.measures`.
         paths: its files by kind.
-        notes: what was omitted, and how to obtain it.
+        notes: values that a rig file omits, and files that were not written and how to obtain
+            them.
     """
 
     def __init__(self, found: whole_campaign.Campaign, folder: Path) -> None:
@@ -273,9 +274,10 @@ def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str
                 f"{_CALLED}: over.{key}",
             )
         file = f"{one.name}.toml"
-        if parts.setdefault(file, one.to_toml()) != one.to_toml():
+        text = files.toml_given(one) if isinstance(one, Rig) else one.to_toml()
+        if parts.setdefault(file, text) != text:
             file = f"{one.name}-{len(parts)}.toml"
-            parts[file] = one.to_toml()
+            parts[file] = text
         return file
 
     lists = {}

@@ -25,6 +25,7 @@ def compare(
     settings: Sequence[str],
     names: Sequence[str],
     tell: Callable[[int, int, str], None] | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> list[Row]:
     """Run one test with each control law in virtual time; everything else is as in the files.
 
@@ -34,6 +35,7 @@ def compare(
         settings: ``key=value``, as after ``--set``.
         names: names of the laws, ``controller.type``; none: all laws.
         tell: called with (laws done, number of laws, next law) before each run.
+        note: called with each note on values that the rig file omits.
 
     Returns:
         A row for each law, as `carry_out` returns it, with the law's name at `LAW`: first the
@@ -50,7 +52,11 @@ def compare(
         raise InputError(
             f"{TYPE} is varied by the comparison itself; choose the laws with --law", "--set"
         )
-    experiment.prepare(*config.load_both(test, rig, settings))
+    files = config.load_both(test, rig, settings)
+    experiment.prepare(*files)
+    if note is not None:
+        for text in config.omitted(files[1]):
+            note(text)
     wanted = list(dict.fromkeys(names)) or list(LAWS)
     rows = []
     for number, name in enumerate(wanted):

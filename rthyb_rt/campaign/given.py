@@ -36,7 +36,8 @@ def texts(
     campaign = config.check_values(CampaignFile, {**tables, "campaign": about}, called)
     parts = {TEST: config.dump(test)}
     if "rig" not in campaign.over:
-        parts[RIG] = config.dump(rig)
+        # What reads the sweep's files tells what the rig omits.
+        parts[RIG] = config.dump_given(rig)
         about["rig"] = RIG
     tables["campaign"] = about
     parts[CAMPAIGN] = config.dump_values({"schema": CAMPAIGN_SCHEMA, **tables})

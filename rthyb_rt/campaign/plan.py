@@ -177,6 +177,7 @@ class Plan:
         cases: the runs, by number.
         fingerprint: fingerprint of the runs, the files that they read, and the core.
         measures: measures that are reported for each group.
+        notes: values that a rig file omits.
     """
 
     name: str
@@ -184,6 +185,7 @@ class Plan:
     cases: tuple[PlannedRun, ...]
     fingerprint: str
     measures: tuple[Measure, ...] = MEASURES
+    notes: tuple[str, ...] = ()
 
 
 def of(file: CampaignFile, path: Path) -> Plan:
@@ -206,7 +208,27 @@ def of(file: CampaignFile, path: Path) -> Plan:
     cases = tuple(_cases(file, path))
     _, rig = cases[0]._files()
     about = file.campaign
-    return Plan(about.name, about.keep, cases, fingerprint(cases), measures_of(rig))
+    return Plan(
+        about.name, about.keep, cases, fingerprint(cases), measures_of(rig), _omitted(cases)
+    )
+
+
+def _omitted(cases: Sequence[PlannedRun]) -> tuple[str, ...]:
+    """Return the notes on values that the rigs of a campaign omit, each once."""
+    notes: dict[str, None] = {}
+    seen = set()
+    for case in cases:
+        # The value of a key does not change which others are omitted, unless it is a whole table.
+        changed = frozenset(
+            setting if "{" in setting or ".kind=" in setting else setting.partition("=")[0]
+            for setting in case.settings
+        )
+        if (case.test, case.rig, changed) in seen:
+            continue
+        seen.add((case.test, case.rig, changed))
+        with contextlib.suppress(InputError):  # that run will say so itself
+            notes |= dict.fromkeys(config.omitted(case._files()[1]))
+    return tuple(notes)
 
 
 def _count(file: CampaignFile) -> int:

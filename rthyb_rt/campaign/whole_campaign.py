@@ -25,7 +25,8 @@ class Campaign:
         plan: its runs.
         rows: rows of the runs that are done, by number.
         paths: paths of its files, by kind.
-        notes: what was omitted, and how to obtain it.
+        notes: values that a rig file omits, and files that were not written and how to obtain
+            them.
     """
 
     plan: Plan
@@ -73,7 +74,7 @@ def conduct(
 
 
 def _written(plan: Plan, rows: list[Row], folder: Path) -> Campaign:
-    paths, notes = {"table": folder / campaign_tables.CSV}, []
+    paths, notes = {"table": folder / campaign_tables.CSV}, list(plan.notes)
     campaign_tables.write_csv(rows, folder / campaign_tables.CSV)
     groups = group(rows, list(plan.cases[0].chosen), plan.measures)
     campaign_tables.write_csv(

@@ -52,8 +52,11 @@ def compare_laws(
     """
     from rthyb_rt.campaign import comparison
 
+    notes: list[str] = []
     with terminal.sections("Comparing") as progress:
-        rows = comparison.compare(test, rig, settings or (), law or (), progress)
+        rows = comparison.compare(test, rig, settings or (), law or (), progress, notes.append)
+    for note in notes:
+        terminal.tell(f"note: {note}")
     _print(rows, terminal.people(as_json))
     if as_json:
         laws = [{key: value for key, value in row.items() if key != "case"} for row in rows]

@@ -291,10 +291,14 @@ def _print_tare(session: Session) -> None:
 
 def _print_result(setup: Setup, result: Summary, recording: Path, as_json: bool) -> None:
     from rthyb_rt.analysis import summary
+    from rthyb_rt.analysis.notices import omission_notices
 
     file = terminal.people(as_json)
     print(f"{setup.test.test.name} on {setup.rig.rig.name}: {_motion(setup)}\n", file=file)
-    notices, table = summary.notices(result), summary.table(result)
+    # What the rig file omits was told before the test.
+    told = omission_notices(result.setup.omitted)
+    notices = [notice for notice in summary.notices(result) if notice not in told]
+    table = summary.table(result)
     terminal.print_result(notices, table, summary.verdict(result), file)
     print(f"\nRecording  {recording}", file=file)
 

@@ -83,6 +83,7 @@ def _print_outcome(
     setup: Setup, rec: Recording, folder: Path, *, report: bool, as_json: bool
 ) -> None:
     from rthyb_rt.analysis import several_axes as measured
+    from rthyb_rt.analysis.notices import omission_notices
 
     file = terminal.people(as_json)
     motion = f"{setup.motion.name}, PGA {setup.motion.pga_g:.3g} g"
@@ -91,7 +92,9 @@ def _print_outcome(
     if result is None:
         print(f"The test did not complete: {rec.meta['end_reason']}.", file=file)
     else:
-        notices = measured.notices(result)
+        # What the rig file omits was told before the test.
+        told = omission_notices(result.omitted)
+        notices = [notice for notice in measured.notices(result) if notice not in told]
         terminal.print_result(notices, measured.table(result), measured.verdict(result), file)
         print(f"Note: not computed: {measured.NOT_COMPUTED}", file=file)
     print(f"\nRecording  {folder / 'recording.h5'}", file=file)

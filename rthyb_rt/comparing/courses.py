@@ -185,15 +185,16 @@ def simulation(path: Path, axis: str | None = None) -> Course:
         InputError: with the errors of test and rig, or because no axis is named.
     """
     from rthyb_rt.comparing import of_axis
-    from rthyb_rt.config import load_any_both
+    from rthyb_rt.config import load_any_both, omitted
     from rthyb_rt.lab import several
 
     setup = several.prepare_any(*load_any_both(path, None, ()))
     if setup.group is not None:
-        return of_axis.simulation(setup, axis)
-    return _reference(
-        setup.reference, setup.derived.fs_hz, f"{setup.test.test.name}, reference simulation"
-    )
+        course = of_axis.simulation(setup, axis)
+    else:
+        label = f"{setup.test.test.name}, reference simulation"
+        course = _reference(setup.reference, setup.derived.fs_hz, label)
+    return replace(course, notes=(*course.notes, *omitted(setup.rig_file)))
 
 
 def _reference(rows: NDArray[np.void], fs_hz: float, label: str) -> Course:

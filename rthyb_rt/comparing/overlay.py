@@ -186,7 +186,7 @@ def lag(first: Floats, other: Floats, fs_hz: float) -> float:
 
 
 def _notes(courses: Sequence[Course], fs_hz: float, shared: int) -> list[str]:
-    notes = [note for course in courses for note in course.notes]
+    notes = list(dict.fromkeys(note for course in courses for note in course.notes))
     other = [course for course in courses if course.fs_hz != fs_hz]
     if other:
         text = _who_has([(c.label, c.fs_hz) for c in other], "has", "have", "Hz")

@@ -6,7 +6,7 @@ from rthyb_rt.config.axesfile import AxesRig
 from rthyb_rt.config.baselinefile import BaselineFile
 from rthyb_rt.config.changes import IN_PYTHON
 from rthyb_rt.config.defaults import derived_limits
-from rthyb_rt.config.deriving import Derived, derive, resolve
+from rthyb_rt.config.deriving import Derived, derive, omitted, resolve
 from rthyb_rt.config.limits import Limit, Limits
 from rthyb_rt.config.loading import (
     builtin_test_path,
@@ -40,7 +40,7 @@ from rthyb_rt.config.mapfile import MapFile
 from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import Calibration, Identified, Link, RigFile, SpecimenElement
 from rthyb_rt.config.testfile import TestFile
-from rthyb_rt.config.writing import dump, dump_values, inline
+from rthyb_rt.config.writing import dump, dump_given, dump_values, inline, remove_omitted
 
 __all__ = [
     "IN_PYTHON",
@@ -64,6 +64,7 @@ __all__ = [
     "derive",
     "derived_limits",
     "dump",
+    "dump_given",
     "dump_values",
     "find",
     "find_rig",
@@ -77,6 +78,7 @@ __all__ = [
     "load_both",
     "load_rig",
     "load_test",
+    "omitted",
     "parse_any_rig",
     "parse_baseline",
     "parse_campaign",
@@ -84,6 +86,7 @@ __all__ = [
     "parse_rig",
     "parse_test",
     "read_text",
+    "remove_omitted",
     "resolve",
     "rig_of_test",
     "schema_of",

@@ -39,6 +39,7 @@ from rthyb_rt.errors import InputError, Problem
 Rows = Sequence[Sequence[float]]
 
 if TYPE_CHECKING:
+    from rthyb_rt.config.axesfile import AxesRig
     from rthyb_rt.config.numerical_structure import Mode, Structure
     from rthyb_rt.config.own_structure import OwnStructure
     from rthyb_rt.config.sparse_structure import SparseStructure
@@ -653,18 +654,17 @@ def _note_friction(test: TestFile, rig: RigFile, mass: float, rate: Rate, notes:
             )
 
 
-def omitted(rig: RigFile) -> list[str]:
-    """Return the note on values of a servo-hydraulic actuator that are only defaults, if any."""
+def omitted(rig: RigFile | AxesRig) -> list[str]:
+    """Return the notes on values of servo-hydraulic actuators that are only defaults, if any."""
+    if not isinstance(rig, RigFile):
+        return [f"axis {n}: {note}" for n in rig.names for note in omitted(rig.of_axis(n))]
     actuator = rig.actuator
-    if not isinstance(actuator, ServoHydraulic):
+    if not isinstance(actuator, ServoHydraulic) or not actuator.omitted:
         return []
-    left_out = [key for key in type(actuator).model_fields if key not in actuator.model_fields_set]
-    if not left_out:
-        return []
-    values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in left_out)
+    values = ", ".join(f"{key} = {getattr(actuator, key):g}" for key in actuator.omitted)
     return [
-        f'rig "{rig.rig.name}" omits {", ".join(left_out)} of its actuator, so the values of '
-        f"shaking-table-portal-frame are used: {values}; give the values of this rig"
+        f'rig "{rig.rig.name}" omits {", ".join(actuator.omitted)} of its actuator, so the values '
+        f"of shaking-table-portal-frame are used: {values}; give the values of this rig"
     ]
 
 

@@ -160,6 +160,11 @@ class ServoHydraulic(Table):
     viscous_n_s_per_m: Annotated[float, Range("N s/m", 0, 1e9, "the viscous force")] = 600.0
     substeps: Annotated[int, Count(1, MAX_SUBSTEPS, "the substeps per sample")] = 16
 
+    @property
+    def omitted(self) -> tuple[str, ...]:
+        """Keys that the file omits, whose values are those of another rig."""
+        return tuple(key for key in type(self).model_fields if key not in self.model_fields_set)
+
 
 class ServoValve(Table):
     """Servo valve, natural velocity feedback and actuator by their transfer functions.

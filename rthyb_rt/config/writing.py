@@ -6,6 +6,7 @@ import functools
 import json
 import re
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 from rthyb_rt.config.fields import Table
 
@@ -16,6 +17,24 @@ def dump(table: Table) -> str:
     Absent keys are omitted. The text ends with a newline.
     """
     return dump_values(table.model_dump(by_alias=True))
+
+
+def dump_given(table: Table) -> str:
+    """Return a file like `dump`, but without the values that its rig took from another rig.
+
+    Whatever reads it states them again: see `rthyb_rt.config.deriving.omitted`.
+    """
+    values = table.model_dump(by_alias=True)
+    remove_omitted(table, values)
+    return dump_values(values)
+
+
+def remove_omitted(table: Table, values: dict[str, Any]) -> None:
+    """Remove from the values of a rig file, in place, those that it took from another rig."""
+    axes = zip(getattr(table, "axis", ()), values.get("axis", ()), strict=True)
+    for inner, own in [(table, values), *axes]:
+        for key in getattr(getattr(inner, "actuator", None), "omitted", ()):
+            own["actuator"].pop(key, None)
 
 
 def dump_values(values: Mapping[str, object]) -> str:

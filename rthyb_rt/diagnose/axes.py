@@ -39,6 +39,7 @@ class OfAxis:
         The noise of its force includes that of the load cell and, through the stiffness, that of
         the displacement sensors of the other axes.
         """
+        from rthyb_rt import config
         from rthyb_rt.record.axis_export import alone, stiffness_of
 
         own, k = model_of_rig(alone(self.rig, self.name)), self.rig.names.index(self.name)
@@ -46,7 +47,8 @@ class OfAxis:
         felt[k] = 0.0
         noise_m = [axis.sensors.displacement.noise_std_m or 0.0 for axis in self.rig.axis]
         f_std = float(np.hypot(own.f_std or 0.0, np.linalg.norm(felt * noise_m)))
-        return replace(own, f_std=f_std or None)
+        notes = tuple(note for note in config.omitted(self.rig) if f"axis {self.name}: " in note)
+        return replace(own, f_std=f_std or None, notes=notes)
 
     def fits(self, names: tuple[str, ...], where: str) -> None:
         """Reject a recording whose axes are not those of the rig.

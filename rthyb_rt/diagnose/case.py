@@ -67,6 +67,7 @@ class Model:
     ``k_tol`` and ``c_tol`` are relative standard deviations; None: refitted freely. ``rig`` is the
     rig file from which the model was made, ``plc`` the weights W1, W2 of the phase-lead
     compensator, ``rfc`` whether the force was compensated; None if the model does not state it.
+    ``notes`` are on values that the rig file omits.
     """
 
     family: Family
@@ -88,6 +89,7 @@ class Model:
     plc: tuple[float, float] | None = None
     rfc: bool | None = None
     unused: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     @property
     def hold(self) -> Hold:

@@ -176,6 +176,8 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
         rig, test: the files.
         fs_hz: rows per second of simulations with it.
     """
+    from rthyb_rt import config
+
     plain = _plain_of(rig)
     numerical_m = numerical_c = 0.0
     if test is not None:
@@ -202,6 +204,7 @@ def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model
         rig=rig,
         plc=_weights(test) if test is not None else None,
         rfc=test.controller.rfc.enabled if test is not None else None,
+        notes=tuple(config.omitted(rig)),
     )
 
 

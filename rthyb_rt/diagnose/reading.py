@@ -66,6 +66,8 @@ def read_case(
     else:
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
         t, channels, notes = lab.t, lab.channels, lab.notes
+    if beside is None:
+        notes += model.notes
     if model.unused:
         notes.append(f"parts of the model that are not used: {', '.join(model.unused)}")
     beyond = lab.further if lab is not None else {}

@@ -970,6 +970,7 @@ def blank(setup: Setup, clock: str) -> recording.Recording:
             "clock": clock,
             "end_reason": "unknown",
             "interrupted": False,
+            **({recording.OMITTED: omitted} if (omitted := config.omitted(setup.rig_file)) else {}),
         },
     )
 

@@ -31,6 +31,8 @@ from rthyb_rt.core.rows import FLAGS, RUNNING, STATES, Channel, axes_in
 from rthyb_rt.errors import InputError, RthybError
 
 FILE_NAME = "recording.h5"
+OMITTED = "rig_omitted"
+"""Metadata: the notes on values that the rig file omitted. The recorded file has every value."""
 
 BLOCK_ROWS = 128
 """Rows per block of a growing recording: an eighth of a second."""

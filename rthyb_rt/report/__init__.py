@@ -15,6 +15,7 @@ from rthyb_rt.analysis.summary import (
     verdict,
 )
 from rthyb_rt.numbers import percent, quantity
+from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import several
 from rthyb_rt.report.html import environment, extra_needed, sheets, write_page
@@ -30,7 +31,9 @@ _META_NAMES = {
     "clock": "clock",
     "created_utc": "recorded, UTC",
 }
-_SHOWN_ELSEWHERE = ("test_name", "end_reason", "interrupted", "real_time", "commissioning")
+_SHOWN_ELSEWHERE = (
+    *("test_name", "end_reason", "interrupted", "real_time", "commissioning", recording.OMITTED),
+)
 
 
 def write_report(rec: Recording, path: str | Path) -> None:
