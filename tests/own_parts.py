@@ -44,13 +44,13 @@ class Failing(Oscillator):
 class Silly(Oscillator):
     """Returns a value that is not a displacement."""
 
-    def __init__(self, mass_kg: float, what: str) -> None:
+    def __init__(self, mass_kg: float, what: str, after: int = 0) -> None:
         super().__init__(mass_kg)
-        self.what_it_gives = float(what)
+        self.what_it_gives, self.left = float(what), after
 
     def answer(self, ag_mps2: float, force_n: float) -> float:
-        super().answer(ag_mps2, force_n)
-        return self.what_it_gives
+        x, self.left = super().answer(ag_mps2, force_n), self.left - 1
+        return x if self.left >= 0 else self.what_it_gives
 
 
 class Inverse(rt.ControlLaw):
@@ -103,6 +103,85 @@ class Maxwell(rt.Element):
         state[1] = state[1] * math.exp(-ratio) + self.k * gain * (x_m - state[0])
         state[0] = x_m
         return float(state[1])
+
+
+class Jumpy(rt.Element):
+    """A spring that gives nonsense from a displacement on, in steps of time up to a length."""
+
+    def __init__(self, what: str, from_m: float = 0.0, longest_s: float = 1.0) -> None:
+        self.what_it_gives, self.from_m, self.longest_s = float(what), from_m, longest_s
+
+    def force(
+        self, x_m: float, v_m_per_s: float, a_m_per_s2: float, dt_s: float, state: Any
+    ) -> float:
+        if abs(x_m) >= self.from_m and dt_s <= self.longest_s:
+            return self.what_it_gives
+        return 6.664e5 * x_m
+
+
+class Astray(rt.ControlLaw):
+    """Passes the command on, and after a while something else."""
+
+    def __init__(self, what: str, after: int = 0) -> None:
+        self.what_it_gives, self.left = float(what), after
+
+    def lead(self, x_c_m: float, allowed_m: float) -> float:
+        self.left -= 1
+        return x_c_m if self.left >= 0 else self.what_it_gives
+
+
+class Short(rt.ControlLaw):
+    """Takes one argument too few."""
+
+    def lead(self, x_c_m: float) -> float:  # type: ignore[override]
+        return x_c_m
+
+
+class Misspelt(rt.ControlLaw):
+    """Has no method lead."""
+
+    def laed(self, x_c_m: float, allowed_m: float) -> float:
+        return x_c_m
+
+
+class Mute(rt.ControlLaw):
+    """Returns nothing."""
+
+    def lead(self, x_c_m: float, allowed_m: float) -> None:  # type: ignore[override]
+        x_c_m + allowed_m
+
+
+class Unset(rt.ControlLaw):
+    """Names a value that it does not have."""
+
+    values: ClassVar[dict[str, str]] = {"gain": "1"}
+
+    def lead(self, x_c_m: float, allowed_m: float) -> float:
+        return x_c_m
+
+
+class OneResponse(Oscillator):
+    """Reports a number instead of a list."""
+
+    def __init__(self) -> None:
+        super().__init__(4220.0)
+
+    def report(self) -> float:  # type: ignore[override]
+        return 3.0
+
+
+class Text(rt.Element):
+    """Returns a word."""
+
+    def force(self, x_m: float, v: float, a: float, dt_s: float, state: Any) -> str:  # type: ignore[override]
+        return "stiff"
+
+
+class ShortForce(rt.Element):
+    """Takes the displacement only."""
+
+    def force(self, x_m: float) -> float:  # type: ignore[override]
+        return x_m
 
 
 class Forgetful(rt.NumericalPart):

@@ -407,3 +407,18 @@ def test_wrong_use_is_told_and_nothing_is_written(
     assert told in str(raised.value)
     assert "--" not in str(raised.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_rig_file_without_stiffness_can_be_identified_which_is_what_finds_it(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "new.toml"
+    path.write_text(
+        'schema = "rthyb-rig/1"\nrig = { name = "new" }\n'
+        'actuator = { kind = "pure-delay", delay_samples = 12 }\n'
+        '[[specimen]]\nelement = "stiffness"\nk_n_per_m = 6.7e5\n'
+    )
+    found = rt.identify(path, max_frequency=2)
+    assert found.rig["rig.elastic_stiffness_n_per_m"] == pytest.approx(6.7e5, rel=1e-3)
+    with pytest.raises(rt.InputError, match="elastic_stiffness_n_per_m: missing"):
+        rt.Rig(path)

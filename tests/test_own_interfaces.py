@@ -411,7 +411,7 @@ def test_a_class_that_forgets_an_interface_is_told_so(tmp_path: Path) -> None:
     import own_parts
 
     part = PythonPartConfig(own.spelled(own_parts.Forgetful()), K_E, place=(0, 1))
-    with pytest.raises(rt.RthybError, match=r"returned 1 displacements; .* 2 interfaces"):
+    with pytest.raises(rt.RthybError, match=r"returned 1 values instead of 2; .* each interface"):
         Part(part).answer_all(0.0, [1.0, 2.0])
 
 

@@ -3,6 +3,7 @@ same numbers; what they do wrong is told with their own file and line."""
 
 from __future__ import annotations
 
+import re
 import traceback
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ import pytest
 import rthyb_rt as rt
 from rthyb_rt import core
 from rthyb_rt.core import own
-from rthyb_rt.core.numerical_parts import Part
 from rthyb_rt.lab import experiment
 
 SHORT = rt.Test("section5-T0.5", ground_motion={"duration_s": 3}, test={"free_vibration_s": 0.5})
@@ -139,35 +139,102 @@ def test_an_error_in_a_law_is_told_with_file_line_and_what_was_asked_of_it() -> 
         )
     text = str(caught.value)
     assert f"{HERE}:" in text
-    assert "in lead: RuntimeError: the law has had enough (lead of own_parts:Inverse)" in text
+    assert "RuntimeError: the law has had enough (lead of own_parts:Inverse at tick 2 of" in text
 
 
-@pytest.mark.parametrize("what", ["nan", "inf", "-inf", "1e300"])
-def test_senseless_displacements_of_a_part_never_leave_it(what: str) -> None:
-    config = own.PythonPartConfig(own.spelled(own_parts.Silly(4220.0, what)), 666_400.0)
-    part = Part(config)
-    for force in (0.0, float("nan"), float("inf"), 1e300):
-        x, code = part.step(0.1, force)
-        assert abs(x) <= 1e3
-        assert code != 0
+def told(change: dict[str, Any]) -> str:
+    """Return the message of a test with changes, by table or dotted key."""
+    tables = {key: value for key, value in change.items() if "." not in key}
+    dotted = {key: value for key, value in change.items() if "." in key}
+    with pytest.raises(rt.InputError) as caught:
+        rt.run(SHORT.with_(dotted, **tables))
+    return str(caught.value)
 
 
-@pytest.mark.parametrize("what", ["nan", "inf", "1e300"])
-def test_senseless_forces_of_an_element_are_those_of_before(what: str) -> None:
-    element = core.Element(core.ElementConfig("python", (), own.spelled(Jumpy(what))))
-    assert element.force(1e-3, 0.0, 0.0, 0.0) == 7.0
-    assert element.force(2e-3, 0.0, 0.0, 0.0) == 7.0
+SENSELESS = ["nan", "inf", "-inf", "1e300"]
 
 
-class Jumpy(rt.Element):
-    """Gives 7 N once, then nothing of use."""
+@pytest.mark.parametrize("what", [*SENSELESS, "1e9"])
+def test_senseless_displacement_of_a_part_is_told_with_class_method_line_and_tick(
+    what: str,
+) -> None:
+    found = told({"numerical": own_parts.Silly(4220.0, what, after=300)})
+    assert re.match(rf"{PLACE}, in answer: Silly.answer returned {as_shown(what)} at tick", found)
+    assert "at tick 300 of a simulation without the rig, for ag_mps2 = " in found
+    assert "it must return the displacement of the next sample" in found
 
-    def __init__(self, what: str) -> None:
-        self.what_it_gives = float(what)
 
-    def force(self, x_m: float, v: float, a: float, dt_s: float, state: Any) -> float:
-        state[0] += 1
-        return 7.0 if state[0] == 1 else self.what_it_gives
+@pytest.mark.parametrize("what", SENSELESS)
+def test_senseless_force_of_an_element_ends_the_test_where_it_was_returned(what: str) -> None:
+    jumpy = {"rig": {"specimen": [own_parts.Jumpy(what, from_m=1e-3)]}}
+    found = told(jumpy)
+    assert re.match(rf"{PLACE}, in force: Jumpy.force returned {as_shown(what)} at tick", found)
+    assert "of a simulation without the rig, for x_m = " in found
+    element = core.Element(core.ElementConfig("python", (), own.spelled(own_parts.Jumpy(what))))
+    with pytest.raises(rt.RthybError, match=r"Jumpy.force returned .*, for x_m = 0.002"):
+        element.force(2e-3, 0.0, 0.0, 0.0)
+
+
+def test_an_element_that_fails_on_the_rig_alone_is_told_with_the_tick_of_the_test() -> None:
+    """On the rig it moves in steps of a fraction of a sample, otherwise of a whole one."""
+    found = told({"rig": {"specimen": [own_parts.Jumpy("nan", from_m=1e-3, longest_s=5e-4)]}})
+    where = re.search(r"returned nan at tick (\d+) of the test \(([\d.]+) s\), for x_m", found)
+    assert where is not None, found
+    assert int(where[1]) / 1024 == pytest.approx(float(where[2]), abs=1e-3)
+
+
+@pytest.mark.parametrize("what", [*SENSELESS, "1e9"])
+def test_senseless_command_of_a_law_is_told_with_class_method_line_and_tick(what: str) -> None:
+    found = told({"controller": own_parts.Astray(what, after=200)})
+    assert re.match(rf"{PLACE}, in lead: Astray.lead returned {as_shown(what)} at tick", found)
+    assert "at tick 200 of a simulation without the rig, for x_c_m = " in found
+
+
+def test_law_and_element_whose_numbers_are_possible_but_absurd_are_named() -> None:
+    found = told({"controller": own_parts.Astray("5", after=200)})
+    assert "the command after the control law moves from" in found
+    assert "to 5 m at the next; at most 50 m/s are possible: check your own own_parts:As" in found
+    found = told({"rig": {"specimen": [own_parts.Jumpy("1e9")]}})
+    assert "in the reference simulation the structure moves from 0 m at tick 0" in found
+    assert "check your own own_parts:Jumpy" in found
+    with pytest.raises(rt.RthybError, match=r"not at rest.*check own_parts:Astray: at rest its"):
+        rt.run(SHORT.with_(controller=own_parts.Astray("0.01")))
+
+
+WRONG = [
+    ("controller", own_parts.Short, "Short.lead", "takes (self, x_c_m), but it is called with 2"),
+    ("controller", own_parts.Misspelt, "Misspelt", "lead(self, x_c_m, allowed_m); is laed miss"),
+    ("controller", own_parts.Mute, "Mute.lead", "returned None (is a return missing?) at tick 0"),
+    ("controller", own_parts.Unset, "Unset.values", "names gain, but the attribute gain is missi"),
+    ("numerical", own_parts.OneResponse, "OneResponse.report", "returned 3.0 instead of 1 values"),
+    ("element", own_parts.Text, "Text.force", "returned 'stiff' at tick 0"),
+    (
+        "element",
+        own_parts.ShortForce,
+        "ShortForce.force",
+        "define it as force(self, x_m, v_m_per_s",
+    ),
+]
+
+
+@pytest.mark.parametrize(("place", "kind", "name", "words"), WRONG)
+def test_a_method_of_the_wrong_form_is_told_with_the_users_class_and_line(
+    place: str, kind: Any, name: str, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    change = {"rig": {"specimen": [kind()]}} if place == "element" else {place: kind()}
+    found = told(change)
+    assert name in found
+    assert words in found
+    assert re.search(PLACE, found)
+    assert "own.py" not in found
+    assert capfd.readouterr().err == ""
+
+
+PLACE = rf"[\w/.-]*{re.escape(HERE)}:\d+"
+
+
+def as_shown(what: str) -> str:
+    return re.escape(repr(float(what)))
 
 
 def test_in_real_time_classes_in_python_are_refused_with_what_takes_their_place() -> None:
@@ -183,12 +250,6 @@ def test_in_real_time_classes_in_python_are_refused_with_what_takes_their_place(
     assert set(places) == {"numerical.python", "controller.python", "rig.specimen.0"}
     assert "numerical.library" in places["numerical.python"]
     assert "garbage collection" in places["controller.python"]
-
-
-def told(change: dict[str, Any]) -> str:
-    with pytest.raises(rt.InputError) as caught:
-        rt.run(SHORT.with_(change))
-    return str(caught.value)
 
 
 def test_a_class_that_is_not_there_is_refused_with_its_place() -> None:

@@ -522,6 +522,14 @@ def as_rig(given: Rig | Place) -> Rig:
     return given if isinstance(given, Rig) else Rig(given)
 
 
+def rig_to_identify(given: Rig | Place) -> Rig:
+    """Return a rig like `as_rig`; a file may lack the elastic stiffness, which is to be found."""
+    if isinstance(given, Rig):
+        return given
+    path = _source("rig", given)
+    return Rig._made(config.load_any_rig(path, config.with_some_stiffness(path, {})), str(path))
+
+
 def as_test(given: Test | Place | None) -> Test:
     """Return a test given as an object, a path or a name; None: the built-in test.
 

@@ -163,7 +163,8 @@ def identify(
     the laboratory, use ``rthyb identify --realtime``.
 
     Args:
-        rig: a rig, or the path or name of one; an elastic stiffness is not required.
+        rig: a rig, or the path or name of one. The file of a rig with one axis does not need an
+            elastic stiffness, which is to be found.
         amplitude: amplitude of the slow sines in m, or a string with a unit; 0.01 mm to 1 m.
         max_frequency: frequency of the last sine in Hz, or a string with a unit; 0.05 Hz to 100 Hz.
         progress: called at intervals.
@@ -179,7 +180,7 @@ def identify(
         >>> round(found.measures["alpha"])
         10
     """
-    on = files.as_rig(rig)
+    on = files.rig_to_identify(rig)
     require_progress(progress, "identify")
     sweep = sweeping.SweepPlan.up_to(
         _read(max_frequency, "max_frequency", _FREQUENCY), _read(amplitude, "amplitude", _AMPLITUDE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -18,8 +17,6 @@ if TYPE_CHECKING:
     from rthyb_rt.core.loop import Clock
     from rthyb_rt.rig.commissioning.guided_motion import AnyRig, AxesConnection, Connection, Reach
     from rthyb_rt.rig.links.opened import Opened
-
-K_E = "elastic_stiffness_n_per_m"
 
 
 def clock_of(rig: RigFile | AxesRig) -> Clock:
@@ -230,10 +227,7 @@ def load_rig(name: str, settings: list[str] | None) -> tuple[RigFile, Path]:
     overrides: dict[str, str] = {}
     for part in config.split_overrides(settings or ()):
         overrides.update(part)
-    if not _has_stiffness(path) and not any(key.endswith(K_E) for key in overrides):
-        # Any value will do.
-        overrides[f"rig.{K_E}"] = "1"
-    return config.load_rig(path, overrides), path
+    return config.load_rig(path, config.with_some_stiffness(path, overrides)), path
 
 
 def load_axes_rig(name: str, settings: list[str] | None) -> tuple[AxesRig, Path] | None:
@@ -253,14 +247,3 @@ def load_axes_rig(name: str, settings: list[str] | None) -> tuple[AxesRig, Path]
     rig = config.load_any_rig(path, overrides)
     assert isinstance(rig, config.AxesRig)
     return rig, path
-
-
-def _has_stiffness(path: Path) -> bool:
-    """Return whether the file contains k_e; True if it cannot be read, which is reported later."""
-    from rthyb_rt import config
-
-    try:
-        table = tomllib.loads(config.read_text(path, "rig")).get("rig")
-    except (InputError, ValueError, RecursionError):
-        return True
-    return not isinstance(table, dict) or K_E in table

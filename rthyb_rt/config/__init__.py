@@ -35,6 +35,7 @@ from rthyb_rt.config.loading import (
     shipped_rig,
     shipped_test,
     split_overrides,
+    with_some_stiffness,
 )
 from rthyb_rt.config.mapfile import MapFile
 from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
@@ -94,4 +95,5 @@ __all__ = [
     "shipped_rig",
     "shipped_test",
     "split_overrides",
+    "with_some_stiffness",
 ]

@@ -39,6 +39,8 @@ BRAKE_MARGIN = 1.25
 needs 1; without a step in acceleration, 1.04 is needed near a turning point, and elsewhere the
 margin makes up for the 16 ms that the transition takes."""
 
+VELOCITY_MAX_M_PER_S = 100.0
+"""Largest value of a limit on the velocity."""
 VELOCITY_MARGIN = 2.0
 """Factor on the peak velocity of the compensated reference, the same as is recommended for the
 position limit, to allow for the effect of specimen and delay estimate on the motion."""
@@ -103,7 +105,7 @@ class VelocityLimit(Limit):
 
     plain: ClassVar[Action] = "none"
 
-    value: Annotated[float, Range("m/s", 1e-6, 100, "the limit")]
+    value: Annotated[float, Range("m/s", 1e-6, VELOCITY_MAX_M_PER_S, "the limit")]
 
 
 class ForceLimit(Limit):

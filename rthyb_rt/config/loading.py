@@ -188,6 +188,26 @@ def load_any_rig(path: str | Path, overrides: Mapping[str, str] | None = None) -
     return rig
 
 
+def with_some_stiffness(path: str | Path, overrides: Mapping[str, str]) -> dict[str, str]:
+    """Return overrides that give k_e to a rig of one axis without one, for what does not use it.
+
+    Args:
+        path: the rig file.
+        overrides: as for `load_rig`.
+    """
+    k_e, found = "elastic_stiffness_n_per_m", dict(overrides)
+    try:
+        raw = tomllib.loads(read_text(path, "rig"))
+    except (InputError, ValueError, RecursionError):
+        return found  # reported when the file is read
+    table = raw.get("rig")
+    missing = isinstance(table, dict) and k_e not in table and "axis" not in raw
+    if missing and not any(key.endswith(k_e) for key in overrides):
+        # Any value will do.
+        found[f"rig.{k_e}"] = "1"
+    return found
+
+
 def _read_plant(plant: Plant, folder: Path, axes: int, where: str) -> Plant:
     """Return a plant with the matrices of its file, checked like those in a rig file.
 

@@ -25,7 +25,7 @@ from rthyb_rt.core.library import (
     require_one_length,
     writing,
 )
-from rthyb_rt.core.pending import raise_pending
+from rthyb_rt.core.pending import during, raise_pending
 from rthyb_rt.core.rows import CHANNELS_MAX
 from rthyb_rt.core.settings import (
     ElementConfig,
@@ -159,8 +159,9 @@ class Law:
     def run(self, x_c_m: npt.ArrayLike) -> FloatArray:
         """Return x_p for commands of shape (n,), without learning."""
         x = doubles(x_c_m)
-        out = np.empty_like(x)
-        lib.rthyb_law_run(self._c, reading(x), writing(out), x.size)
+        out = np.full_like(x, np.nan)
+        with during(lambda: without_rig(out)):
+            lib.rthyb_law_run(self._c, reading(x), writing(out), x.size)
         raise_pending()
         return out
 
@@ -275,12 +276,21 @@ class Motion:
         """
         ag = finite_motion(elements, ag_mps2)
         array = element_array(elements)
-        x, v, f = np.empty_like(ag), np.empty_like(ag), np.empty_like(ag)
-        lib.rthyb_run_reference(
-            self._c, array, len(elements), reading(ag), ag.size, writing(x), writing(v), writing(f)
-        )
+        x, v, f = np.full_like(ag, np.nan), np.empty_like(ag), np.empty_like(ag)
+        out = (writing(x), writing(v), writing(f))
+        with during(lambda: without_rig(x)):
+            lib.rthyb_run_reference(self._c, array, len(elements), reading(ag), ag.size, *out)
         raise_pending()
         return x, v, f
+
+
+def without_rig(written: FloatArray) -> str:
+    """Return the moment of a simulation without a rig, in words.
+
+    ``written``: its output, filled up to the present tick, NaN beyond it.
+    """
+    tick = max(0, int(np.count_nonzero(~np.isnan(written))) - 1)
+    return f"at tick {tick} of a simulation without the rig"
 
 
 def finite_motion(elements: Sequence[ElementConfig], ag_mps2: npt.ArrayLike) -> FloatArray:

@@ -12,7 +12,8 @@ import numpy.typing as npt
 from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core import CoreError, DenseConfig, ElementConfig, FloatArray
-from rthyb_rt.core.pending import raise_pending
+from rthyb_rt.core.kernels import without_rig
+from rthyb_rt.core.pending import during, raise_pending
 from rthyb_rt.core.settings import fill_part
 from rthyb_rt.core.sparse import SparseConfig
 
@@ -147,16 +148,17 @@ class Part:
                 "simulated for one interface only"
             )
         array = core.element_array(elements)
-        x, v, f = np.empty_like(ag), np.empty_like(ag), np.empty_like(ag)
+        x, v, f = np.full_like(ag, np.nan), np.empty_like(ag), np.empty_like(ag)
         everywhere = np.empty((ag.size, reports))
         out = [
             ffi.from_buffer("double[]", one, require_writable=True)
             for one in (x, v, f, everywhere.reshape(-1))
         ]
         period_s, samples = self._period_s, ffi.from_buffer("double[]", ag)
-        lib.rthyb_numerical_reference(
-            self._c, array, len(elements), samples, ag.size, period_s, *out, reports
-        )
+        with during(lambda: without_rig(x)):
+            lib.rthyb_numerical_reference(
+                self._c, array, len(elements), samples, ag.size, period_s, *out, reports
+            )
         raise_pending()
         return x, v, f, everywhere
 

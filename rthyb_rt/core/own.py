@@ -33,7 +33,8 @@ from rthyb_rt.core.own_interfaces import (
     rows_of,
 )
 from rthyb_rt.core.own_library import RESPONSES_MAX, Recorded
-from rthyb_rt.core.pending import OwnCodeError, guarded
+from rthyb_rt.core.own_methods import ANSWER, FORCE, LAW, LEAD, PART, REPORT, Method, place_of
+from rthyb_rt.core.pending import OwnCodeError, OwnFault, guarded, moment_in_words
 from rthyb_rt.core.sizes import PERIOD_S
 
 _Plain = bool | int | float | str
@@ -189,6 +190,9 @@ class Element(Own):
 # ---- by name ------------------------------------------------------------------------------------
 
 _Kind = TypeVar("_Kind", bound=Own)
+_METHODS: Final[dict[str, tuple[Method, ...]]] = {
+    "NumericalPart": PART, "ControlLaw": LAW, "Element": (FORCE,),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -205,7 +209,8 @@ class OwnClass:
         """Return the class.
 
         Raises:
-            CoreError: it cannot be imported, or is not a class of the requested kind.
+            CoreError: it cannot be imported, is not a class of the requested kind, or one of its
+                methods is missing or takes other arguments.
         """
         module_name, _, inner = self.name.partition(":")
         try:
@@ -234,6 +239,10 @@ class OwnClass:
                 f'"{self.name}" is not a {kind.__name__}; {kind.what} is a class '
                 f"{inner}(rthyb_rt.{kind.__name__})"
             )
+        for method in _METHODS.get(kind.__name__, ()):
+            complaint = method.complaint(place, kind)
+            if complaint is not None:
+                raise CoreError(f'"{self.name}": {complaint}')
         return place
 
     def made(self, kind: type[_Kind]) -> _Kind:
@@ -368,6 +377,21 @@ class PythonPartConfig:
         return cls(own, period_s=plain["period_s"], **interfaces_of_plain(plain))
 
 
+def _several(method: Method, made: Own, found: Any, count: int) -> list[Any]:
+    """Return the values that a method returned, which must be a certain number.
+
+    Raises:
+        OwnFault: they are not a list, or of another length.
+    """
+    try:
+        values = list(found)
+    except TypeError:
+        raise method.fault(made, f"returned {found!r} instead of {count} values") from None
+    if len(values) != count:
+        raise method.fault(made, f"returned {len(values)} values instead of {count}")
+    return values
+
+
 _PART_CALLS: Final = dict(ffi.typeof("rthyb_part_calls").fields)
 
 
@@ -387,17 +411,11 @@ def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any
         return 0
 
     def answer(_state: Any, ag_mps2: float, force_n: Any, x_next_m: Any) -> int:
-        found = at["part"].answer(ag_mps2, forces(force_n))
-        if count == 1:
-            x_next_m[0] = found
-            return 0
-        next_m = list(found)
-        if len(next_m) != count:
-            raise ValueError(
-                f"answer() returned {len(next_m)} displacements; it must return one for each of "
-                f"the {count} interfaces"
-            )
-        x_next_m[0:count] = next_m
+        part, force = at["part"], forces(force_n)
+        found = part.answer(ag_mps2, force)
+        given = (ag_mps2, force) if count == 1 else (ag_mps2,)
+        next_m = [found] if count == 1 else _several(ANSWER, part, found, count)
+        x_next_m[0:count] = [ANSWER.number(part, one, given) for one in next_m]
         return 0
 
     def advance(_state: Any) -> int:
@@ -408,13 +426,11 @@ def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any
         at["part"].freeze(forces(force_n))
 
     def report(_state: Any, values: Any) -> None:
-        reported = list(at["part"].report())
-        if len(reported) != len(names):
-            raise ValueError(
-                f"report() returned {len(reported)} values; it must return one for each of "
-                f"{', '.join(names)}"
-            )
-        values[0 : len(reported)] = reported
+        reported = _several(REPORT, at["part"], at["part"].report(), len(names))
+        try:
+            values[0 : len(reported)] = reported
+        except TypeError:
+            raise REPORT.fault(at["part"], f"returned {reported!r}") from None
 
     kind = config.own.found(NumericalPart)
     functions: dict[str, Callable[..., Any]] = {"init": init, "answer": answer}
@@ -457,6 +473,17 @@ def law_of(own: OwnClass) -> LawDescription:
         with_rfc=True,
         kind=-1,
         state_bytes=8 * (1 + len(kind.values)),
+    )
+
+
+def _without_value(law: ControlLaw, name: str) -> Exception:
+    """Return the error for a law without one of the values that it says it reports."""
+    kind = type(law)
+    what = f"is {getattr(law, name)!r}" if hasattr(law, name) else "is missing"
+    return OwnFault(
+        f"{kind.__name__}.values names {name}, but the attribute {name} {what}{moment_in_words()}; "
+        f"set self.{name} to a number in begin, before the first sample, or remove it from values",
+        place_of(kind),
     )
 
 
@@ -505,7 +532,10 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
 
     def store_values(state: Any, law: ControlLaw) -> int:
         for i, name in enumerate(names):
-            state[1 + i] = getattr(law, name)
+            try:
+                state[1 + i] = getattr(law, name)
+            except (AttributeError, TypeError):
+                raise _without_value(law, name) from None
         return 0
 
     def init(state: Any, start: Any) -> int:
@@ -530,7 +560,7 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
         place = ffi.cast("double *", state)
         law = at[place[0]]
         x_p_m[0] = x_c_m
-        x_p_m[0] = law.lead(x_c_m, allowed_m)
+        x_p_m[0] = LEAD.number(law, law.lead(x_c_m, allowed_m), (x_c_m, allowed_m))
         return store_values(place, law)
 
     functions: dict[str, Callable[..., Any]] = {
@@ -568,6 +598,10 @@ def _own_force(own: OwnClass, kind: Any) -> Any:
 
     def force(state: Any, x: float, v: float, a: float, dt: float) -> float:
         numbers = memoryview(ffi.buffer(state, room)).cast("B").cast("d")
-        return element.force(x, v, a, dt, numbers)
+        found = element.force(x, v, a, dt, numbers)
+        # The common case, because this is called many times in every tick.
+        if type(found) is float and -FORCE.most <= found <= FORCE.most:
+            return found
+        return FORCE.number(element, found, (x, v, a, dt))
 
     return ffi.callback("rthyb_own_force", guarded(force, f"force of {own.name}", 0.0))

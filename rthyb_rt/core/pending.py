@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from rthyb_rt.errors import RthybError
+from rthyb_rt.errors import InputError, RthybError
 
 _PACKAGE: Final = f"{Path(__file__).resolve().parents[1]}/"
+
+
+class OwnFault(InputError):
+    """User code returned what it must not; the message names its method, its place and when."""
 
 
 class OwnCodeError(RthybError):
@@ -22,6 +27,10 @@ class OwnCodeError(RthybError):
 
     def __init__(self, original: BaseException, doing: str) -> None:
         self.original = original
+        if isinstance(original, OwnFault):
+            problem = original.problems[0]
+            super().__init__(problem.message, where=problem.where)
+            return
         last = traceback.extract_tb(original.__traceback__)
         own = [frame for frame in last if not _of_this_program(frame.filename)]
         at = f"{own[-1].filename}:{own[-1].lineno}, in {own[-1].name}" if own else doing
@@ -37,6 +46,7 @@ def _of_this_program(file: str) -> bool:
 
 class _Pending(threading.local):
     error: OwnCodeError | None = None
+    moment: Callable[[], str] | None = None
 
 
 _PENDING: Final = _Pending()
@@ -58,6 +68,25 @@ def raise_pending() -> None:
     raise error from error.original
 
 
+@contextmanager
+def during(moment: Callable[[], str]) -> Iterator[None]:
+    """Name the moment of errors that user code raises in the block.
+
+    Args:
+        moment: called when one is raised; returns words such as "at tick 12 of the test".
+    """
+    before, _PENDING.moment = _PENDING.moment, moment
+    try:
+        yield
+    finally:
+        _PENDING.moment = before
+
+
+def moment_in_words() -> str:
+    """Return when user code is being called, after a space; "" if that is not known."""
+    return "" if _PENDING.moment is None else f" {_PENDING.moment()}"
+
+
 def guarded(does: Callable[..., Any], doing: str, failed: Any) -> Callable[..., Any]:
     """Wrap a function for C: it raises nothing, and does nothing after a first exception.
 
@@ -73,9 +102,12 @@ def guarded(does: Callable[..., Any], doing: str, failed: Any) -> Callable[..., 
         try:
             return does(*args)
         except BaseException as error:  # raised again as soon as C has returned
-            _PENDING.error = (
-                error if isinstance(error, OwnCodeError) else OwnCodeError(error, doing)
-            )
+            if not isinstance(error, OwnCodeError):
+                said = f"{doing}{moment_in_words()}"
+                if isinstance(error, Exception) and not isinstance(error, OwnFault):
+                    error.add_note(f"in {said}")
+                error = OwnCodeError(error, said)
+            _PENDING.error = error
             return failed
 
     return called

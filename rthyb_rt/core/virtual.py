@@ -13,7 +13,7 @@ from rthyb_rt.core.library import (
     reading,
     writing,
 )
-from rthyb_rt.core.pending import raise_pending
+from rthyb_rt.core.pending import during, raise_pending
 from rthyb_rt.core.rows import CHANNELS_MAX, records_pointer
 from rthyb_rt.core.sizes import DENSE_MAX
 from rthyb_rt.core.station import COMMANDS, Command, Station
@@ -97,15 +97,16 @@ class Virtual:
                     f"must be one row for each record and at most {CHANNELS_MAX} columns"
                 )
             values = writing(channels)
-        done = int(
-            lib.rthyb_virtual_run(
-                self._c,
-                number,
-                records.size,
-                records_pointer(records, self.station.config.controller.axis_count),
-                values,
-                count,
-            )
-        )
+        rows = records_pointer(records, self.station.config.controller.axis_count)
+        with during(self._moment):
+            done = lib.rthyb_virtual_run(self._c, number, records.size, rows, values, count)
         raise_pending()
-        return done
+        return int(done)
+
+    def _moment(self) -> str:
+        """Return where the test is, in words."""
+        station = self.station
+        if station.state != "RUNNING":
+            return f"in state {station.state}, tick {station.ticks}"
+        tick = station.test_tick
+        return f"at tick {tick} of the test ({tick * station.config.controller.period_s:.3f} s)"

@@ -366,10 +366,14 @@ def follow_reference(setup: Setup) -> Setup:
 
     Args:
         setup: the test with its reference, and the limits of its files.
+
+    Raises:
+        InputError: the reference simulation diverges, or jumps.
     """
     derived, h = setup.derived, setup.rate.period_s
     x_m = setup.reference["x_ref_m"]
     sent_m = core.Law(setup.controller.law, period_s=h).run(x_m) if derived.plc_enabled else x_m
+    _refuse_divergence(setup, x_m, sent_m)
     limits = limits_file.with_reference(
         derived.limits,
         float(np.abs(np.diff(sent_m)).max(initial=0.0)) / h,
@@ -377,6 +381,34 @@ def follow_reference(setup: Setup) -> Setup:
     )
     derived = replace(derived, limits=with_sensors(setup.rig, limits, setup.rate, setup.reference))
     return replace(setup, derived=derived, test=config.resolve(setup.test, derived))
+
+
+def _refuse_divergence(setup: Setup, x_m: NDArray[np.float64], sent_m: NDArray[np.float64]) -> None:
+    """Refuse a reference, or its command after the control law, that no limit could follow.
+
+    Raises:
+        InputError: with the first tick, and the user's own classes that may be the cause.
+    """
+    most = limits_file.VELOCITY_MAX_M_PER_S / limits_file.VELOCITY_MARGIN
+    given = setup.derived.limits.limits.command_velocity_m_per_s
+    law = setup.controller.law.own
+    for path, what in ((x_m, "structure"), (sent_m, "command after the control law")):
+        with np.errstate(invalid="ignore", over="ignore"):
+            v = np.abs(np.diff(path)) / setup.rate.period_s
+        beyond = np.flatnonzero(~(v <= most)) if given is None else np.flatnonzero(~np.isfinite(v))
+        if not beyond.size:
+            continue
+        tick = int(beyond[0])
+        own = [e.class_ for e in setup.rig.specimen if isinstance(e, PythonClass)]
+        part = setup.test.numerical.python
+        own = [law.name] if path is sent_m and law else own + ([part.class_] if part else [])
+        suspects = f"your own {' and '.join(own)}, " if own else ""
+        raise InputError(
+            f"in the reference simulation the {what} moves from {path[tick]:.4g} m at tick {tick} "
+            f"to {path[tick + 1]:.4g} m at the next; at most {most:g} m/s are possible: check "
+            f"{suspects}the units of mass, stiffness and ground motion, and the sign of damping",
+            f'test "{setup.test.test.name}" on rig "{setup.rig.rig.name}"',
+        )
 
 
 def with_sensors(

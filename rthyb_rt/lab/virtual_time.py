@@ -156,10 +156,14 @@ class Bench:
         """Return why the tare did not end."""
         if why := zeroing.refused(self.run) or zeroing.silent_sensors(self.run):
             return RthybError(f"the virtual rig was not zeroed: {why}")
+        law = self.run.setup.controller.law.own
+        own = "" if law is None else (
+            f"; or check {law.name}: at rest its method lead must return the x_c_m that it is given"
+        )  # fmt: skip
         return RthybError(
             "the virtual rig is not at rest: its displacement moves by more than "
             f"{self.config.rest_spread_m * 1e3:.3g} mm (limits.rest_spread_m) during the tare; "
-            "raise that limit, or reduce the noise of sensors.displacement"
+            f"raise that limit, or reduce the noise of sensors.displacement{own}"
         )
 
     def _tick(self, ticks: int, command: core.Command) -> None:
