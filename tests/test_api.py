@@ -305,6 +305,37 @@ def test_signals_have_names_and_units(rec: rt.Recording) -> None:
         rec["x_meas"]
 
 
+def test_signals_are_the_recordings_own_and_cannot_be_overwritten(
+    short: rt.Test, tmp_path: Path
+) -> None:
+    rt.run(short, out=tmp_path / "kept", report=False)
+    rec = rt.open(tmp_path / "kept")
+    for name in rec:
+        with pytest.raises(ValueError, match="read-only"):
+            rec[name][0] = 0
+    before = rec.measures["peak_measured_m"]
+    mine = rec["x_meas_m"] - 1e-3
+    mine[:] = 0.0
+    rec.to_xarray(whole=True)["x_meas_m"][:] = 0.0
+    table = rec.to_pandas(whole=True)
+    table.loc[:, "x_meas_m"] = 0.0
+    assert np.any(rec["x_meas_m"] != 0.0)
+    assert rec.measures["peak_measured_m"] == before
+
+
+def test_test_and_rig_refuse_to_be_changed_in_place() -> None:
+    test = rt.Test("section5-T0.5")
+    with pytest.raises(AttributeError, match=r"test never changes; test.with_\(numerical={...}\)"):
+        test.numerical = 3  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match=r'did you mean "numerical"\?'):
+        test.numeric = 3  # type: ignore[attr-defined]
+    with pytest.raises(AttributeError, match=r'test.with_\({"test.name": ...}\) returns a changed'):
+        test.name = "mine"  # type: ignore[misc]
+    with pytest.raises(TypeError, match=r'rig.with_\({"actuator.kp_per_s": ...}\) returns'):
+        test.rig["actuator.kp_per_s"] = 60.0
+    assert test == rt.Test("section5-T0.5")
+
+
 def test_channel_of_a_law_is_a_signal_with_its_unit() -> None:
     rec = rt.run(rt.Test("section5-T0.5", controller={"type": "ats"}, **SHORT))
     names = [channel.name for channel in rec.raw.channels]

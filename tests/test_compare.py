@@ -202,6 +202,65 @@ def test_kept_runs_of_a_sweep_stand_beside_one_another(short: rt.Test, tmp_path:
         rt.compare(tmp_path / "bare")
 
 
+@pytest.fixture
+def two_sensors(tmp_path: Path) -> Path:
+    """A table with its own column x_meas, and a second sensor that read twice as much."""
+    path, t = tmp_path / "lab.csv", np.arange(1024) / 512.0
+    x = 3.0 * np.sin(2.0 * np.pi * t)
+    np.savetxt(path, np.column_stack([t, x, 2.0 * x]), delimiter=",", comments="",
+               header="t [s],x_meas [mm],LVDT 2 [mm]")  # fmt: skip
+    return path
+
+
+def test_assigned_column_comes_before_the_one_with_the_name_of_the_channel(
+    kept: Path, two_sensors: Path
+) -> None:
+    found = rt.compare(kept, two_sensors, columns={"x_meas": "LVDT 2"})
+    assert found.rows[1]["peak_measured_m"] == pytest.approx(6e-3, rel=1e-3)
+    assert rt.compare(kept, two_sensors).rows[1]["peak_measured_m"] == pytest.approx(3e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("columns", "says"),
+    [
+        (
+            {"x_meas": "LVDT 9 [mm]"},
+            "lab.csv has no column 'LVDT 9' (did you mean 'LVDT 2'?); its columns are 't [s]', "
+            "'x_meas [mm]', 'LVDT 2 [mm]'",
+        ),
+        (
+            {"x_cmd": "LVDT 2 [mm]"},
+            "found x_cmd=LVDT 2 [mm]; only t, x_meas, f_meas of a CSV file are compared; omit it",
+        ),
+    ],
+)
+def test_column_that_is_assigned_in_vain_is_refused_although_the_file_has_its_own(
+    kept: Path, two_sensors: Path, columns: dict[str, str], says: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    with pytest.raises(rt.InputError) as caught:
+        rt.compare(kept, two_sensors, columns=columns)
+    ((channel, column),) = columns.items()
+    assert str(caught.value).startswith(f"compare: columns: {channel}: ")
+    assert says in str(caught.value)
+    option = f"{channel}={column}"
+    assert cli.main(["compare", str(kept), str(two_sensors), "--map", option]) == 3
+    assert f"--map {channel}: " in capsys.readouterr().err
+
+
+def test_columns_need_a_table_and_a_second_table_without_them_is_noted(
+    kept: Path, two_sensors: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(rt.InputError, match="none of the recordings is a CSV file"):
+        rt.compare(kept, columns={"x_meas": "LVDT 2 [mm]"})
+    other = tmp_path / "other.csv"
+    other.write_text(two_sensors.read_text().replace("LVDT 2", "LVDT 7"))
+    found = rt.compare(two_sensors, other, columns={"x_meas": "LVDT 2 [mm]"})
+    assert any(
+        note.startswith("other.csv: x_meas is read from the column of") for note in found.notes
+    )
+
+
 # ---- command and page ---------------------------------------------------------------------------
 
 

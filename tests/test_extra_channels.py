@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from rthyb_rt._core import ffi, lib
 
+import rthyb_rt as rt
 from rthyb_rt import config, core
 from rthyb_rt.core import CoreError, dbc, wire
 from rthyb_rt.diagnose import mapping, reading
@@ -278,6 +279,24 @@ def test_a_signal_that_is_not_there_is_told_with_its_place(
 
 # ---- files --------------------------------------------------------------------------------------
 
+ACCELEROMETER = '[[sensors.extra]]\nname = "a"\nunit = "g"\nmeasures = "acceleration"\n'
+
+
+def test_an_accelerometer_in_g_reads_in_g() -> None:
+    rig = rig_of("\n" + ACCELEROMETER)
+    assert rig.sensors.extra[0].gain == pytest.approx(1 / 9.80665, rel=1e-12)
+    again = config.parse_rig(config.dump(rig), "rig")
+    assert again == rig
+    # A sensor that reads two per cent too much is one, not another unit; so is one turned round.
+    for gain in (1.02 / 9.80665, -1 / 9.80665):
+        assert rig_of(f"\n{ACCELEROMETER}gain = {gain}\n").sensors.extra[0].gain == gain
+    both = EXTRA.replace("measures", "gain = 1\nmeasures", 1) + ACCELEROMETER
+    short = {key: float(value) for key, value in SHORT.items()}
+    rec = rt.run(rt.Test("section5-T0.5", rig=rt.Rig.from_toml(TABLE + both)).with_(short))
+    moved = np.std(rec["table_acceleration"])
+    assert np.std(rec["a"]) == pytest.approx(moved / 9.80665, rel=0.01)
+    assert rec.units["a"] == "g"
+
 
 @pytest.mark.parametrize(
     ("text", "says"),
@@ -285,6 +304,12 @@ def test_a_signal_that_is_not_there_is_told_with_its_place(
         ('[[sensors.extra]]\nname = "A"\nunit = "g"', "up to 32 characters of a-z 0-9 _"),
         ('[[sensors.extra]]\nname = "a"', "sensors.extra.0.unit: missing"),
         ('[[sensors.extra]]\nname = "a"\nunit = "g"\nmeasures = "speed"', "must be one of"),
+        (
+            ACCELEROMETER + "gain = 1\n",
+            "found 1, with which the virtual sensor reads m/s^2, but",
+        ),
+        (ACCELEROMETER.replace('"g"', '"mm"'), "gain: missing; the virtual sensor measures acc"),
+        (ACCELEROMETER.replace('"g"', '"V"'), "give its reading in V for 1 m/s^2"),
         ('[[sensors.extra]]\nname = "a"\nunit = "g"\n' * 2, 'found the name "a" twice'),
         (
             EXTRA + '[link]\nkind = "serial"\nchannel = "/dev/ttyUSB0"\nbitrate = 400000\n',

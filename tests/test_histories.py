@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from service_bench import bench, left
 
+import rthyb_rt as rt
 from rthyb_rt import cli, config, core
 from rthyb_rt.analysis import hysteresis, summary
 from rthyb_rt.checking.examined import examine
@@ -291,6 +292,16 @@ def test_a_history_within_its_limits_leaves_as_it_is_written() -> None:
     assert rec.meta["end_reason"] == "completed"
     assert not np.any(run["flags"] & core.FLAGS["limited"])
     assert np.allclose(run["x_cmd_m"][1:], setup.ag_mps2[:-1], rtol=0, atol=1e-12)
+
+
+def test_a_force_limit_that_the_model_would_reach_is_a_warning_and_not_a_refusal() -> None:
+    """The motion is known before the test; the force is that of a model of the specimen."""
+    test = rt.Test("fema-461").with_({"limits.force_n": 500})
+    (warning,) = (text for text in rt.check(test).warnings if "limits.force_n" in text)
+    assert "0.5 kN is below the peak of" in warning
+    assert rt.run(test).ending.startswith("force 0.5")
+    with pytest.raises(rt.InputError, match=r"found a peak of 0\.04 m; limits.command_pos"):
+        rt.check(test.with_({"limits.command_position_m": 0.001}))
 
 
 def test_a_force_limit_ends_a_history() -> None:

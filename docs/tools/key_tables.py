@@ -221,6 +221,8 @@ MEANINGS: dict[str, str] = {
     "Identified.alpha": "delay in samples of 1/1024 s, as the compensator uses it; the next test's "
     "alpha0",
     "Identified.delay_s": "mean delay of the low-frequency sines of the identification",
+    "ExtraSensor.gain": "its reading for 1 m, m/s, m/s^2 or N of that quantity; absent: that of a "
+    "perfect sensor, if its unit is one of that quantity",
     "Identified.gain": "mean amplitude ratio of the low-frequency sines of the identification",
     "Identified.date": "date of the identification, string or TOML date",
     "Identified.frequency_hz": "frequencies of the sweep",

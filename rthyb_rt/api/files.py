@@ -171,6 +171,33 @@ class _Document(Generic[_File]):
             place = inside
         return place
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Refuse every change: `with_` returns a changed copy."""
+        if not name.startswith("_"):
+            raise AttributeError(self._unchangeable(f"{self._kind}.{name}", name))
+        super().__setattr__(name, value)
+
+    def __setitem__(self, key: str, value: Any) -> None:
+        """Refuse every change: `with_` returns a changed copy."""
+        raise TypeError(self._unchangeable(f"{self._kind}[{written(key)}]", str(key)))
+
+    def _unchangeable(self, what: str, key: str) -> str:
+        """Return the message for a change of a key or table; ``what`` is how it was written."""
+        kind = self._kind
+        if key == "name":
+            key = f"{kind}.name"
+        tables = [info.alias or name for name, info in type(self._file).model_fields.items()]
+        form = f'{{"{key}": ...}}' if "." in key else f"{key}={{...}}"
+        if key.split(".")[0] in tables:
+            return (
+                f"{what} cannot be set, because a {kind} never changes; {kind}.with_({form}) "
+                "returns a changed copy"
+            )
+        return (
+            f"{what} cannot be set{nearest(key.split('.')[0], tables)}; {kind}.with_(...) returns "
+            f"a copy with changes of {', '.join(name for name in tables if name != 'schema')}"
+        )
+
     def to_toml(self) -> str:
         """Return the file as TOML, including all defaults; reading it gives an equal object."""
         return config.dump(self._file)
@@ -278,9 +305,6 @@ class Rig(_Document[RigFile | AxesRig]):
             a unit. Without a source, they define the whole rig; otherwise they are changes as in
             `with_`.
 
-    Attributes:
-        place: path or name from which it was read; None if it was changed or created from keywords.
-
     Raises:
         InputError: the file is invalid; the message lists all errors with place and allowed values.
 
@@ -290,7 +314,7 @@ class Rig(_Document[RigFile | AxesRig]):
 
     _kind = "rig"
     _model = RigFile
-    place: str | None = None
+    _place: str | None = None
 
     def __init__(self, source: Place | None = None, /, **tables: Any) -> None:
         if source is None and not tables:
@@ -309,7 +333,12 @@ class Rig(_Document[RigFile | AxesRig]):
         if tables:
             self._file = self.with_(**tables)._file
         else:
-            self.place = str(path.resolve()) if path == Path(source) else os.fspath(source)
+            self._place = str(path.resolve()) if path == Path(source) else os.fspath(source)
+
+    @property
+    def place(self) -> str | None:
+        """Path or name from which it was read; None if it was changed or created from keywords."""
+        return self._place
 
     @property
     def name(self) -> str:

@@ -311,21 +311,23 @@ class Recording(Mapping[str, NDArray[Any]]):
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return a signal in its unit, shape (n,): one value per sample of the recording.
 
+        The array cannot be written to, because it is the recording's own; copy it to change it.
+
         Raises:
             InputError: there is no signal of that name; the message lists those that exist.
         """
         raw = self._raw
         if name == TIME:
-            return raw.time_s()
+            return _protected(raw.time_s())
         if any(one.name == name for one in raw.channels):
-            return raw.channel(name)
+            return _protected(raw.channel(name))
         if name in (raw.samples.dtype.names or ()):
-            return np.asarray(raw.samples[name])
+            return _protected(np.asarray(raw.samples[name]))
         if raw.reference is not None and name in files.REFERENCE_UNITS:
             values = np.full(len(raw.samples), np.nan)
             rows = np.flatnonzero(raw.running())[: len(raw.reference)]
             values[rows] = raw.reference[name][: rows.size]
-            return values
+            return _protected(values)
         if not isinstance(name, str):
             raise InputError(
                 f"found {written(name)}; a signal is chosen by its name, recording[{written(TIME)}]"
@@ -387,11 +389,11 @@ class Recording(Mapping[str, NDArray[Any]]):
         xarray = extra("xarray", "to_xarray")
         rows = slice(None) if whole else self.running
         signals = {
-            name: (TIME, self[name][rows], {"units": unit})
+            name: (TIME, self[name][rows].copy(), {"units": unit})
             for name, unit in self.units.items()
             if name != TIME
         }
-        time = (TIME, self[TIME][rows], {"units": "s"})
+        time = (TIME, self[TIME][rows].copy(), {"units": "s"})
         about = {"name": self.name, "fs_hz": self.fs_hz, "verdict": self.verdict}
         found: Dataset = xarray.Dataset(signals, coords={TIME: time}, attrs=about)
         return found
@@ -411,7 +413,7 @@ class Recording(Mapping[str, NDArray[Any]]):
             InputError: there is no such axis; the message lists those that exist.
         """
         rows = self._raw.axis(name)
-        return {field: np.asarray(rows[field]) for field in rows.dtype.names or ()}
+        return {field: _protected(np.asarray(rows[field])) for field in rows.dtype.names or ()}
 
     @cached_property
     def summary(self) -> Summary:
@@ -740,6 +742,13 @@ class Recording(Mapping[str, NDArray[Any]]):
         except InputError as error:
             parts.append(f"<p>{escape(str(error))}</p>")
         return "".join([*parts, html_table(self.table)])
+
+
+def _protected(values: NDArray[Any]) -> NDArray[Any]:
+    """Return a view of values that cannot be written to."""
+    seen = values.view()
+    seen.flags.writeable = False
+    return seen
 
 
 def extra(package: str, what: str) -> Any:

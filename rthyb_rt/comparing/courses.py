@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.errors import InputError
+from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.mapping import Wish
@@ -27,6 +27,8 @@ MEASURES: Final = (
     "response_nrmse", "energy_error_relative", "alpha_end",
 )  # fmt: skip
 """Measures of a recording that are reported for each course."""
+_COMPARED: Final = ("t", "x_meas", "f_meas")
+"""Channels of a table that are compared."""
 _TABLES: Final = (".csv", ".txt", ".dat", ".tsv")
 _UNEVEN: Final = 0.5
 """Maximum deviation of a row of a table from its place, as a part of the sampling period."""
@@ -89,11 +91,12 @@ def read(
 
     wishes = read_wishes(options)
     found: list[Course] = []
+    missed: list[dict[str, Problem]] = []
     for one in given:
         label: str | None = None
         what: Recording | list[Course]
         if isinstance(one, (str, Path)):
-            what, label = _at(Path(one), wishes, axis), _place_name(Path(one))
+            what, label = _at(Path(one), wishes, axis, missed), _place_name(Path(one))
         else:
             what = one
         if isinstance(what, list):
@@ -101,11 +104,39 @@ def read(
             continue
         course = recorded(what, label, axis)
         found += beside_reference(what, course) if len(given) == 1 else [course]
+    _refuse_unused(wishes, missed)
     if axis is not None and not any(course.axis for course in found):
         raise InputError(
             f"found {axis}, but none of the recordings has several axes; omit it", "--axis"
         )
     return found
+
+
+def _refuse_unused(wishes: Sequence[Wish], missed: Sequence[dict[str, Problem]]) -> None:
+    """Refuse columns that were assigned in vain.
+
+    Args:
+        wishes: the assignments.
+        missed: for each table, the assigned columns that it does not have.
+
+    Raises:
+        InputError: there is no table, the channel is not compared, or no table has the column.
+    """
+    problems = []
+    for wish in wishes:
+        # A mapping file may name more than a comparison reads.
+        if wish.channel not in _COMPARED and wish.where.startswith("--map"):
+            what = f"only {', '.join(_COMPARED)} of a CSV file are compared; omit it"
+        elif not missed:
+            what = "none of the recordings is a CSV file, whose columns it could assign; omit it"
+        elif wish.channel in _COMPARED and all(wish.channel in one for one in missed):
+            problems += [one[wish.channel] for one in missed]
+            continue
+        else:
+            continue
+        problems.append(Problem(wish.where, f"found {wish.channel}={wish.text}; {what}"))
+    if problems:
+        raise InputError(problems)
 
 
 def _place_name(place: Path) -> str | None:
@@ -128,7 +159,9 @@ def beside_reference(rec: Recording, course: Course) -> list[Course]:
     return [reference, course]
 
 
-def _at(place: Path, wishes: Sequence[Wish], axis: str | None) -> Recording | list[Course]:
+def _at(
+    place: Path, wishes: Sequence[Wish], axis: str | None, missed: list[dict[str, Problem]]
+) -> Recording | list[Course]:
     from rthyb_rt.campaign.book import PLAN
     from rthyb_rt.record.recording import open_run
 
@@ -137,7 +170,8 @@ def _at(place: Path, wishes: Sequence[Wish], axis: str | None) -> Recording | li
     if place.suffix == ".toml":
         return [simulation(place, axis)]
     if place.suffix.lower() in _TABLES:
-        return [table(place, wishes)]
+        missed.append({})
+        return [table(place, wishes, missed[-1])]
     return open_run(place)
 
 
@@ -254,15 +288,24 @@ def _chosen(row: dict[str, Any]) -> str:
 # ---- tables of other labs -----------------------------------------------------------------------
 
 
-def table(path: Path, wishes: Sequence[Wish]) -> Course:
+def table(path: Path, wishes: Sequence[Wish], missed: dict[str, Problem] | None = None) -> Course:
     """Return a table of another laboratory in SI units; there is no model to infer units from.
+
+    ``missed`` receives the errors for assigned columns that it does not have, by channel.
 
     Raises:
         InputError: it cannot be read, or a required column or its unit is not named.
     """
     from rthyb_rt.diagnose.lab import stated
 
-    t, channels, notes = stated(path, wishes, ("t", "x_meas", "f_meas"), needed=("t", "x_meas"))
+    unmet: dict[str, Problem] = {} if missed is None else missed
+    t, channels, notes = stated(path, wishes, _COMPARED, ("t", "x_meas"), unmet)
+    notes += [
+        f"{n} is read from the column of that name, not from the one that was assigned, which "
+        "the file does not have"
+        for n in unmet
+        if n == "t" or n in channels
+    ]
     steps = np.diff(t)
     if t.size < 2 or not np.all(steps > 0.0):
         raise InputError("time does not increase from row to row; sort the rows", str(path))

@@ -9,6 +9,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, StrictBool
 
+from rthyb_rt import units
 from rthyb_rt.config import busload
 from rthyb_rt.config.fields import (
     SLUG,
@@ -602,12 +603,63 @@ class ForceSensor(Table):
     range_n: Annotated[float, Range("N", 1e-3, 1e10, "the range in each direction")] | None = None
 
 
+_MEASURED_IN = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s^2", "force": "N"}
+"""SI unit of what an extra sensor of the virtual rig can measure."""
+_OTHER_UNITS = {
+    "displacement": ("m", "cm", "mm", "um", "in", "ft"),
+    "velocity": ("m/s", "cm/s", "mm/s", "in/s"),
+    "acceleration": ("m/s^2", "mm/s^2", "g"),
+    "force": ("N", "kN", "MN", "lbf", "kip"),
+}
+"""Units that a gain may be in by mistake."""
+_SAME_GAIN = 0.01
+"""A gain within one per cent of the factor of another unit is in that unit: a calibration of a
+sensor is stated to at least this accuracy, and the factors differ by more than three."""
+
+
+def _factor(measures: str, unit: str) -> float | None:
+    """Return the reading in a unit for 1 of the SI unit; None: it is of another kind."""
+    try:
+        return 1.0 / units.convert(f"1 {unit}", _MEASURED_IN[measures])
+    except (units.UnitError, KeyError):
+        return None
+
+
+def _gain_in_its_unit(gain: float | None, unit: str, measures: str) -> str | None:
+    if measures == "none":
+        return None
+    own, si = _factor(measures, unit), _MEASURED_IN[measures]
+    if gain is None:
+        if own is not None:
+            return None
+        return (
+            f"missing; the virtual sensor measures {measures}, and the unit {unit} is not one of "
+            f"{measures}: give its reading in {unit} for 1 {si}, or a unit such as "
+            f"{', '.join(_OTHER_UNITS[measures])}"
+        )
+    if own is None or abs(abs(gain) / own - 1.0) <= _SAME_GAIN:
+        return None
+    for other in _OTHER_UNITS[measures]:
+        factor = _factor(measures, other)
+        if factor is not None and abs(abs(gain) / factor - 1.0) <= _SAME_GAIN:
+            return (
+                f"found {gain:g}, with which the virtual sensor reads {other}, but its unit is "
+                f"{unit}: omit gain, or give the reading in {unit} for 1 {si}, {own:.6g}, or "
+                f'unit = "{other}"'
+            )
+    return None
+
+
 class ExtraSensor(Table):
     """A channel in addition to displacement and force, which is only recorded, by its name.
 
     ``scale`` and ``offset`` convert the wire to the value; at the end of a serial packet the wire
     has steps of ``wire_step``. ``measures``, ``gain`` and the errors apply to the virtual rig.
     """
+
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("gain", ("gain", "unit", "measures"), _gain_in_its_unit),
+    )
 
     name: Annotated[
         str,
@@ -627,12 +679,20 @@ class ExtraSensor(Table):
         float, Range("", 1e-15, 1e6, "the step of the channel's own 32-bit number")
     ] = 1e-6
     measures: Literal["none", "displacement", "velocity", "acceleration", "force"] = "none"
-    gain: Annotated[
-        float, Range("", -1e12, 1e12, "its reading for 1 m, m/s, m/s^2 or N of that quantity")
-    ] = 1.0
+    gain: (
+        Annotated[
+            float, Range("", -1e12, 1e12, "its reading for 1 m, m/s, m/s^2 or N of that quantity")
+        ]
+        | None
+    ) = None
     noise_std: Annotated[float, Range("", 0, 1e12, "the noise, in its unit")] = 0.0
     lsb: Annotated[float, Range("", 0, 1e12, "the resolution, in its unit")] = 0.0
     bias: Annotated[float, Range("", -1e12, 1e12, "the error at rest, in its unit")] = 0.0
+
+    def settle(self) -> None:
+        """Write out the gain of a virtual sensor in its unit."""
+        if self.gain is None and self.measures != "none":
+            self.__dict__["gain"] = _factor(self.measures, self.unit)
 
 
 def _different_names(extra: list[ExtraSensor]) -> str | None:

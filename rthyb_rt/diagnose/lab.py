@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import sizes
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
-from rthyb_rt.diagnose.mapping import EXAMPLE, UNASSIGNED, Source, Wish, proposals, sources
+from rthyb_rt.diagnose.mapping import EXAMPLE, UNASSIGNED, Source, Wish, missing, proposals, sources
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.table import TIME_NAMES, Column, Table, plain, read_table
 from rthyb_rt.diagnose.units import SI, USUAL, in_si, read_unit
-from rthyb_rt.errors import InputError
+from rthyb_rt.errors import InputError, Problem
 
 DAY_S = 86400.0
 STAMP_S = 1e8
@@ -82,7 +82,11 @@ def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> 
 
 
 def stated(
-    path: Path, wishes: Sequence[Wish], channels: Sequence[str], needed: Sequence[str]
+    path: Path,
+    wishes: Sequence[Wish],
+    channels: Sequence[str],
+    needed: Sequence[str],
+    missed: dict[str, Problem],
 ) -> tuple[Floats, dict[str, Floats], list[str]]:
     """Read a table whose units are all stated, as there is no model to infer them from.
 
@@ -91,6 +95,8 @@ def stated(
         wishes: the user's assignments of columns.
         channels: channels to read, including ``t``.
         needed: those that the table must contain.
+        missed: receives the channels whose assigned column the table does not have, each with the
+            error; a channel with a column of its name is then read from that.
 
     Returns:
         Time of each row, (n,), s; the channels by name, each (n,), SI; notes on how the file was
@@ -102,6 +108,7 @@ def stated(
     where = str(path)
     table = read_table(path)
     found, notes = sources(table, list(wishes), where, needed=False)
+    missed |= {wish.channel: error for wish in wishes if (error := missing(table, wish, where))}
     found = {name: source for name, source in found.items() if name in channels}
     labels = {name: _label(table.columns[source.column]) for name, source in found.items()}
     notes = table.notes + [note for note in notes if not note.startswith(UNASSIGNED)]

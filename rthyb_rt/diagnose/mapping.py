@@ -289,6 +289,11 @@ def _by_name(table: Table, channel: str, taken: set[int], where: str) -> int | N
     return found[0] if found else None
 
 
+def missing(table: Table, wish: Wish, where: str) -> Problem | None:
+    """Return the error for an assigned column that a table does not have; None: it has it."""
+    return _missing(table, wish, where) if _wished(table, wish, where) is None else None
+
+
 def _missing(table: Table, wish: Wish, where: str) -> Problem:
     headers = [c.header for c in table.columns if c.header]
     name = split_name(wish.text.lstrip("+-").strip())[0]

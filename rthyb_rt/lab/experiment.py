@@ -854,7 +854,9 @@ def extra_sensor_configs(sensors: Sensors) -> tuple[core.ExtraSensorConfig, ...]
     """Return the settings of a virtual rig's sensors besides displacement and force."""
     return tuple(
         core.ExtraSensorConfig(
-            one.measures, one.gain, core.SensorConfig(one.noise_std, one.lsb, one.bias)
+            one.measures,
+            1.0 if one.gain is None else one.gain,
+            core.SensorConfig(one.noise_std, one.lsb, one.bias),
         )
         for one in sensors.extra
     )
