@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import own_parts
 import pytest
 from bench import interface
 
@@ -546,6 +547,68 @@ MISTAKES = {
         lambda rec: rt.sweep(HALF_A_SECOND, together={"controller.w1": [3]}),
         "sweep: together: found a table; give a list of dicts",
     ),
+    "key that is a number": (
+        lambda rec: HALF_A_SECOND.with_({3: 4}),
+        'found 3 as the name of a key; a key is a string as in the file, such as "w1", or dotted',
+    ),
+    "element for a controller": (
+        lambda rec: HALF_A_SECOND.with_(controller=own_parts.Spring(6e5)),
+        "controller: found an object of Spring, which is a specimen element; give it in a list:",
+    ),
+    "law for a numerical part": (
+        lambda rec: HALF_A_SECOND.with_(numerical=own_parts.Inverse(0.01)),
+        "found an object of Inverse, which is a control law; give it as controller=Inverse(...)",
+    ),
+    "law for an element": (
+        lambda rec: rt.Rig("delay-10-elastic", specimen=[own_parts.Inverse(0.01)]),
+        "specimen: found an object of Inverse, which is a control law",
+    ),
+    "element without a list": (
+        lambda rec: rt.Rig("delay-10-elastic").with_(specimen=own_parts.Spring(6e5)),
+        "give it in a list: rig.with_(specimen=[Spring(...)])",
+    ),
+    "table of the rig": (
+        lambda rec: HALF_A_SECOND.with_(actuator={"delay_samples": 12}),
+        'actuator is a table of the rig, not of the test: give it below rig, with_({"rig.',
+    ),
+    "type for kind": (
+        lambda rec: rt.Rig(
+            rig={"name": "mine", "elastic_stiffness_n_per_m": 1e6},
+            actuator={"type": "pure-delay", "delay_samples": 3},
+            specimen=[{"kind": "stiffness", "k_n_per_m": 1e6}],
+        ),
+        'Rig: actuator.kind: missing; found type = "pure-delay": call that key kind\n'
+        'Rig: specimen.0.element: missing; found kind = "stiffness": call that key element',
+    ),
+    "array for a signal": (
+        lambda rec: rec.frequency_response(rec["x_num_m"]),
+        "found an array of shape (",
+    ),
+    "segment in words": (
+        lambda rec: rec.frequency_response(segment_s="4 s"),
+        'segment_s: found "4 s"; give the length of a segment in s as a number',
+    ),
+    "nothing to check": (lambda rec: rt.check(None), "check: test: found nothing (None); give a"),
+    "test for a recording": (
+        lambda rec: rt.diagnose(HALF_A_SECOND, "delay-10-elastic"),
+        'diagnose: recording: found the test "section5-t0.5"; give a recording, such as run(test)',
+    ),
+    "recording for a model": (
+        lambda rec: rt.diagnose(rec, rec),
+        "diagnose: model: found a recording; give a rig, a test, or the path of a rig, test or",
+    ),
+    "rig to compare": (
+        lambda rec: rt.compare(rec, rt.Rig("delay-10-elastic")),
+        'compare: found the rig "delay-10-elastic"; give a recording, a test, a sweep, or the path',
+    ),
+    "effect in bytes": (
+        lambda rec: rt.diagnose(rec, "delay-10-elastic", effects=b"magnet.py"),
+        "effects: found b'magnet.py'; an effect is an object of a class",
+    ),
+    "one effect that is not there": (
+        lambda rec: rt.diagnose(rec, "delay-10-elastic", effects="magnet.py"),
+        "magnet.py: cannot be read (No such file",
+    ),
     "list to compare": (
         lambda rec: rt.compare([rec, rec]),
         "found a list of 2; give each recording, or its path, by itself: compare(*recordings)",
@@ -640,6 +703,32 @@ def test_mistake_of_a_newcomer_is_told_with_what_was_meant(
         call(rt.run(HALF_A_SECOND))
     assert told in str(caught.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_test_that_is_not_given_is_the_built_in_one_and_the_result_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    short = tmp_path / "built-in.toml"
+    HALF_A_SECOND.with_({"test.name": "built-in"}).save(short)
+    monkeypatch.setattr("rthyb_rt.config.builtin_test_path", lambda: short)
+    assert rt.run(None).notes[0].startswith("no test was given, so the built-in one was used")
+    found = rt.sweep(None, {"controller.w1": [3]}, out=tmp_path / "swept", jobs=1)
+    assert found.notes[0].startswith("no test was given")
+    assert not any("no test was given" in note for note in rt.run(HALF_A_SECOND).notes)
+    with pytest.raises(rt.InputError, match="no measure 3; measures are: "):
+        found.statistics(3)  # type: ignore[arg-type]
+
+
+def test_results_of_many_numbers_are_shown_in_one_line(rec: rt.Recording) -> None:
+    assert re.fullmatch(
+        r"<EnergyBalance of \d+ rows, at the end: input [\d.]+ J, fed .*; gap [\de.-]+>",
+        repr(rec.energy_balance()),
+    )
+    assert re.fullmatch(
+        r"<FrequencyResponse at \d+ frequencies, [\d.]+ to 512 Hz, known at \d+, \d+ segments>",
+        repr(rec.frequency_response()),
+    )
+    assert "\n" not in repr(rt.replay(rec))
 
 
 def test_misspelt_public_name_is_told_with_the_name_that_was_meant() -> None:

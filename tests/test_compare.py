@@ -202,6 +202,17 @@ def test_kept_runs_of_a_sweep_stand_beside_one_another(short: rt.Test, tmp_path:
         rt.compare(tmp_path / "bare")
 
 
+def test_tests_and_sweeps_are_compared_as_their_files_and_folders_are(
+    kept: Path, short: rt.Test, tmp_path: Path
+) -> None:
+    file = short.save(tmp_path / "short.toml")
+    given, named = rt.compare(kept, short), rt.compare(kept, file)
+    assert given.rows == named.rows
+    assert given.labels[1].endswith("reference simulation")
+    swept = rt.sweep(short, {"controller.w1": [3, 3.5]}, out=tmp_path / "w1", keep="all", jobs=1)
+    assert rt.compare(swept).rows == rt.compare(swept.folder).rows
+
+
 @pytest.fixture
 def two_sensors(tmp_path: Path) -> Path:
     """A table with its own column x_meas, and a second sensor that read twice as much."""

@@ -12,7 +12,7 @@ import pytest
 from rthyb_rt._core import ffi, lib
 
 import rthyb_rt as rt
-from rthyb_rt import config, core
+from rthyb_rt import cli, config, core
 from rthyb_rt.core import CoreError, dbc, wire
 from rthyb_rt.diagnose import mapping, reading
 from rthyb_rt.errors import InputError
@@ -373,6 +373,20 @@ def test_recordings_and_exports_have_them_with_their_units(
     export.to_csv(again, tmp_path / "r.csv", full=True)
     head = (tmp_path / "r.csv").read_text().splitlines()[0]
     assert "lvdt_2" in head
+
+
+def test_an_export_without_them_says_so(
+    virtual: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rec = rt.Recording(virtual)
+    with pytest.warns(UserWarning, match=r"extra channels table_acceleration, lvdt_2.*whole=True"):
+        rec.export(tmp_path / "r.csv")
+    rec.export(tmp_path / "whole.csv", whole=True)  # a warning would be an error
+    rec.save(tmp_path / "r.h5")
+    assert cli.main(["export", str(tmp_path / "r.h5"), "--csv"]) == 0
+    assert "no columns for the extra channels table_acceleration, lvdt_2" in capsys.readouterr().err
+    assert cli.main(["export", str(tmp_path / "r.h5"), "--csv", "--full"]) == 0
+    assert "no columns" not in capsys.readouterr().err
 
 
 def test_an_identification_records_them_too() -> None:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EnergyBalance:
     """Energies up to each row of the test proper, (n,), J.
 
@@ -51,6 +51,14 @@ class EnergyBalance:
     strain_j: Floats
     specimen_j: Floats
     elements_j: Floats
+
+    def __repr__(self) -> str:
+        """Return what the specimen and the damping dissipated of the input, in one line."""
+        if not self.t_s.size:
+            return "<EnergyBalance of 0 rows>"
+        parts = ("input", "fed", "kinetic", "damping", "strain", "specimen", "elements")
+        ends = ", ".join(f"{name} {getattr(self, f'{name}_j')[-1]:.4g} J" for name in parts)
+        return f"<EnergyBalance of {self.t_s.size} rows, at the end: {ends}; gap {self.gap:.2g}>"
 
     @property
     def rest_j(self) -> Floats:

@@ -29,7 +29,7 @@ _LEAST_SEGMENTS: Final = 8
 _LONGEST_S: Final = 4.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FrequencyResponse:
     """Response of one signal to another, by frequency.
 
@@ -50,6 +50,15 @@ class FrequencyResponse:
     output_psd: Floats
     known: NDArray[np.bool_]
     segments: int
+
+    def __repr__(self) -> str:
+        """Return range, resolution and how much of it is known, in one line."""
+        f = self.frequency_hz
+        span = f"{f[0]:.4g} to {f[-1]:.4g} Hz" if f.size else "no frequency"
+        return (
+            f"<FrequencyResponse at {f.size} frequencies, {span}, known at "
+            f"{int(np.count_nonzero(self.known))}, {self.segments} segments>"
+        )
 
     @property
     def gain(self) -> Floats:

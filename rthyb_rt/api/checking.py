@@ -12,6 +12,7 @@ from rthyb_rt.api.recordings import Named, Plot, plot_of
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config import AxesRig
 from rthyb_rt.documents import finite
+from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.checking.checked_axes import ExaminedAxes
@@ -123,6 +124,12 @@ def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
     from rthyb_rt.checking.checked_axes import examine_axes
     from rthyb_rt.checking.examined import examine
 
+    if test is None:
+        raise InputError(
+            "found nothing (None); give a test, or the path of a test file or the name of one "
+            f"that comes with the program: {', '.join(Test.names())}",
+            "check: test",
+        )
     found = files.as_test(test)
     on = found.rig if rig is None else files.as_rig(rig)
     file = files.file_of_rig(on)

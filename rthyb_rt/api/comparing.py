@@ -6,9 +6,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rthyb_rt.api.files import Place, path_of
+from rthyb_rt.api.files import Place, Test, path_of
 from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
 from rthyb_rt.api.recordings import Plot, Recording, extra, plot_of
+from rthyb_rt.api.running import prepared
+from rthyb_rt.api.sweeping import Sweep
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.comparing import comparison_page, courses
 from rthyb_rt.comparing.overlay import Overlay
@@ -19,6 +21,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pandas import DataFrame
+
+    from rthyb_rt.lab.experiment import Setup
+    from rthyb_rt.record import recording as raw
 
 _WORDS = MAP_WORDS | {
     r"^--map (\w+)": r"compare: columns: \1",
@@ -107,8 +112,24 @@ class Comparison:
         return "".join(lines)
 
 
+def _given(one: Recording | Test | Sweep | Place) -> raw.Recording | Setup | Path:
+    """Return what is to be compared: a recording, a prepared test, or a path.
+
+    Raises:
+        InputError: it is none of these, or the test has errors.
+    """
+    if isinstance(one, Recording):
+        return one.raw
+    if isinstance(one, Test):
+        return prepared(one, None)
+    if isinstance(one, Sweep):
+        return one.folder
+    what = "the folder of a run, a sweep or a campaign, a test file, or a CSV file"
+    return path_of(one, "compare", what, "a recording, a test, a sweep")
+
+
 def compare(
-    *recordings: Recording | Place,
+    *recordings: Recording | Test | Sweep | Place,
     columns: Mapping[str, str] | Place | None = None,
     align: bool = False,
     axis: str | None = None,
@@ -120,8 +141,8 @@ def compare(
 
     Args:
         recordings: two to ten recordings, or one to be compared with its own reference simulation.
-            Each is a recording, or the path of: a recording; a campaign or sweep, which stands for
-            its kept recordings; a test file, which stands for its reference simulation; or a CSV
+            Each is a recording; a test, which stands for its reference simulation; a sweep, which
+            stands for its kept recordings; or the path of one of these, of a campaign, or of a CSV
             file from any source.
         columns: for CSV files: column by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping file.
         axis: name of the axis to compare, for tests on several axes.
@@ -144,13 +165,8 @@ def compare(
                 "compare(*recordings)",
                 "compare",
             )
-    given = [
-        one.raw
-        if isinstance(one, Recording)
-        else path_of(one, "compare", "the folder of a run, or of a recording")
-        for one in recordings
-    ]
     try:
+        given = [_given(one) for one in recordings]
         found = courses.read(given, map_options(columns), axis)
         return Comparison(Overlay.of(found, align=align))
     except InputError as error:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rthyb_rt.api.files import Place, Rig, path_of, toml_given
+from rthyb_rt.api.files import Place, Rig, Test, path_of, toml_given
 from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options, require_progress
 from rthyb_rt.api.recordings import Recording
 from rthyb_rt.config.fields import written
@@ -108,11 +108,11 @@ class Diagnosis:
 
 def diagnose(
     recording: Recording | Place,
-    model: Rig | Place,
+    model: Rig | Test | Place,
     *,
     columns: Mapping[str, str] | Place | None = None,
     heldout: Recording | Place | None = None,
-    effects: Sequence[Place | Effect] = (),
+    effects: Place | Effect | Sequence[Place | Effect] = (),
     self_check: bool = False,
     axis: str | None = None,
     progress: Progress | None = None,
@@ -125,12 +125,13 @@ def diagnose(
 
     Args:
         recording: a recording, or the path of one, or of a CSV file from any source.
-        model: the model to be examined: a rig, or the path or name of one, a test file, or a
-            baseline file (``rthyb-baseline/1``).
+        model: the model to be examined: a rig, or the path or name of one, a test (its rig, and
+            its numerical part) or a test file, or a baseline file (``rthyb-baseline/1``).
         columns: for a CSV file: column by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping
             file.
         heldout: a second recording, used to validate the answer.
-        effects: your own effects, as objects or as Python files that register them.
+        effects: your own effects, as objects or as Python files that register them; a single one
+            may be given by itself.
         self_check: add known effects to the recording and test whether they are found.
         axis: name of the axis to be examined, if the recording has several; the measured motion of
             the others is then known, and the model must be the rig file of all axes.
@@ -195,7 +196,7 @@ def _of_axis(path: Path, model: Path, axis: str | None) -> OfAxis | None:
     return found[0] if found else None
 
 
-def _own_effects(given: Sequence[Any]) -> list[Effect]:
+def _own_effects(given: Any) -> list[Effect]:
     """Run the files among the arguments, and return the user-defined effects.
 
     Raises:
@@ -204,7 +205,8 @@ def _own_effects(given: Sequence[Any]) -> list[Effect]:
     from rthyb_rt.diagnose import effects as register
 
     found = []
-    for one in given:
+    single = isinstance(given, (str, bytes, os.PathLike)) or not isinstance(given, Iterable)
+    for one in [given] if single else given:
         if isinstance(one, register.Effect):
             found.append(one)
         elif isinstance(one, (str, os.PathLike)):
@@ -222,7 +224,7 @@ def _own_effects(given: Sequence[Any]) -> list[Effect]:
 
 @contextmanager
 def _as_files(
-    recording: Recording | Place, model: Rig | Place, second: Recording | Place | None
+    recording: Recording | Place, model: Rig | Test | Place, second: Recording | Place | None
 ) -> Iterator[tuple[Path, Path, Path | None]]:
     """Yield the files of the arguments, some of which exist only during the block."""
     from rthyb_rt.diagnose.reading import find_model
@@ -231,7 +233,8 @@ def _as_files(
 
         def recorded(given: Recording | Place, name: str) -> Path:
             if not isinstance(given, Recording):
-                return path_of(given, f"diagnose: {name}", "a run's folder or a recording")
+                what = "the folder of a run, its recording.h5, or a CSV file"
+                return path_of(given, f"diagnose: {name}", what, "a recording, such as run(test)")
             if given.path is not None and given.path.exists():
                 return given.path
             return given.save(Path(folder) / name / (given.name or name) / "recording.h5")
@@ -239,9 +242,17 @@ def _as_files(
         if isinstance(model, Rig):
             model_path = Path(folder) / f"{model.name}.toml"
             model_path.write_text(toml_given(model), encoding="utf-8")
+        elif isinstance(model, Test):
+            rig_path = Path(folder) / "rig.toml"
+            rig_path.write_text(toml_given(model.rig), encoding="utf-8")
+            model_path = Path(folder) / f"{model.name}.toml"
+            model_path.write_text(
+                Test.from_toml(model.to_toml(), rig_path).to_toml(), encoding="utf-8"
+            )
         else:
             what = "a rig, test or baseline file, or the name of a shipped one"
-            model_path = find_model(str(path_of(model, "diagnose: model", what)))
+            given = path_of(model, "diagnose: model", what, "a rig, a test")
+            model_path = find_model(str(given))
         yield (
             recorded(recording, "recording"),
             model_path,

@@ -26,13 +26,14 @@ _File = TypeVar("_File", bound=TestFile | RigFile | AxesRig)
 RIG: Final = "rig"
 
 
-def path_of(given: object, where: str, what: str) -> Path:
+def path_of(given: object, where: str, what: str, instead: str = "") -> Path:
     """Return an argument as a path.
 
     Args:
         given: the argument.
         where: the function or argument, for messages.
         what: what the path refers to, such as "the folder of a run".
+        instead: what may be given instead of a path, such as "a recording".
 
     Raises:
         InputError: it is not a path.
@@ -41,9 +42,23 @@ def path_of(given: object, where: str, what: str) -> Path:
         path = os.fspath(given)
         if isinstance(path, str):
             return Path(path)
+    or_else = f"{instead}, or " if instead else ""
     raise InputError(
-        f"found {written(given)}; give the path of {what} as a string or a Path", where
+        f"found {in_words(given)}; give {or_else}the path of {what} as a string or a Path", where
     )
+
+
+def in_words(given: object) -> str:
+    """Return what was given, for a message: an object of this program by its kind and name."""
+    if isinstance(given, (Test, Rig)):
+        return f'the {given._kind} "{given.name}"'
+    kind = type(given)
+    if kind.__module__.startswith(f"{__package__}."):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        return f"{article} {kind.__name__.lower()}"
+    if isinstance(given, type):
+        return f"the class {given.__name__}"
+    return "nothing (None)" if given is None else written(given)
 
 
 def plain(value: Any) -> Any:
@@ -71,12 +86,61 @@ def plain(value: Any) -> Any:
         return os.fspath(value)
     if isinstance(value, Mapping):
         for key, inner in value.items():
-            if key in (PYTHON, "class") and hasattr(type(inner), "_made_of_own"):
-                raise _own_too_deep(inner, str(key))
+            if not isinstance(key, str):
+                raise InputError(
+                    f"found {written(key)} as the name of a key; a key is a string as in the file, "
+                    'such as "w1", or dotted, "controller.w1"',
+                    "keys",
+                )
+            if hasattr(type(inner), "_made_of_own"):
+                _require_place(inner, key)
         return {str(key): plain(inner) for key, inner in value.items()}
     if isinstance(value, (list, tuple)):
+        for inner in value:
+            if hasattr(type(inner), "_made_of_own"):
+                _require_element(inner)
         return [plain(inner) for inner in value]
     return value
+
+
+def _require_element(made: Own) -> None:
+    """Refuse an object of a user's class in a list, unless it is an element.
+
+    Raises:
+        InputError: with what it is, and where it belongs.
+    """
+    from rthyb_rt.core.own import Element
+
+    if not isinstance(made, Element):
+        _require_place(made, "specimen")
+
+
+def _require_place(made: Own, key: str) -> None:
+    """Refuse an object of a user's class at a key that is not its own.
+
+    Raises:
+        InputError: with what it is, and where it belongs.
+    """
+    from rthyb_rt.core.own import ControlLaw, Element, NumericalPart
+
+    last = key.rpartition(".")[2]
+    if last in (PYTHON, "class"):
+        raise _own_too_deep(made, key)
+    for kind, place, form in (
+        (ControlLaw, "controller", "as controller={0}(...)"),
+        (NumericalPart, "numerical", "as numerical={0}(...)"),
+        (
+            Element,
+            "",
+            'in a list: rig.with_(specimen=[{0}(...)]), or rig={{"specimen": [{0}(...)]}}',
+        ),
+    ):
+        if isinstance(made, kind) and last != place:
+            name = type(made).__name__
+            raise InputError(
+                f"found an object of {name}, which is {kind.what}; give it {form.format(name)}",
+                key,
+            )
 
 
 def _own_too_deep(made: Own, key: str) -> InputError:
@@ -116,8 +180,7 @@ def _changes(given: Mapping[str, Any] | None, tables: Mapping[str, Any]) -> dict
             'with_({"controller.w1": 3}), or tables by keyword, with_(controller={"w1": 3})',
             "with_",
         )
-    return {**{str(key): plain(value) for key, value in (given or {}).items()},
-            **dict(flat(plain(tables)))}  # fmt: skip
+    return {**plain(given or {}), **dict(flat(plain(tables)))}
 
 
 def _without(values: dict[str, Any], key: str, own: str) -> None:
@@ -473,6 +536,7 @@ class Test(_Document[TestFile]):
             'robust'
         """
         given = _changes(changes, tables)
+        _refuse_tables_of_rig(given)
         other = given.pop(RIG, None) if isinstance(given.get(RIG), (str, Rig)) else rig
         of_rig = {key: given.pop(key) for key in list(given) if key.startswith(f"{RIG}.")}
         if isinstance(other, Mapping):
@@ -542,6 +606,26 @@ class Test(_Document[TestFile]):
         return f"<Test {self.name}: {about}, controller {self._file.controller.type}, on {rig}>"
 
 
+def _refuse_tables_of_rig(changes: Mapping[str, Any]) -> None:
+    """Refuse tables of a rig among the changes of a test, which the rig has below ``rig``.
+
+    Raises:
+        InputError: with the key as it should be.
+    """
+    of_test = {info.alias or name for name, info in TestFile.model_fields.items()}
+    problems = [
+        Problem(
+            config.IN_PYTHON.place(key),
+            f"{key.split('.')[0]} is a table of the rig, not of the test: give it below rig, "
+            f'with_({{"rig.{key}": ...}})',
+        )
+        for key in changes
+        if key.split(".")[0] in {*RigFile.model_fields, *AxesRig.model_fields} - of_test
+    ]
+    if problems:
+        raise InputError(problems)
+
+
 def as_rig(given: Rig | Place) -> Rig:
     """Return a rig given as an object, a path or a name.
 
@@ -559,8 +643,14 @@ def rig_to_identify(given: Rig | Place) -> Rig:
     return Rig._made(config.load_any_rig(path, config.with_some_stiffness(path, {})), str(path))
 
 
+BUILT_IN: Final = (
+    "no test was given, so the built-in one was used: Section 5 of the paper, T = 0.5 s, El Centro"
+)
+"""Note on a test that was not given."""
+
+
 def as_test(given: Test | Place | None) -> Test:
-    """Return a test given as an object, a path or a name; None: the built-in test.
+    """Return a test given as an object, a path or a name; None: the built-in test, see `BUILT_IN`.
 
     Raises:
         InputError: it is none of these, or its file is invalid.

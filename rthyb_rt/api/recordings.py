@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+import warnings
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from itertools import count
@@ -317,6 +319,13 @@ class Recording(Mapping[str, NDArray[Any]]):
             InputError: there is no signal of that name; the message lists those that exist.
         """
         raw = self._raw
+        if not isinstance(name, str):
+            raise InputError(
+                f"found {_array_in_words(name)}; a signal is chosen by its name, "
+                f"recording[{written(TIME)}], and its rows by an index of that; signals are: "
+                f"{', '.join(self.units)}",
+                "recording",
+            )
         if name == TIME:
             return _protected(raw.time_s())
         if any(one.name == name for one in raw.channels):
@@ -328,16 +337,10 @@ class Recording(Mapping[str, NDArray[Any]]):
             rows = np.flatnonzero(raw.running())[: len(raw.reference)]
             values[rows] = raw.reference[name][: rows.size]
             return _protected(values)
-        if not isinstance(name, str):
-            raise InputError(
-                f"found {written(name)}; a signal is chosen by its name, recording[{written(TIME)}]"
-                f", and its rows by an index of that; signals are: {', '.join(self.units)}",
-                "recording",
-            )
         raise _absent(name, list(self.units), "signal")
 
     def __contains__(self, name: object) -> bool:
-        return name in self.units
+        return isinstance(name, str) and name in self.units
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.units)
@@ -569,6 +572,14 @@ class Recording(Mapping[str, NDArray[Any]]):
 
         rows = self.running
         count = int(np.count_nonzero(rows))
+        if segment_s is not None and not (
+            isinstance(segment_s, (int, float)) and math.isfinite(segment_s)
+        ):
+            raise InputError(
+                f"found {_array_in_words(segment_s)}; give the length of a segment in s as a "
+                "number, or None",
+                "frequency_response: segment_s",
+            )
         segment = None if segment_s is None else round(segment_s * self.fs_hz)
         if segment is not None and not 8 <= segment <= count:
             raise InputError(
@@ -668,8 +679,8 @@ class Recording(Mapping[str, NDArray[Any]]):
         Args:
             path: file to write.
             whole: for a CSV file, True writes all samples and signals; False writes only the
-                columns that `diagnose` reads, in state RUNNING. A MAT file always contains
-                everything.
+                columns that `diagnose` reads, in state RUNNING, with a `UserWarning` if the rig
+                has extra channels. A MAT file always contains everything.
             axis: for these columns of a test on several axes: the name of the axis. The part of
                 its force that is due to the other axes is subtracted, and the rig file of that
                 axis, the model for a diagnosis, is written beside it.
@@ -703,6 +714,9 @@ class Recording(Mapping[str, NDArray[Any]]):
                 export.to_csv(self._raw, path, full=whole)
         except InputError as error:
             raise in_python(error, _EXPORT_WORDS) from None
+        note = "" if whole or path.suffix == ".mat" else export.without_extras(self._raw)
+        if note:
+            warnings.warn(f"{path}: {note}; whole=True writes all signals", stacklevel=2)
         return path
 
     # ---- interactive display
@@ -742,6 +756,13 @@ class Recording(Mapping[str, NDArray[Any]]):
         except InputError as error:
             parts.append(f"<p>{escape(str(error))}</p>")
         return "".join([*parts, html_table(self.table)])
+
+
+def _array_in_words(given: object) -> str:
+    """Return what was given instead of a name: an array by its shape."""
+    if isinstance(given, np.ndarray):
+        return f"an array of shape {given.shape}"
+    return written(given)
 
 
 def _protected(values: NDArray[Any]) -> NDArray[Any]:
@@ -787,4 +808,5 @@ def as_recording(given: Recording | Place, where: str = "open") -> Recording:
     """
     if isinstance(given, Recording):
         return given
-    return open_recording(path_of(given, where, "the folder of a run, or its recording.h5"))
+    what = "the folder of a run, or its recording.h5"
+    return open_recording(path_of(given, where, what, "a recording, such as run(test)"))

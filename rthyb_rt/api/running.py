@@ -66,7 +66,7 @@ def run(
     except OwnCodeError as error:
         # An exception raised by a user's class keeps its own type, file and line.
         raise error.original from None
-    rec = Recording(raw, folder, setup.notes)
+    rec = Recording(raw, folder, (*((files.BUILT_IN,) if test is None else ()), *setup.notes))
     if folder is not None:
         with _whole(folder) as stage:
             storing.store(stage, setup, raw)

@@ -89,7 +89,7 @@ class Sweep:
         for name in measures:
             if name not in known:
                 raise InputError(
-                    f"no measure {written(name)}{nearest(name, known)}; measures are: "
+                    f"no measure {written(name)}{nearest(str(name), known)}; measures are: "
                     f"{', '.join(known)}",
                     "statistics",
                 )
@@ -228,7 +228,10 @@ def sweep(
         )  # fmt: skip
     except RthybError as error:
         raise in_python(error, _WORDS_HERE) from None
-    return Sweep(found, folder)
+    swept = Sweep(found, folder)
+    if test is None and not any("test" in table for table in (over or {}, *together)):
+        swept.notes = (files.BUILT_IN, *swept.notes)
+    return swept
 
 
 def _require(jobs: object, progress: object, client: object) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rthyb_rt.cli import interrupts
+from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.inputs import AxisOption, RecordingArgument
+
+if TYPE_CHECKING:
+    from rthyb_rt.record.recording import Recording
 
 
 def export(
@@ -68,6 +71,7 @@ def export(
         model = axis_export.to_csv(rec, path, axis)
         interrupts.wrote(model)
         print(path, model, sep="\n")
+        _note_extras(rec)
         return
     if mat:
         to_mat(rec, path)
@@ -75,3 +79,13 @@ def export(
         to_csv(rec, path, full=full)
     interrupts.wrote(path)
     print(path)
+    if not full and not mat:
+        _note_extras(rec)
+
+
+def _note_extras(rec: Recording) -> None:
+    from rthyb_rt.record.export import without_extras
+
+    note = without_extras(rec)
+    if note:
+        terminal.tell(f"note: the file {note}; --full writes all signals")

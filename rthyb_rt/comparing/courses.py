@@ -16,6 +16,7 @@ from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.mapping import Wish
+    from rthyb_rt.lab.experiment import Setup
     from rthyb_rt.record.recording import Recording
 
 Floats = NDArray[np.float64]
@@ -69,7 +70,7 @@ class Course:
 
 
 def read(
-    given: Sequence[Recording | str | Path],
+    given: Sequence[Recording | Setup | str | Path],
     options: Sequence[str] = (),
     axis: str | None = None,
 ) -> list[Course]:
@@ -77,9 +78,9 @@ def read(
 
     Args:
         given: each a recording, or the folder or file of one; the folder of a campaign or sweep,
-            for the recordings that it kept; a test file, for its reference simulation; or a table
-            of another laboratory (CSV). A single recording is compared with its reference
-            simulation.
+            for the recordings that it kept; a prepared test or a test file, for its reference
+            simulation; or a table of another laboratory (CSV). A single recording is compared with
+            its reference simulation.
         options: columns of the tables, as for `mapping.read_wishes`.
         axis: axis to be compared, for tests on several axes.
 
@@ -88,6 +89,7 @@ def read(
             or does not exist.
     """
     from rthyb_rt.diagnose.mapping import read_wishes
+    from rthyb_rt.lab.experiment import Setup
 
     wishes = read_wishes(options)
     found: list[Course] = []
@@ -95,7 +97,9 @@ def read(
     for one in given:
         label: str | None = None
         what: Recording | list[Course]
-        if isinstance(one, (str, Path)):
+        if isinstance(one, Setup):
+            what = [simulation_of(one, axis)]
+        elif isinstance(one, (str, Path)):
             what, label = _at(Path(one), wishes, axis, missed), _place_name(Path(one))
         else:
             what = one
@@ -218,11 +222,21 @@ def simulation(path: Path, axis: str | None = None) -> Course:
     Raises:
         InputError: with the errors of test and rig, or because no axis is named.
     """
-    from rthyb_rt.comparing import of_axis
-    from rthyb_rt.config import load_any_both, omitted
+    from rthyb_rt.config import load_any_both
     from rthyb_rt.lab import several
 
-    setup = several.prepare_any(*load_any_both(path, None, ()))
+    return simulation_of(several.prepare_any(*load_any_both(path, None, ())), axis)
+
+
+def simulation_of(setup: Setup, axis: str | None = None) -> Course:
+    """Return the reference simulation of a prepared test, or of a named axis.
+
+    Raises:
+        InputError: no axis is named.
+    """
+    from rthyb_rt.comparing import of_axis
+    from rthyb_rt.config import omitted
+
     if setup.group is not None:
         course = of_axis.simulation(setup, axis)
     else:

@@ -451,9 +451,12 @@ class Table(BaseModel):
             return loc, f"missing; {_allowed(info, key)}"
         if kind in ("union_tag_invalid", "union_tag_not_found") and info is not None:
             tag = str(fault["ctx"]["discriminator"]).strip("'")
-            return (*loc, tag), _one_of(
-                value.get(tag) if isinstance(value, dict) else None, _tags(info.annotation, tag)
-            )
+            keys, known = value if isinstance(value, dict) else {}, _tags(info.annotation, tag)
+            said = _one_of(keys.get(tag), known)
+            for other in ("type", "kind", "element", "name"):
+                if other != tag and tag not in keys and keys.get(other) in known:
+                    said = f"missing; found {other} = {written(keys[other])}: call that key {tag}"
+            return (*loc, tag), said
         if kind == "literal_error" and info is not None:
             return loc, _one_of(value, _literals(info.annotation))
         allowed = {

@@ -55,6 +55,14 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
     write_columns(dict(zip(header, (one[rows] for one in columns), strict=True)), path)
 
 
+def without_extras(rec: Recording) -> str:
+    """Return a note on the extra channels that the interchange format does not have; "": none."""
+    names = [one.name for one in rec.extras()]
+    if not names:
+        return ""
+    return f"has no columns for the extra channels {', '.join(names)}, which diagnose does not read"
+
+
 def write_columns(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None:
     """Write columns, (n,) each, under their names as CSV; raises ``RthybError`` on failure."""
     values = [one.tolist() for one in columns.values()]
