@@ -609,6 +609,67 @@ MISTAKES = {
         lambda rec: rt.diagnose(rec, "delay-10-elastic", effects="magnet.py"),
         "magnet.py: cannot be read (No such file",
     ),
+    "number for the text of a file": (
+        lambda rec: rt.Test.from_toml(3),
+        "Test.from_toml: found 3; give the text of a test file as a string",
+    ),
+    "name of a report": (
+        lambda rec: rt.run(HALF_A_SECOND, report="report.html"),
+        'run: report: found "report.html"; must be True or False; recording.report(path) writes',
+    ),
+    "word for a flag": (
+        lambda rec: rt.compare(rec, align="yes"),
+        'compare: align: found "yes"; must be True or False',
+    ),
+    "number for a flag": (lambda rec: rec.export("x.csv", whole=3), "export: whole: found 3; must"),
+    "check of itself in words": (
+        lambda rec: rt.diagnose(rec, "delay-10-elastic", self_check="no"),
+        'diagnose: self_check: found "no"',
+    ),
+    "progress of one number": (
+        lambda rec: rt.run(HALF_A_SECOND, progress=lambda done: None),
+        "run: progress: found a function of (done); give a function of two numbers",
+    ),
+    "progress of two texts": (
+        lambda rec: rt.diagnose(rec, "delay-10-elastic", progress=lambda a, b: None),
+        "diagnose: progress: found a function of (a, b); give a function of one text",
+    ),
+    "plot of a check": (
+        lambda rec: rt.check(HALF_A_SECOND).plots()["niquist"],
+        'check: no plot "niquist" (did you mean "nyquist"?); plots are: stability, nyquist',
+    ),
+    "folder named like a page": (
+        lambda rec: rec.report_files("report.html"),
+        "report.html: is the name of one file, but several are written: give a folder",
+    ),
+    "number together": (
+        lambda rec: rt.sweep(HALF_A_SECOND, together=3),
+        "sweep: together: found 3; give a list of dicts",
+    ),
+    "list of numbers together": (
+        lambda rec: rt.sweep(HALF_A_SECOND, together=[3]),
+        "sweep: together: found 3; give a dict of lists by dotted key, together=[{",
+    ),
+    "table of values": (
+        lambda rec: rt.sweep(HALF_A_SECOND, {"controller.w1": {"low": 3}}),
+        "sweep: over.controller.w1: found a table; a key is dotted, as in the file, and has a li",
+    ),
+    "number for a key": (
+        lambda rec: rt.sweep(HALF_A_SECOND, {3: [3]}),
+        "sweep: over.3: found 3 as a key; a key is dotted",
+    ),
+    "class of a recording": (
+        lambda rec: rt.Recording("runs/monday"),
+        'found "runs/monday"; a recording is made by run(test), or read by open(path)',
+    ),
+    "class of a check": (
+        lambda rec: rt.Check(HALF_A_SECOND),
+        'Check: found the test "section5-t0.5"; give it to check(test)',
+    ),
+    "class of a comparison": (
+        rt.Comparison,
+        "found a recording; a comparison is made by compare(first, second)",
+    ),
     "list to compare": (
         lambda rec: rt.compare([rec, rec]),
         "found a list of 2; give each recording, or its path, by itself: compare(*recordings)",
@@ -729,6 +790,27 @@ def test_results_of_many_numbers_are_shown_in_one_line(rec: rt.Recording) -> Non
         repr(rec.frequency_response()),
     )
     assert "\n" not in repr(rt.replay(rec))
+
+
+def test_a_recording_is_a_mapping_with_a_default(rec: rt.Recording) -> None:
+    assert rec.get("no_such_signal") is None
+    assert rec.get("no_such_signal", 3) == 3
+    np.testing.assert_array_equal(rec.get("x_meas_m"), rec["x_meas_m"])
+    with pytest.raises(AttributeError, match=r'no figure hysteresys \(did you mean "hysteresis"'):
+        rec.plot.hysteresys()  # type: ignore[operator]
+
+
+def test_a_test_takes_changes_of_its_rig_where_it_takes_those_of_its_own_tables() -> None:
+    by_name = rt.Test("section5-T0.5", rig={"actuator": {"kp_per_s": 60}}, controller={"w1": 4})
+    changes = {"rig.actuator.kp_per_s": 60, "controller.w1": 4}
+    assert by_name == rt.Test("section5-T0.5").with_(changes)
+    whole = {
+        "rig": {"name": "mine", "elastic_stiffness_n_per_m": 1e6},
+        "actuator": {"kind": "pure-delay", "delay_samples": 3},
+        "specimen": [{"element": "stiffness", "k_n_per_m": 1e6}],
+    }
+    made = rt.Test(rig=whole, test={"name": "mine"}, numerical={"period_s": 1, "damping_ratio": 0})
+    assert made.rig == rt.Rig(**whole)
 
 
 def test_misspelt_public_name_is_told_with_the_name_that_was_meant() -> None:

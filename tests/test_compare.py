@@ -229,6 +229,9 @@ def test_assigned_column_comes_before_the_one_with_the_name_of_the_channel(
     found = rt.compare(kept, two_sensors, columns={"x_meas": "LVDT 2"})
     assert found.rows[1]["peak_measured_m"] == pytest.approx(6e-3, rel=1e-3)
     assert rt.compare(kept, two_sensors).rows[1]["peak_measured_m"] == pytest.approx(3e-3, rel=1e-3)
+    # The assignments of a diagnosis name more than a comparison reads.
+    both = {"x_meas": "LVDT 2", "x_cmd": "x_meas"}
+    assert rt.compare(kept, two_sensors, columns=both).rows == found.rows
 
 
 @pytest.mark.parametrize(
@@ -241,7 +244,7 @@ def test_assigned_column_comes_before_the_one_with_the_name_of_the_channel(
         ),
         (
             {"x_cmd": "LVDT 2 [mm]"},
-            "found x_cmd=LVDT 2 [mm]; only t, x_meas, f_meas of a CSV file are compared; omit it",
+            "found x_cmd=LVDT 2 [mm]; only t, x_meas, f_meas of a CSV file are compared; assign",
         ),
     ],
 )

@@ -23,6 +23,8 @@ class Check:
     """Result of the check of a test that has no errors."""
 
     def __init__(self, found: Examined | ExaminedAxes) -> None:
+        if isinstance(found, (Test, Rig, str)):
+            raise InputError(f"found {files.in_words(found)}; give it to check(test)", "Check")
         self._found = found
 
     @cached_property
@@ -75,7 +77,8 @@ class Check:
 
         with extra_needed("a figure"):
             from rthyb_rt.checking.plates import plates
-        return {one.key: plot_of(one) for one in plates(self._found.setup)}
+        drawn = {one.key: plot_of(one) for one in plates(self._found.setup)}
+        return Named(drawn, "plot", where="check")
 
     def report(self, path: Place) -> Path:
         """Write tables, warnings, notes and figures to one HTML file.

@@ -6,8 +6,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rthyb_rt.api.files import Place, Test, path_of
-from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options
+from rthyb_rt.api.files import Place, Test, in_words, path_of
+from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options, require_flag
 from rthyb_rt.api.recordings import Plot, Recording, extra, plot_of
 from rthyb_rt.api.running import prepared
 from rthyb_rt.api.sweeping import Sweep
@@ -37,6 +37,11 @@ class Comparison:
     """Comparison of recordings, simulations and CSV files with the first of them."""
 
     def __init__(self, found: Overlay) -> None:
+        if not isinstance(found, Overlay):
+            raise InputError(
+                f"found {in_words(found)}; a comparison is made by compare(first, second)",
+                "Comparison",
+            )
         self._found = found
 
     @property
@@ -165,6 +170,7 @@ def compare(
                 "compare(*recordings)",
                 "compare",
             )
+    require_flag(align, "compare: align")
     try:
         given = [_given(one) for one in recordings]
         found = courses.read(given, map_options(columns), axis)

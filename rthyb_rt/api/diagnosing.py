@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rthyb_rt.api.files import Place, Rig, Test, path_of, toml_given
-from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options, require_progress
+from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options, require_flag, require_progress
 from rthyb_rt.api.recordings import Recording
 from rthyb_rt.config.fields import written
 from rthyb_rt.errors import InputError, RthybError
@@ -148,7 +148,8 @@ def diagnose(
     from rthyb_rt.diagnose.outcome import finish
     from rthyb_rt.diagnose.power import self_check as checked
 
-    require_progress(progress, "diagnose", "one text, the name of a step: progress=print")
+    require_progress(progress, "diagnose", "one text, the name of a step: progress=print", 1)
+    require_flag(self_check, "diagnose: self_check")
     try:
         own = _own_effects(effects)
         tell = progress or (lambda part: None)

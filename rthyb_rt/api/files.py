@@ -440,6 +440,7 @@ class Rig(_Document[RigFile | AxesRig]):
         Raises:
             InputError: the text is invalid; the message lists all errors with their lines.
         """
+        _require_text(text, "Rig.from_toml", "rig")
         return cls._made(config.parse_any_rig(text, source), source)
 
     def __repr__(self) -> str:
@@ -455,7 +456,8 @@ class Test(_Document[TestFile]):
 
     Args:
         source: path of a test file, or the name of a supplied one (`Test.names`).
-        rig: a `Rig`, or the path or name of one; by default, the rig given in the file.
+        rig: a `Rig`, or the path or name of one, or changes to tables of the rig given in the file,
+            as in `with_`; by default, the rig given in the file.
         tables: tables of the file by keyword, each a dict with the keys of the file, such as
             ``numerical={"period_s": "500 ms"}``. Numbers are in the unit of the key; strings
             include a unit. Without a source, they define the whole test; otherwise they are changes
@@ -476,7 +478,11 @@ class Test(_Document[TestFile]):
     _rig: Rig | None = None
 
     def __init__(
-        self, source: Place | None = None, /, rig: Rig | Place | None = None, **tables: Any
+        self,
+        source: Place | None = None,
+        /,
+        rig: Rig | Place | Mapping[str, Any] | None = None,
+        **tables: Any,
     ) -> None:
         if source is None and not tables:
             raise _nothing("test", 'Test(test={"name": "mine"}, numerical={...}, rig="NAME")')
@@ -488,7 +494,10 @@ class Test(_Document[TestFile]):
             self._file, self._origin = config.load_test(path), str(path)
             if tables:
                 self._file = self.with_(**tables)._file
-        if rig is not None:
+        if isinstance(rig, Mapping):
+            # Without a file there is no rig to change, so that the tables are those of a whole one.
+            self._take(Rig(**rig) if source is None else self.with_(rig=rig).rig)
+        elif rig is not None:
             self._take(as_rig(rig))
 
     @property
@@ -565,6 +574,7 @@ class Test(_Document[TestFile]):
         Raises:
             InputError: the text is invalid; the message lists all errors with their lines.
         """
+        _require_text(text, "Test.from_toml", "test")
         made = cls._made(config.parse_test(text, source), source)
         return made if rig is None else made._take(as_rig(rig))
 
@@ -624,6 +634,20 @@ def _refuse_tables_of_rig(changes: Mapping[str, Any]) -> None:
     ]
     if problems:
         raise InputError(problems)
+
+
+def _require_text(text: object, where: str, kind: str) -> None:
+    """Refuse what is not the text of a file.
+
+    Raises:
+        InputError: with what was found.
+    """
+    if not isinstance(text, str):
+        raise InputError(
+            f"found {in_words(text)}; give the text of a {kind} file as a string, such as "
+            f'Path("{kind}.toml").read_text(); {kind.capitalize()}(path) reads a file',
+            where,
+        )
 
 
 def as_rig(given: Rig | Place) -> Rig:

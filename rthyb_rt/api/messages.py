@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 import re
 from collections.abc import Mapping
 from typing import Final
+
+import numpy as np
 
 from rthyb_rt.config.fields import written
 from rthyb_rt.errors import InputError, Problem, RthybError
@@ -38,6 +41,7 @@ def require_progress(
     where: str,
     form: str = "two numbers, how many are done and of how many: "
     "progress=lambda done, whole: print(done, whole)",
+    takes: int = 2,
 ) -> None:
     """Refuse what cannot be called to show progress.
 
@@ -45,14 +49,42 @@ def require_progress(
         progress: the argument; None is allowed.
         where: the function to which it was given.
         form: of what it is a function, with an example.
+        takes: number of values with which it is called.
 
     Raises:
-        InputError: it cannot be called.
+        InputError: it cannot be called, or not with that many values.
     """
-    if progress is not None and not callable(progress):
-        raise InputError(
-            f"found {written(progress)}; give a function of {form}", f"{where}: progress"
-        )
+    if progress is None:
+        return
+    found = written(progress)
+    if callable(progress):
+        try:
+            signature = inspect.signature(progress)
+        except (TypeError, ValueError):  # of some functions in C Python knows no signature
+            return
+        try:
+            signature.bind(*range(takes))
+        except TypeError:
+            found = f"a function of {signature}"
+        else:
+            return
+    raise InputError(f"found {found}; give a function of {form}", f"{where}: progress")
+
+
+def require_flag(given: object, where: str, instead: str = "") -> None:
+    """Refuse what is neither True nor False.
+
+    Args:
+        given: the argument.
+        where: the function and the argument.
+        instead: what may have been meant, for the message.
+
+    Raises:
+        InputError: it is neither.
+    """
+    if not isinstance(given, (bool, np.bool_)):
+        hint = f"; {instead}" if instead else ""
+        raise InputError(f"found {written(given)}; must be True or False{hint}", where)
 
 
 def in_python(error: RthybError, words: Mapping[str, str]) -> RthybError:

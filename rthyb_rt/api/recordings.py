@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.api.files import Place, Rig, Test, path_of
-from rthyb_rt.api.messages import in_python
+from rthyb_rt.api.files import Place, Rig, Test, in_words, path_of
+from rthyb_rt.api.messages import in_python, require_flag
 from rthyb_rt.api.tables import html_table
 from rthyb_rt.config.fields import nearest, with_extension, written
 from rthyb_rt.errors import InputError
@@ -275,6 +275,11 @@ class Plots:
         """Plot the tangent stiffness of the restoring-force compensator."""
         return self._drawn("stiffness")
 
+    def __getattr__(self, name: str) -> Any:
+        """Refuse a name that is not a figure, with those that are."""
+        names = [one for one in vars(type(self)) if not one.startswith("_")]
+        raise AttributeError(f"no figure {name}{nearest(name, names)}; figures: {', '.join(names)}")
+
     def __repr__(self) -> str:
         names = [name for name in vars(type(self)) if not name.startswith("_")]
         return f"<Plots: {', '.join(names)}>"
@@ -296,6 +301,11 @@ class Recording(Mapping[str, NDArray[Any]]):
     def __init__(
         self, raw: files.Recording, path: Path | None = None, notes: tuple[str, ...] = ()
     ) -> None:
+        if not isinstance(raw, files.Recording):
+            raise InputError(
+                f"found {in_words(raw)}; a recording is made by run(test), or read by open(path)",
+                "Recording",
+            )
         self._raw, self.path, self.notes = raw, path, notes
 
     # ---- signals --------------------------------------------------------------------------------
@@ -338,6 +348,14 @@ class Recording(Mapping[str, NDArray[Any]]):
             values[rows] = raw.reference[name][: rows.size]
             return _protected(values)
         raise _absent(name, list(self.units), "signal")
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a signal, or ``default`` if there is none of that name."""
+        # The one inherited expects a KeyError, and would raise the error for an unknown name.
+        found = default
+        if name in self:
+            found = self[name]
+        return found
 
     def __contains__(self, name: object) -> bool:
         return isinstance(name, str) and name in self.units
@@ -653,12 +671,19 @@ class Recording(Mapping[str, NDArray[Any]]):
             Paths of the files.
 
         Raises:
-            InputError: matplotlib is not installed.
+            InputError: the folder is named like a file, or matplotlib is not installed.
             RthybError: a file cannot be written.
         """
         from rthyb_rt.report.files import write_files
 
-        return write_files(self._raw, path_of(folder, "report_files", "the folder to write to"))
+        target = path_of(folder, "report_files", "the folder to write to")
+        if target.suffix in (".html", ".htm", ".pdf", ".svg", ".csv", ".tex"):
+            raise InputError(
+                "is the name of one file, but several are written: give a folder, or use "
+                "report(path) for the report as one page",
+                str(target),
+            )
+        return write_files(self._raw, target)
 
     def save(self, path: Place) -> Path:
         """Write the recording to an HDF5 file, which can be read with `open`.
@@ -692,6 +717,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         """
         from rthyb_rt.record import axis_export, export
 
+        require_flag(whole, "export: whole")
         path = path_of(path, "export", "the file to write, signals.csv")
         if path.suffix not in _SUFFIXES:
             raise InputError(

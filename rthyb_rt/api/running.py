@@ -10,7 +10,7 @@ from pathlib import Path
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test
-from rthyb_rt.api.messages import require_progress
+from rthyb_rt.api.messages import require_flag, require_progress
 from rthyb_rt.api.recordings import Recording
 from rthyb_rt.core.pending import OwnCodeError
 from rthyb_rt.errors import InputError, RthybError
@@ -59,6 +59,7 @@ def run(
         True
     """
     require_progress(progress, "run")
+    require_flag(report, "run: report", "recording.report(path) writes the report to a path")
     folder = None if out is None else _free(files.path_of(out, "run: out", "a new folder"))
     try:
         setup = prepared(test, rig)

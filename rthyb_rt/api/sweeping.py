@@ -200,7 +200,7 @@ def sweep(
         <Sweep section5-t0.5-sweep: 2 runs, 2 completed, 0 stopped, 0 failed>
     """
     _require(jobs, progress, client)
-    if isinstance(together, Mapping):
+    if isinstance(together, (Mapping, str)) or not isinstance(together, Iterable):
         raise InputError(
             f"found {written(together)}; give a list of dicts, whose lists vary together, "
             'together=[{"controller.w1": [3, 4], "controller.w2": [2, 2.5]}]',
@@ -213,8 +213,8 @@ def sweep(
     values: dict[str, Any] = {
         "campaign": {"name": called, "test": "test.toml", "keep": keep},
         "noise_seeds": plain(repeat_seeds),
-        "over": _lists({} if over is None else over, parts),
-        "together": [_lists(table, parts) for table in together],
+        "over": _lists({} if over is None else over, parts, "over"),
+        "together": [_lists(table, parts, "together") for table in together],
         "draws": plain(draws or {}),
     }
     parts |= _written(base, {key: value for key, value in values.items() if value not in ({}, [])})
@@ -255,17 +255,20 @@ def _require(jobs: object, progress: object, client: object) -> None:
         )
 
 
-def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str, Any]:
+def _lists(over: Any, parts: dict[str, str], argument: str) -> dict[str, Any]:
     """Return the values by key as in a campaign file; files that they name are put into ``parts``.
+
+    ``argument`` is the name of the argument, for messages.
 
     Raises:
         InputError: they are not lists by key, or a rig is given where none is allowed.
     """
     if not isinstance(over, Mapping):
+        example = '{"controller.type": ["paper", "robust"]}'
+        example = f"[{example}]" if argument == "together" else example
         raise InputError(
-            f"found {written(over)}; give a dict of lists by dotted key, "
-            'over={"controller.type": ["paper", "robust"]}',
-            f"{_CALLED}: over",
+            f"found {written(over)}; give a dict of lists by dotted key, {argument}={example}",
+            f"{_CALLED}: {argument}",
         )
 
     def value(key: str, one: Any) -> Any:
@@ -274,7 +277,7 @@ def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str
         if not isinstance(one, Rig if key == files.RIG else Test):
             raise InputError(
                 f"found {one!r}; give a rig with the key rig, and a test with the key test",
-                f"{_CALLED}: over.{key}",
+                f"{_CALLED}: {argument}.{key}",
             )
         file = f"{one.name}.toml"
         text = files.toml_given(one) if isinstance(one, Rig) else one.to_toml()
@@ -285,6 +288,13 @@ def _lists(over: Mapping[str, Iterable[Any]], parts: dict[str, str]) -> dict[str
 
     lists = {}
     for key, found in over.items():
+        if not isinstance(key, str) or isinstance(found, Mapping):
+            what = f"{written(key)} as a key" if not isinstance(key, str) else "a table"
+            raise InputError(
+                f"found {what}; a key is dotted, as in the file, and has a list of values: "
+                f'{argument}={{"controller.w1": [3, 3.5]}}',
+                f"{_CALLED}: {argument}.{key}",
+            )
         single = isinstance(found, (str, bool, int, float, Rig, Test)) or not isinstance(
             found, Iterable
         )

@@ -124,18 +124,19 @@ def _refuse_unused(wishes: Sequence[Wish], missed: Sequence[dict[str, Problem]])
         missed: for each table, the assigned columns that it does not have.
 
     Raises:
-        InputError: there is no table, the channel is not compared, or no table has the column.
+        InputError: there is no table, no table has the column, or none of the channels is compared.
     """
     problems = []
+    # The assignments for a diagnosis, of which a comparison needs a part, may be given to both.
+    compared = any(wish.channel in _COMPARED for wish in wishes)
     for wish in wishes:
-        # A mapping file may name more than a comparison reads.
-        if wish.channel not in _COMPARED and wish.where.startswith("--map"):
-            what = f"only {', '.join(_COMPARED)} of a CSV file are compared; omit it"
-        elif not missed:
+        if not missed:
             what = "none of the recordings is a CSV file, whose columns it could assign; omit it"
-        elif wish.channel in _COMPARED and all(wish.channel in one for one in missed):
+        elif all(wish.channel in one for one in missed):
             problems += [one[wish.channel] for one in missed]
             continue
+        elif not compared:
+            what = f"only {', '.join(_COMPARED)} of a CSV file are compared; assign one of them"
         else:
             continue
         problems.append(Problem(wish.where, f"found {wish.channel}={wish.text}; {what}"))
