@@ -326,6 +326,20 @@ int rthyb_codec_check(const rthyb_codec *codec)
     return good ? 0 : RTHYB_E_CODEC;
 }
 
+/* A converter that saturates sends the end of its range. The value for "no number" is not one of its
+ * numbers, even if it is at that end. */
+double rthyb_extra_reach(const rthyb_codec *codec, uint32_t number)
+{
+    if (number >= codec->extra_count)
+        return 0.0;
+    const rthyb_signal *s = &codec->extra[number].signal;
+    const int apart = s->has_none && s->kind != RTHYB_FLOAT;
+    const double low = least_raw(s), high = greatest_raw(s), none = (double)s->none;
+    const double a = (apart && none == low ? low + 1.0 : low) * s->scale + s->offset;
+    const double b = (apart && none == high ? high - 1.0 : high) * s->scale + s->offset;
+    return fmax(0.0, fmin(-fmin(a, b), fmax(a, b)));
+}
+
 /* ---- frames by table ------------------------------------------------------------------------------ */
 
 static uint8_t crc_of(uint32_t id, const uint8_t *data, int32_t length, int32_t crc_at)
@@ -424,16 +438,17 @@ static void put_extras(const rthyb_codec *codec, const rthyb_reading *reading, i
             (void)put_reading(data, &codec->extra[i].signal, reading->extra[i]);
 }
 
-/* Nothing depends on extra channels: one that is not a number, or out of range, does not make the
- * frame invalid. */
+/* An extra channel that is not a number, or out of range, does not make the frame invalid. */
 static void get_extras(const rthyb_codec *codec, const uint8_t *data, int x, int f,
                        rthyb_reading *reading)
 {
     for (uint32_t i = 0; i < codec->extra_count; i++) {
         double value;
-        if (codec->extra[i].in_force ? f : x)
-            reading->extra[i] =
-                get_value(data, &codec->extra[i].signal, &value) ? (double)NAN : value;
+        if (!(codec->extra[i].in_force ? f : x))
+            continue;
+        const int verdict = get_value(data, &codec->extra[i].signal, &value);
+        reading->extra[i] = verdict & RTHYB_W_NOT_FINITE ? (double)NAN : value;
+        reading->beyond |= (uint32_t)(verdict == RTHYB_W_RANGE) << i;
     }
 }
 

@@ -133,7 +133,8 @@ static int sensors_ok(const rthyb_coupled_rig_config *c)
     const int p = c->kinematics.displacement_sensors, q = c->kinematics.force_sensors;
     ok = ok && p >= 0 && p <= RTHYB_SENSORS_MAX && q >= 0 && q <= RTHYB_SENSORS_MAX;
     for (int k = 0; ok && k < p + q; k++)
-        ok = sensor_ok(&c->sensor[k], k < p ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N);
+        ok = c->sensor_extra[k] >= 0 && c->sensor_extra[k] <= c->size * RTHYB_EXTRAS_MAX &&
+             sensor_ok(&c->sensor[k], k < p ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N);
     return ok;
 }
 
@@ -386,6 +387,17 @@ static void latch_forces(rig_t *r)
             r->f_true_n[i] = r->servo[i].oil_force;
 }
 
+/* Extra sensors of an axis through which sensors without an actuator are read. */
+static void pass_sensors(rig_t *r, int axis)
+{
+    const int count = rthyb_kinematics_sensors(&r->cfg.kinematics);
+    for (int k = 0; k < count; k++) {
+        const int place = r->cfg.sensor_extra[k] - 1;
+        if (place >= 0 && place / RTHYB_EXTRAS_MAX == axis)
+            r->extra[axis][place % RTHYB_EXTRAS_MAX] = r->sensor[k];
+    }
+}
+
 static void latch_extras(rig_t *r)
 {
     for (int i = 0; i < r->cfg.size; i++) {
@@ -397,6 +409,7 @@ static void latch_extras(rig_t *r)
         };
         const uint32_t count = r->cfg.extra_count[i];
         sense_extras(&r->extra_noise, r->cfg.extras[i], count, measured, r->extra[i]);
+        pass_sensors(r, i);
         if (r->extra_to[i])
             memcpy(r->extra_to[i], r->extra[i], count * sizeof *r->extra[i]);
     }
@@ -548,8 +561,8 @@ int rthyb_coupled_rig_step(rthyb_coupled_rig *rig, const double *x_p_m, double *
         x_m_m[i] = sense(&rig->noise, &rig->cfg.displacement[i], rig->x_true_m[i]);
         f_n[i] = sense(&rig->noise, &rig->cfg.force[i], rig->f_true_n[i]);
     }
-    latch_extras(rig);
     latch_sensors(rig);
+    latch_extras(rig);
     if (by_plant)
         return code | advance_plant(rig, x_p_m);
     return code | (rig->substeps > 0 ? advance_together(rig) : advance_alone(rig));

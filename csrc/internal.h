@@ -75,6 +75,9 @@ static inline double command_from_wire(const rthyb_calibration *c, double wire_m
     return (wire_m - c->cmd_offset_m) / c->cmd_gain;
 }
 
+/* After rthyb_wire_take: whether a pair was new in this tick. */
+int rthyb_wire_is_new(const rthyb_wire *wire);
+
 /* Stores the command in effect at the drive of an axis in the next tick: the value on the wire exactly as rounded, or
  * the previous one if none was sent. */
 static inline void note_command(rthyb_station *s, int axis, const rthyb_calibration *c, int sent,

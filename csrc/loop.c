@@ -49,6 +49,37 @@ static int ring_fits(const rthyb_ring *ring, int32_t axes)
     return !ring || ring->record_words * sizeof(uint64_t) == record_bytes(axes);
 }
 
+static int sensors_of(const rthyb_station *station)
+{
+    return rthyb_kinematics_sensors(&station->cfg.controller.kinematics);
+}
+
+/* Whether two stations have as many sensors of each kind, so that their readings are in the same
+ * channels. */
+static int same_sensors(const rthyb_station *a, const rthyb_station *b)
+{
+    const rthyb_kinematics_config *of_a = &a->cfg.controller.kinematics;
+    const rthyb_kinematics_config *of_b = &b->cfg.controller.kinematics;
+    return of_a->displacement_sensors == of_b->displacement_sensors &&
+           of_a->force_sensors == of_b->force_sensors;
+}
+
+/* Whether the reading of each sensor without an actuator of a station is an extra channel of an
+ * axis, which carries the whole range of the sensor: at the end of what the channel can carry, a
+ * reading must be at the end of that range. */
+static int sensors_ok(const rthyb_loop_config *cfg, const rthyb_station *station)
+{
+    const int axes = cfg->station->cfg.controller.axis_count;
+    for (int k = 0; k < sensors_of(station); k++) {
+        const int32_t axis = cfg->sensor_axis[k];
+        const double range = station->cfg.lone[k].range;
+        if (axis < 0 || axis >= axes || !(range > 0.0) ||
+            !(rthyb_extra_reach(&cfg->axis[axis].wire->codec, cfg->sensor_extra[k]) >= range))
+            return 0;
+    }
+    return 1;
+}
+
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
 {
     const double h = cfg->station->cfg.controller.period_s;
@@ -59,8 +90,7 @@ int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
     loop->rate_hz = rthyb_ticker_rate_hz(h);
     if (!loop->rate_hz)
         return RTHYB_E_PERIOD;
-    /* No link has readings of sensors without an actuator. */
-    if (rthyb_kinematics_sensors(&cfg->station->cfg.controller.kinematics) > 0)
+    if (!sensors_ok(cfg, cfg->station))
         return RTHYB_E_KINEMATICS;
     loop->heartbeat_ticks = standard_ticks(RTHYB_HEARTBEAT_TICKS, h);
     loop->watchdog_ticks = standard_ticks(RTHYB_DRIVE_WATCHDOG, h);
@@ -164,6 +194,8 @@ static void take_load(rthyb_loop *loop, const rthyb_tick *tick)
     const rthyb_controller_config *next = &load->station->cfg.controller;
     const int unfit = another && (loop->cfg.station->state != RTHYB_IDLE ||
                                   next->axis_count != loop->axis_count ||
+                                  !same_sensors(load->station, loop->cfg.station) ||
+                                  !sensors_ok(&loop->cfg, load->station) ||
                                   next->period_s != loop->cfg.station->cfg.controller.period_s);
     const int refused = unfit || !ring_fits(load->ring, loop->axis_count);
     if (!refused) {
@@ -532,6 +564,17 @@ static rthyb_axis_input gather_axis(rthyb_loop *loop, int axis, const arrival *f
     };
 }
 
+/* A channel that arrives without a number is NaN, like such a reading of an axis. A value beyond the
+ * range of its signal is kept: the station finds it at the end of the sensor's range. */
+static void gather_sensors(const rthyb_loop *loop, rthyb_station_input *in)
+{
+    for (int k = 0; k < sensors_of(loop->cfg.station); k++) {
+        const rthyb_wire *wire = loop->cfg.axis[loop->cfg.sensor_axis[k]].wire;
+        in->sensor[k] = wire->pair.extra[loop->cfg.sensor_extra[k]];
+        in->sensors_lost |= (uint32_t)!rthyb_wire_is_new(wire) << k;
+    }
+}
+
 static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint64_t mail,
                                   arrivals *found)
 {
@@ -546,6 +589,7 @@ static rthyb_station_input gather(rthyb_loop *loop, const rthyb_tick *tick, uint
         down |= in.axis[i].link_down;
         stopped |= in.axis[i].drive_stopped;
     }
+    gather_sensors(loop, &in);
     add(&loop->counters.down, (uint64_t)down);
     add(&loop->counters.stopped, (uint64_t)stopped);
     in.skipped = skipped_ticks(loop, tick);

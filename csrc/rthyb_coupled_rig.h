@@ -51,6 +51,8 @@ typedef struct {
     rthyb_extra_sensor extras[RTHYB_COUPLED_MAX][RTHYB_EXTRAS_MAX];
     /* sensors without an actuator, as many as the kinematics has: displacements, then forces */
     rthyb_sensor sensor[RTHYB_SENSORS_ALL];
+    /* 1 + axis * RTHYB_EXTRAS_MAX + number of the extra sensor that gives the same reading; 0: none does */
+    int32_t sensor_extra[RTHYB_SENSORS_ALL];
 } rthyb_coupled_rig_config;
 
 typedef struct {

@@ -67,8 +67,12 @@ typedef struct {
 typedef struct {
     rthyb_station *station;
     rthyb_loop_axis axis[RTHYB_COUPLED_MAX]; /* one per axis of the station */
-    rthyb_ring *ring;                        /* NULL: no ring */
-    const double *ag_mps2;                   /* ground motion */
+    /* For each of the station's sensors without an actuator: the axis whose feedback has its reading, and the number of
+     * the extra channel there, in m or N. */
+    int32_t sensor_axis[RTHYB_SENSORS_ALL];
+    uint32_t sensor_extra[RTHYB_SENSORS_ALL];
+    rthyb_ring *ring;      /* NULL: no ring */
+    const double *ag_mps2; /* ground motion */
     size_t ag_count;
     int32_t clock; /* enum rthyb_clock */
     /* stepped clock: the drive runs on its own clock and does not wait for ticks */
@@ -109,8 +113,8 @@ typedef struct rthyb_loop rthyb_loop;
 
 size_t rthyb_loop_size(void); /* bytes that the caller provides, aligned for a double */
 
-/* The loop runs at the period of the station. Returns 0; RTHYB_E_KINEMATICS for a station with sensors without an
- * actuator; RTHYB_E_PERIOD if no ticker supports the period
+/* The loop runs at the period of the station. Returns 0; RTHYB_E_KINEMATICS if no axis has the extra channel of a
+ * sensor without an actuator, the sensor has no range, or the channel cannot carry it (rthyb_extra_reach); RTHYB_E_PERIOD if no ticker supports the period
  * (rthyb_ticker_rate_hz), the clock is unknown, or the link clock rejects the lead; RTHYB_E_LIMIT for an invalid
  * calibration, or for a ring with a different number of axes. */
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);

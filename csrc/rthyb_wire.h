@@ -11,11 +11,10 @@
 /* cffi: begin */
 
 enum rthyb_wire_size {
-    RTHYB_FRAME_MAX = 64,      /* data of a CAN FD frame, bytes */
-    RTHYB_SERIAL_COMMAND = 12, /* a command on the serial line, including the final 0 */
-    /* the same for feedback without extra channels, each of which adds 4 */
-    RTHYB_SERIAL_FEEDBACK = 16,
-    RTHYB_PACKET_MAX = 14, /* after COBS decoding, including the CRC, without them */
+    RTHYB_FRAME_MAX = 64,       /* data of a CAN FD frame, bytes */
+    RTHYB_SERIAL_COMMAND = 12,  /* a command on the serial line, including the final 0 */
+    RTHYB_SERIAL_FEEDBACK = 16, /* feedback without extra channels, each of which adds 4 */
+    RTHYB_PACKET_MAX = 14,      /* after COBS decoding, including the CRC, without them */
     RTHYB_PACKET_ROOM = RTHYB_PACKET_MAX + 4 * RTHYB_EXTRAS_MAX
 };
 
@@ -137,20 +136,23 @@ typedef struct {
     uint32_t status; /* enum rthyb_device */
     double x_m, f_n;
     double extra[RTHYB_EXTRAS_MAX]; /* NaN: not in this frame, or no number */
+    uint32_t beyond; /* bits of extra channels with a value outside the range in the DBC file */
 } rthyb_reading;
 
 /* 0, or RTHYB_E_CODEC if the table does not fit its frames. The functions below require a codec that
  * passed this check. */
 int rthyb_codec_check(const rthyb_codec *codec);
+/* Greatest magnitude of which an extra channel carries every value, of either sign; 0: none. A value that it cannot
+ * carry arrives, from a converter that saturates, with at least that magnitude. */
+double rthyb_extra_reach(const rthyb_codec *codec, uint32_t number);
 
-/* Encodes a command: for CAN as a frame, for a serial line as the bytes to write. *sent_m is the displacement
- * as the drive will decode it. Returns RTHYB_OK; RTHYB_S_OUT_OF_RANGE if the frame cannot represent the value,
- * and contains the nearest possible one; RTHYB_S_NOT_FINITE if there is no frame (its length is 0). */
+/* Encodes a command: for CAN as a frame, for a serial line as the bytes to write. *sent_m is the displacement as the
+ * drive will decode it. Returns RTHYB_OK; RTHYB_S_OUT_OF_RANGE if the frame cannot represent the value, and contains
+ * the nearest possible one; RTHYB_S_NOT_FINITE if there is no frame (its length is 0). */
 int rthyb_encode_setpoint(const rthyb_codec *codec, const rthyb_setpoint *setpoint,
                           rthyb_frame *frame, double *sent_m);
-/* For a displacement between two bounds: returns it unchanged if the value to which a frame rounds it also
- * lies between them, to within a millionth of a step; otherwise the nearest frame value that does. NaN: there is
- * none. */
+/* For a displacement between two bounds: returns it unchanged if the value to which a frame rounds it also lies between
+ * them, to within a millionth of a step; otherwise the nearest frame value that does. NaN: none. */
 double rthyb_command_within(const rthyb_codec *codec, double x_m, double low_m, double high_m);
 /* Encodes a sample of the drive as one or two frames; returns their number. 0 if a value is not finite and
  * the table cannot express that. */
@@ -170,8 +172,7 @@ uint16_t rthyb_crc16(const uint8_t *bytes, size_t n);
 /* Encodes fewer than 254 bytes as n + 2 bytes, of which only the last, the end of the packet, is 0. */
 size_t rthyb_cobs_encode(const uint8_t *bytes, size_t n, uint8_t *out);
 
-/* Finds packets in a stream of bytes; after an error it resynchronises at the next 0. Initialise it with
- * zeros. */
+/* Finds packets in a stream of bytes; after an error it resynchronises at the next 0. Initialise it with zeros. */
 typedef struct {
     uint8_t data[RTHYB_PACKET_ROOM];
     uint8_t length;   /* bytes in data */
@@ -234,13 +235,12 @@ int rthyb_wire_init(rthyb_wire *wire, const rthyb_codec *codec);
 /* Encodes the next command with the next seq; see rthyb_encode_setpoint. */
 int rthyb_wire_command(rthyb_wire *wire, double x_m, int32_t state, rthyb_frame *frame,
                        double *sent_m);
-/* Processes a received CAN frame and returns its enum rthyb_verdict. With ID, LENGTH, CRC or FRAMING, only
- * the corresponding counter changes. */
+/* Processes a received CAN frame: enum rthyb_verdict. ID, LENGTH, CRC, FRAMING: only that counter changes. */
 int rthyb_wire_receive(rthyb_wire *wire, const rthyb_frame *frame);
 /* Processes bytes from the serial line, in pieces of any size; returns all verdicts combined. */
 int rthyb_wire_feed(rthyb_wire *wire, const uint8_t *bytes, size_t n);
-/* Call once per tick, after processing everything received and before making the command: returns the newest
- * pair. The result is RTHYB_OK, or the reason why there is none, for rthyb_input.lost. */
+/* Call once per tick, after processing everything received and before making the command: returns the newest pair. The
+ * result is RTHYB_OK, or the reason why there is none, for rthyb_input.lost. */
 int rthyb_wire_take(rthyb_wire *wire, rthyb_feedback *feedback);
 /* After rthyb_wire_take: the extra channels of a pair that was new in this tick; NaN if there was none. */
 void rthyb_wire_record_extras(const rthyb_wire *wire, double *channels);

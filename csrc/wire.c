@@ -127,6 +127,7 @@ static int join(rthyb_wire *w, const rthyb_reading *r)
     for (uint32_t i = 0; i < w->codec.extra_count; i++)
         if (w->codec.extra[i].in_force)
             pair.extra[i] = w->half[1].extra[i];
+    pair.beyond |= w->half[1].beyond;
     w->half[0].has = w->half[1].has = 0;
     return take_pair(w, &pair);
 }
@@ -237,11 +238,17 @@ int rthyb_wire_take(rthyb_wire *w, rthyb_feedback *feedback)
     return fresh ? RTHYB_OK : RTHYB_LOST | refused;
 }
 
+int rthyb_wire_is_new(const rthyb_wire *w)
+{
+    return w->counters.pairs > 0 && w->age == 0;
+}
+
 void rthyb_wire_record_extras(const rthyb_wire *w, double *channels)
 {
     for (uint32_t i = 0; i < w->codec.extra_count; i++) {
         const uint32_t at = w->extra_channel + i;
         if (at < RTHYB_CHANNELS_MAX)
-            channels[at] = w->counters.pairs > 0 && w->age == 0 ? w->pair.extra[i] : (double)NAN;
+            channels[at] = rthyb_wire_is_new(w) && !(w->pair.beyond >> i & 1u) ? w->pair.extra[i]
+                                                                               : (double)NAN;
     }
 }

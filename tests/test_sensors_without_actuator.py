@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
+import service_bench
 from axes_bench import NAMES, SIDES, SPECIMEN, Bench, config, rig, shaking, structure
 from command_line import Rthyb
 from kernels import Floats
@@ -22,16 +23,17 @@ from rthyb_rt import core
 from rthyb_rt.analysis import several_axes as analysis
 from rthyb_rt.analysis import structure_balance
 from rthyb_rt.config import AxesRig
-from rthyb_rt.core import AxisReading, CoreError
+from rthyb_rt.core import AxisReading, CoreError, loop, wire
 from rthyb_rt.core.group import SensorWatches
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.core.library import STATUS
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import several, virtual_time, zeroing
 from rthyb_rt.lab.realtime import replaying
-from rthyb_rt.record import axis_export, export
+from rthyb_rt.record import export
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.rig import identify_axes
+from rthyb_rt.rig import identify_axes, virtual_rig
+from rthyb_rt.rig.links import opening
 
 READS = np.array([[1.0, 0.45], [0.3, -0.2]])
 """What two displacement sensors read for x (m) and theta (rad)."""
@@ -643,12 +645,6 @@ def test_a_file_is_written_and_read_again() -> None:
             "displacements: found rows that times matrix with the sensors' along below it give "
             "[2, 0.5]; [0, 1]",
         ),
-        (
-            "[kinematics]",
-            '[[axis]]\nname = "far"\nlink = { kind = "serial", channel = "/dev/ttyS0" }\n'
-            "[kinematics]",
-            "such sensors are supported in virtual time only",
-        ),
         ('range_n = "70 kN"', "range_n = -1", "sensor.column.range_n: found -1"),
         ("noise_std_n = 10\nrange", "noise_std_m = 10\nrange", "noise_std_m"),
     ],
@@ -905,7 +901,10 @@ def test_a_sensor_without_readings_is_named_among_what_is_silent() -> None:
     one = virtual_time.Bench(several.prepare(files.parse_test(TEST, "test.toml"), read(text)))
     assert not zeroing.silent_sensors(one.run)
     one.advance(25)
-    assert zeroing.silent_sensors(one.run) == "sensor column: no usable reading for 25 ticks"
+    assert zeroing.silent_sensors(one.run) == (
+        "sensor column: no usable reading for 25 ticks, because it reads −70.00 kN, at or beyond "
+        "the end of its range of 70.0 kN (range_n in the rig file)"
+    )
 
 
 def test_the_tares_of_the_sensors_are_told_by_name() -> None:
@@ -1060,21 +1059,173 @@ def test_a_rig_without_sensors_is_recorded_as_before(bare: Recording) -> None:
     assert replaying.replay(bare).identical
 
 
+# ---- over links ---------------------------------------------------------------------------------
+
+LINKED = WITH_BOTH
+for _of, _extra, _unit in (("left", "cell", "N"), ("right", "wire_end", "m")):
+    _before = f'[[axis]]\nname = "{_of}"\n'
+    _after = LINKED.index("identified", LINKED.index(_before))
+    _line = LINKED.index("\n", _after) + 1
+    LINKED = (
+        LINKED[:_line]
+        + f'[[axis.sensors.extra]]\nname = "{_extra}"\nunit = "{_unit}"\n'
+        + LINKED[_line:]
+    )
+LINKED = LINKED.replace('name = "column"\n', 'name = "column"\nextra = "cell"\n').replace(
+    'name = "wire"\n', 'name = "wire"\nextra = "wire_end"\n'
+)
+# An inline table cannot be continued by [[axis.sensors.extra]].
+LINKED = re.sub(
+    r"sensors = \{ displacement = (\{.*?\}), force = (\{.*?\}) \}\n(identified.*\n)",
+    r"\3[axis.sensors]\ndisplacement = \1\nforce = \2\n",
+    LINKED,
+)
+LINKED = LINKED.replace('unit = "N"\n', 'unit = "N"\nwire_step = 1e-3\n').replace(
+    'unit = "m"\n', 'unit = "m"\nwire_step = 1e-9\n'
+)
+
+
+def over_links(text: str, faults: Any = (), test: str = TEST) -> Recording:
+    setup = several.prepare(files.parse_test(test, "test.toml"), read(text))
+    mishaps = virtual_rig.parse_mishaps(faults, NAMES) if faults else ()
+    return virtual_rig.run_faulty(setup, mishaps)
+
+
+def test_sensors_are_read_from_the_extra_channels_of_the_links() -> None:
+    """Frames, drives and loop as on a rig, against the same rig called directly."""
+    one, direct = over_links(quiet(LINKED)), completed(quiet(LINKED))
+    assert one.meta["end_reason"] == "completed"
+    a, b = one.samples[one.running()], direct.samples[direct.running()]
+    for name, step in (("wire", 1e-9), ("column", 1e-3)):
+        # The wire rounds the commands as well, to 1 um of the axes.
+        np.testing.assert_allclose(a[name], b[name], rtol=0, atol=3e-3 * np.ptp(b[name]))
+        other = {"wire": "wire_end", "column": "cell"}[name]
+        np.testing.assert_array_equal(a[f"{name}_read"], a[other])
+        np.testing.assert_allclose(a[other] / step, np.rint(a[other] / step), atol=1e-5)
+    assert np.ptp(a["wire"]) > 5e-3
+    result = replaying.replay(one)
+    assert result.identical
+
+
+def test_lost_frames_leave_their_sensors_without_a_reading() -> None:
+    one = over_links(LINKED, ["left.drop:p=0.02,from=1,to=5"])
+    assert one.meta["end_reason"] == "completed"
+    rows = one.samples[one.running()]
+    # The cell is read with the frames of the left axis, the wire with those of the right one.
+    lost = np.isnan(rows["x_read_m"])
+    assert 40 < lost.sum() < 160
+    np.testing.assert_array_equal(np.isnan(rows["column_read"]), lost)
+    assert not np.isnan(rows["wire_read"]).any()
+    assert np.isfinite(rows["column"]).all()
+    assert replaying.replay(one).identical
+
+
+def test_silence_of_a_link_trips_and_is_replayed() -> None:
+    one = over_links(LINKED, ["right.silence:from=2"])
+    assert one.meta["end_reason"] == "tripped: link lost of axis right"
+    assert replaying.replay(one).identical
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('extra = "cell"', 'extra = "cel"', 'column: found extra = "cel"'),
+        ('extra = "cell"', 'extra = "wire_end"', 'with the unit "m"; a sensor of kind force'),
+        (
+            "[kinematics]",
+            COLUMN.replace('"column"', '"other"').replace("along", 'extra = "cell"\nalong')
+            + "[kinematics]",
+            "sensors column and other both name the extra channel cell",
+        ),
+        ('extra = "cell"\n', "extra = 5\n", "sensor.column.extra: found 5"),
+    ],
+)
+def test_an_extra_channel_that_does_not_fit_is_told(old: str, new: str, said: str) -> None:
+    assert old in LINKED
+    with pytest.raises(InputError) as caught:
+        read(LINKED.replace(old, new, 1))
+    problems = [str(one) for one in caught.value.problems]
+    assert any(said in one for one in problems), problems
+
+
+def test_every_sensor_of_a_linked_rig_names_its_extra_channel() -> None:
+    linked = LINKED
+    for n, name in enumerate(NAMES):
+        linked = linked.replace(
+            f'name = "{name}"\n',
+            f'name = "{name}"\nlink = {{ kind = "serial", channel = "/dev/ttyS{n}" }}\n',
+        )
+    assert read(linked).link is not None
+    with pytest.raises(InputError, match="wire: extra is missing; axis left has a link"):
+        read(linked.replace('extra = "wire_end"\n', ""))
+
+
+def test_a_loop_refuses_places_that_no_frame_has() -> None:
+    one = bench()
+    ours, theirs = opening.socket_pairs(NAMES)
+    with ours, theirs:
+        ways = [loop.LoopAxis(wire.Wire(at.codec), loop.Link(at.kind, at.fd)) for at in ours.all]
+        given: Any = (one.station, ways[0].wire, ways[0].link)
+        for places, said in (
+            ((), "places of 0 sensors"),
+            (((0, 0), (1, 0), (1, 1)), "the number of an extra channel"),
+            (((0, 0), (1, 0), (7, 0)), "the number of an extra channel"),
+        ):
+            with pytest.raises(CoreError, match=said):
+                loop.Loop(*given, further=ways[1:], sensors=places)
+        for way in ways:
+            way.link.close()
+
+
+def test_the_service_holds_the_rig_and_names_the_sensor_that_ended_a_test(tmp_path: Path) -> None:
+    short = TEST.replace('"6 s"', '"3 s"')
+    small = LINKED.replace('"70 kN"', '"8 kN"')
+    with service_bench.bench(
+        tmp_path / "rings",
+        faults=(),
+        rig=read(small),
+        test_of=lambda changes: files.parse_test(short, "test.toml", changes or {}),
+    ) as lab:
+        for pga, ended in (("0.01", "completed"), ("0.1", "tripped: force limit of sensor column")):
+            lab.loaded({"ground_motion.pga_g": pga})
+            lab.reach("RUNNING")
+            lab.until("IDLE" if ended == "completed" else "TRIPPED", 60.0)
+            lab.engine.wait(2.0)
+            assert lab.engine.last is not None
+            assert lab.engine.last["end_reason"] == ended
+    recordings = service_bench.left(tmp_path / "rings")
+    assert len(recordings) == 2
+    for rec in recordings:
+        assert replaying.replay(rec).identical
+    assert np.nanmax(np.abs(recordings[0].samples["column"])) > 500
+
+
 NOT_SUPPORTED: dict[str, Callable[[AxesRig], object]] = {
     "a test in real time": lambda floor: several.prepare(
         files.parse_test(TEST, "test.toml"), floor, real_time=True
     ),
-    "identification": identify_axes.identify_rig,
     "real time": several.at_rest,
-    "the model of an axis by itself": lambda floor: axis_export.alone(floor, "left"),
 }
 
 
 @pytest.mark.parametrize("what", NOT_SUPPORTED)
-def test_what_is_not_supported_is_refused_by_name(what: str) -> None:
-    said = f'sensor: rig "floor" has sensors without an actuator (column, wire); {what}'
+def test_real_time_without_extra_channels_is_refused_by_name(what: str) -> None:
+    said = (
+        'sensor: rig "floor" has sensors without an actuator that name no extra channel (column, '
+        f"wire); {what}"
+    )
     with pytest.raises(InputError, match=re.escape(said)):
         NOT_SUPPORTED[what](read(WITH_BOTH))
+    NOT_SUPPORTED[what](read(LINKED))
+
+
+def test_identification_finds_the_same_with_and_without_sensors() -> None:
+    sweep = identify_axes.sweep_of(amplitude_m=1e-3)
+    plain, beside = (
+        identify_axes.identify_rig(read(quiet(text)), sweep) for text in (RIG, WITH_BOTH)
+    )
+    np.testing.assert_array_equal(plain.response.response, beside.response.response)
+    np.testing.assert_array_equal(plain.stiffness, beside.stiffness)
 
 
 @pytest.mark.parametrize(
@@ -1096,8 +1247,8 @@ def test_a_trip_names_the_sensor_in_words(
     assert said in done.out + done.err
 
 
-@pytest.mark.parametrize("command", ["jog", "commission", "serve", "rig", "identify"])
-def test_commands_that_move_a_rig_refuse_it_before_anything_moves(
+@pytest.mark.parametrize("command", ["jog", "commission", "serve", "rig"])
+def test_commands_over_a_link_refuse_a_rig_whose_sensors_it_does_not_read(
     command: str, rthyb: Rthyb, tmp_path: Path
 ) -> None:
     path = tmp_path / "floor.toml"
@@ -1105,7 +1256,7 @@ def test_commands_that_move_a_rig_refuse_it_before_anything_moves(
     more = {"jog": ["0.5 mm", "--axis", "left"], "rig": ["--pty"]}.get(command, [])
     done = rthyb(command, str(path), *more)
     assert done.code == InputError.exit_code
-    assert "has sensors without an actuator (column, wire)" in done.err
+    assert "sensors without an actuator that name no extra channel (column, wire)" in done.err
 
 
 def test_commands_show_the_sensors_and_refuse_what_they_cannot(
@@ -1123,12 +1274,11 @@ def test_commands_show_the_sensors_and_refuse_what_they_cannot(
     assert "Sensor column" in page
     recording = out / "recording.h5"
     assert rthyb("replay", str(recording)).code == 0
+    assert rthyb("export", str(recording), "--csv", "--axis", "left").code == 0
     for refused in (
-        ["export", str(recording), "--csv", "--axis", "left"],
-        ["diagnose", str(recording), "--model", str(tmp_path / "floor.toml")],
         ["run", str(path), "--realtime"],
         ["run", str(path), "--fault", "left.silence:from=5"],
     ):
         done = rthyb(*refused)
         assert done.code == InputError.exit_code, (refused, done.out, done.err)
-        assert "has sensors without an actuator (column, wire)" in done.err
+        assert "that name no extra channel (column, wire)" in done.err

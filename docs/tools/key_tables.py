@@ -247,6 +247,10 @@ MEANINGS: dict[str, str] = {
     "each axis: rows are directions; absent: the (least-squares) inverse of the matrix",
     "LoneDisplacement.along": "its reading for a unit of each direction; directions that are not "
     "listed do not move it",
+    "LoneDisplacement.extra": "name of the `[[axis.sensors.extra]]`, in m, that has its reading in "
+    "real time; required there, with the range",
+    "LoneForce.extra": "name of the `[[axis.sensors.extra]]`, in N, that has its reading in real "
+    "time; required there, with the range",
     "LoneDisplacement.stuck_s": "time for which it may repeat its reading while the command moves",
     "LoneDisplacement.jump_m": "change of its reading in 1/1024 s",
     "LoneForce.along": "share of the specimen's force in each direction that it carries",

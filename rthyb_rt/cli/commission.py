@@ -58,7 +58,8 @@ def commission(
     \b
     Steps:
       link       feedback arrives 1024 times per second; noise and zero at rest
-      polarity   a slow motion: displacement follows it, force rises with it
+      polarity   a slow motion: displacement follows it, force rises with it, and
+                 sensors without an actuator change as their along says
       limits     each limit, lowered for one small motion, does what the rig file says
       watchdog   without commands the drive stops by itself and stays stopped until reset
       trip       on TRIPPED the drive stops at once
@@ -71,6 +72,7 @@ def commission(
 
     The exit code is 8 if a check failed.
     """
+    from rthyb_rt.lab import sensor_wires
     from rthyb_rt.rig.commissioning import guide
 
     wanted = _steps(steps)
@@ -90,7 +92,11 @@ def commission(
         wanted, distance_m, ask, tell, lambda text: None if yes else ask(text)
     )
     made, documents = [], []
-    for k, within in enumerate(load_within(rig, settings, axis)):
+    found_axes = load_within(rig, settings, axis)
+    if (whole := found_axes[0].whole) is not None:
+        whole.refuse_silent_sensors("commissioning")
+        sensor_wires.check(whole)
+    for k, within in enumerate(found_axes):
         if k:
             tell("")
         found, target = _commission(within, plan)

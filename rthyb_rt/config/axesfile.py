@@ -29,8 +29,16 @@ from rthyb_rt.config.fields import (
     nearest,
     written,
 )
-from rthyb_rt.config.limits import Limits
-from rthyb_rt.config.lonesensors import LoneSensor, in_order, rows_along
+from rthyb_rt.config.limits import DEFAULT_TARE_SHARE_MOST, Limits
+from rthyb_rt.config.lonesensors import (
+    LoneSensor,
+    ReadWithAxis,
+    extras_fault,
+    in_order,
+    places,
+    rows_along,
+    tare_most,
+)
 from rthyb_rt.config.lonesensors import fault as lone_fault
 from rthyb_rt.config.rate import STANDARD, Rate
 from rthyb_rt.config.rigfile import (
@@ -863,15 +871,80 @@ def _one_clock(axes: list[Axis]) -> str | None:
     return None
 
 
-def _sensors_in_virtual_time(axes: list[Axis], sensors: list[LoneSensor] | None) -> str | None:
+def _sensors_arrive(axes: list[Axis], sensors: list[LoneSensor] | None) -> str | None:
+    still = {one.name for axis in axes for one in axis.sensors.extra if one.scale == 0.0}
+    fault = extras_fault(sensors or (), _extras_of(axes), still)
+    if fault:
+        return fault
     linked = [axis.name for axis in axes if axis.link is not None]
-    if not linked or not sensors:
+    silent = [one.name for one in sensors or () if one.extra is None]
+    if not linked or not silent:
         return None
     return (
-        f"found sensors without an actuator ({', '.join(one.name for one in sensors)}), and a link "
-        f"of axis {linked[0]}; such sensors are supported in virtual time only: remove [axis.link] "
-        "of every axis"
+        f"{silent[0]}: extra is missing; axis {linked[0]} has a link, so state which extra channel "
+        "of an axis ([[axis.sensors.extra]]) has the readings of this sensor"
     )
+
+
+LEAST_RESPONSE: Final = 1e-6
+"""Of a sensor to one axis, relative to the axis that it responds to most: less is round-off."""
+
+
+def _responses(matrix: Rows, along: Sequence[float], stiffness: Rows | None) -> list[float]:
+    """Return the change of a reading for 1 m of each axis while the others hold still, (axes,).
+
+    With B the matrix, the interface then moves by a column of its inverse; of redundant axes, which
+    cannot move alone, by one of its least-squares inverse.
+
+    Args:
+        matrix: B, (axes, directions).
+        along: what the sensor reads for a unit of each direction, (directions,).
+        stiffness: of a load cell, the elastic stiffness, (directions, directions).
+    """
+    import numpy as np
+
+    row = np.array(along) if stiffness is None else np.array(along) @ np.array(stiffness)
+    found: list[float] = (row @ np.linalg.pinv(np.array(matrix))).tolist()
+    return found
+
+
+def _sensors_respond(
+    rig: AxesInfo,
+    axes: list[Axis],
+    kinematics: Kinematics,
+    specimen: JointSpecimen,
+    sensors: list[LoneSensor] | None,
+) -> str | None:
+    """Refuse a sensor that its own axis does not move: commissioning could not check its sign."""
+    if _kinematics_fault(axes, kinematics, sensors) or _specimen_fits(axes, kinematics, specimen):
+        return None
+    if extras_fault(sensors or (), _extras_of(axes)) or not isinstance(
+        kinematics, MatrixKinematics
+    ):
+        return None
+    names = [axis.name for axis in axes]
+    ordered = in_order(sensors or ())
+    for one, place in zip(ordered, places(ordered, _extras_of(axes)), strict=True):
+        if place is None:
+            continue
+        along = [one.along.get(name, 0.0) for name in kinematics.interface]
+        k = rig.elastic_stiffness or specimen.stiffness
+        found = _responses(kinematics.matrix, along, k if one.kind == "force" else None)
+        most = max(map(abs, found))
+        if abs(found[place[0]]) > LEAST_RESPONSE * most:
+            continue
+        others = [name for name, v in zip(names, found, strict=True) if abs(v) > 0.1 * most]
+        return (
+            f"{one.name}: found extra = {written(str(one.extra))}, a channel of axis "
+            f"{names[place[0]]}, whose motion does not change the reading (along); `rthyb "
+            "commission` moves one axis at a time and reads only its frames, so it could not check "
+            f"the sign: connect the sensor to the drive of {' or '.join(others)}"
+        )
+    return None
+
+
+def _extras_of(axes: Sequence[Axis]) -> list[list[tuple[str, str]]]:
+    return [[(one.name, one.unit) for one in axis.sensors.extra] for axis in axes]
 
 
 def _sensors_fit(kinematics: Kinematics, sensors: list[LoneSensor] | None) -> str | None:
@@ -920,7 +993,8 @@ class AxesRig(WholeFile):
         Condition("axis", ("axis",), _one_clock),
         Condition("sensor", ("kinematics", "sensor"), _sensors_fit),
         Condition("kinematics", ("axis", "kinematics", "sensor"), _kinematics_fault),
-        Condition("axis", ("axis", "sensor"), _sensors_in_virtual_time),
+        Condition("sensor", ("axis", "sensor"), _sensors_arrive),
+        Condition("sensor", ("rig", "axis", "kinematics", "specimen", "sensor"), _sensors_respond),
         Condition("axis", ("axis", "kinematics"), _in_virtual_time),
         Condition("kinematics", ("rig", "kinematics", "sensor"), _cells_fit),
         Condition("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
@@ -973,27 +1047,43 @@ class AxesRig(WholeFile):
         return in_order(self.sensor or ())
 
     @property
+    def sensor_places(self) -> list[tuple[int, int] | None]:
+        """Axis, and number of its extra channel, with the reading of each of `lone_sensors`."""
+        return places(self.lone_sensors, _extras_of(self.axis))
+
+    def refuse_silent_sensors(self, what: str) -> None:
+        """Refuse what needs the readings of every sensor from a link.
+
+        Args:
+            what: what is asked for, as the subject of a sentence.
+
+        Raises:
+            InputError: a sensor without an actuator names no extra channel.
+        """
+        silent = [one.name for one in self.sensor or () if one.extra is None]
+        if silent:
+            raise InputError(
+                f'rig "{self.rig.name}" has sensors without an actuator that name no extra '
+                f"channel ({', '.join(silent)}); {what} needs their readings from the link: give "
+                "each extra = the name of an [[axis.sensors.extra]], or run tests in virtual time",
+                "sensor",
+            )
+
+    @property
     def is_redundant(self) -> bool:
         """Whether there are more axes than directions."""
         return len(self.axis) > len(self.directions)
 
     def refuse_redundant(self, what: str, instead: str) -> None:
-        """Refuse what needs exactly the sensors of one axis for each direction.
+        """Refuse what is not supported with more axes than directions.
 
         Args:
             what: what is asked for, as the subject of a sentence.
             instead: what the user can do.
 
         Raises:
-            InputError: there are more axes than directions, or sensors without an actuator.
+            InputError: there are more axes than directions.
         """
-        if self.sensor:
-            raise InputError(
-                f'rig "{self.rig.name}" has sensors without an actuator '
-                f"({', '.join(one.name for one in self.sensor)}); {what} is not supported with "
-                f"them; {instead}",
-                "sensor",
-            )
         if self.is_redundant:
             raise InputError(
                 f'rig "{self.rig.name}" has {len(self.axis)} axes ({", ".join(self.names)}) for '
@@ -1039,7 +1129,7 @@ class AxesRig(WholeFile):
         }
         keys = set(AxesInfo.model_fields) - {"name", "elastic_stiffness"}
         info = {key: getattr(self.rig, key) for key in keys}
-        return RigFile.model_construct(
+        found = RigFile.model_construct(
             schema_=self.schema_,
             rig=RigInfo.model_construct(
                 **info, name=f"{self.rig.name[:38]}.{name}", elastic_stiffness_n_per_m=k
@@ -1053,6 +1143,37 @@ class AxesRig(WholeFile):
             calibration=axis.calibration,
             limits=Limits.model_construct(**limits),
         )
+        return found.reading_along(*self._read_along(at)) if self.sensor else found
+
+    def _read_along(self, at: int) -> tuple[list[ReadWithAxis], Rows]:
+        """Return the sensors without an actuator in the frames of an axis, and the matrix."""
+        found: list[ReadWithAxis] = []
+        if not isinstance(self.kinematics, MatrixKinematics):
+            return found, []
+        for one, place in zip(self.lone_sensors, self.sensor_places, strict=True):
+            if place is None or place[0] != at:
+                continue
+            along = [one.along.get(name, 0.0) for name in self.directions]
+            of_force = one.kind == "force"
+            per_m = _responses(self.kinematics.matrix, along, self.k_e if of_force else None)[at]
+            per_n = per_m / self.along_axes()[at][at] if of_force else 0.0
+            found.append(ReadWithAxis(one, per_m, per_n, self._tare_most(one, along)))
+        return found, self.kinematics.matrix
+
+    def _tare_most(self, one: LoneSensor, along: Sequence[float]) -> float:
+        """Return the greatest tare of a sensor by the limits of this file alone; 0: any."""
+        import numpy as np
+
+        of_force = one.kind == "force"
+        key = "force_n" if of_force else "command_position_m"
+        tie = self.core_kinematics()
+        most = []
+        for axis in self.axis:
+            limit = getattr(axis.limits, key) or getattr(self.limits, key)
+            share = axis.limits.tare_share_most or self.limits.tare_share_most
+            acts = limit is not None and limit.acts
+            most.append((share or DEFAULT_TARE_SHARE_MOST) * limit.value if acts else 0.0)
+        return tare_most(np.array(along) @ (tie.jacobian().T if of_force else tie.back()), most)
 
     def _axis(self, name: str) -> Axis:
         for axis in self.axis:

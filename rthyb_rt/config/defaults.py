@@ -6,6 +6,7 @@ A limit in the test file or in the rig file always replaces one of these.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from rthyb_rt.config.limits import (
@@ -88,6 +89,71 @@ def _stuck(sigma: float, step: float, rate: Rate) -> TimeLimit | None:
     samples = math.ceil(math.log(STUCK_ODDS) / math.log(odds)) if odds > 0 else 0
     ticks = max(samples, rate.ticks(LEAST_STUCK_S), 2)
     return TimeLimit(value=ticks / rate.hz, action="ramp-out")
+
+
+def of_displacement_sensor(
+    sigma_m: float,
+    step_m: float,
+    by_axis: Sequence[float],
+    limits: Sequence[Resolved],
+    peak_m_per_s: float,
+    rate: Rate,
+) -> dict[str, Limit]:
+    """Return the default limits of a displacement sensor without an actuator, by name.
+
+    They follow from the same rules as those of an axis; a drive that overshoots moves the sensor at
+    most as fast as all drives together.
+
+    Args:
+        sigma_m: its noise; 0: not known, and there are no default limits.
+        step_m: difference of neighbouring readings.
+        by_axis: its reading for 1 m of each axis, (axes,).
+        limits: of each axis, with the velocity limit.
+        peak_m_per_s: largest change of its reading in the reference simulation.
+        rate: rate of the test.
+
+    Returns:
+        ``stuck``, a time, and ``jump``, a change per sample of this rate, if they can be derived.
+    """
+    fastest = 0.0
+    for share, own in zip(by_axis, limits, strict=True):
+        velocity = _velocity(own)
+        if abs(share) > 0.0 and (velocity is None or not velocity.enable):
+            fastest = FASTER_THAN_REFERENCE * peak_m_per_s
+            break
+        fastest += abs(share) * FASTER * velocity.value if velocity is not None else 0.0
+    jump = None
+    if sigma_m > 0 and fastest > 0:
+        jump_m = fastest / rate.hz + JUMP_SIGMAS * sigma_m
+        jump = IncrementLimit(value=min(jump_m, 100.0), action="ramp-out")
+    return _known(stuck=_stuck(sigma_m, step_m, rate), jump=jump)
+
+
+def of_load_cell(
+    sigma_n: float, step_n: float, most_n: float, change_n: float, rate: Rate
+) -> dict[str, Limit]:
+    """Return the default limits of a load cell without an actuator, by name.
+
+    Args:
+        sigma_n: its noise; 0: not known, and there are no default limits.
+        step_n: difference of neighbouring readings.
+        most_n: its reading with every axis at its force limit; 0: not limited.
+        change_n: largest change of its reading per sample in the reference simulation; 0: none.
+        rate: rate of the test.
+
+    Returns:
+        As for `of_displacement_sensor`.
+    """
+    jump = None
+    if sigma_n > 0 and change_n > 0:
+        jump_n = STEEPER * change_n + JUMP_SIGMAS * sigma_n
+        jump_n = max(jump_n, SHARE_OF_FORCE_LIMIT * most_n)
+        jump = StepLimit(value=min(jump_n, 1e10), action="ramp-out")
+    return _known(stuck=_stuck(sigma_n, step_n, rate), jump=jump)
+
+
+def _known(**limits: Limit | None) -> dict[str, Limit]:
+    return {name: limit for name, limit in limits.items() if limit is not None}
 
 
 def _velocity(limits: Resolved) -> Limit | None:

@@ -6,7 +6,8 @@ enter the pose, or the force along the interface, beside those of the axes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
 
 from rthyb_rt.config.fields import Condition, Range, Text, nearest, written
@@ -18,10 +19,17 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    Floats = NDArray[np.float64]
+
 CHANNEL: Final = Text(
     "the name of the sensor",
     r"[a-z][a-z0-9_]{0,26}",
     "up to 27 characters of a-z 0-9 _ in quotes, starting with a letter",
+)
+_EXTRA: Final = Text(
+    "the name of an extra channel",
+    r"[a-z][a-z0-9_]{0,31}",
+    "up to 32 characters of a-z 0-9 _ in quotes, starting with a letter",
 )
 READ: Final = "_read"
 """Ends the name of the channel with the readings as received."""
@@ -55,7 +63,8 @@ class LoneDisplacement(DisplacementSensor):
     """A displacement sensor at the specimen that belongs to no axis.
 
     ``along`` states what it reads for a unit of each direction of the interface; directions that it
-    omits do not affect it.
+    omits do not affect it. ``extra`` names the extra channel of an axis in whose frames its reading
+    arrives, which a test in real time needs; the range is then required.
     """
 
     checks: ClassVar[tuple[Condition, ...]] = _ALONG
@@ -63,6 +72,7 @@ class LoneDisplacement(DisplacementSensor):
     kind: Literal["displacement"]
     name: Annotated[str, CHANNEL]
     along: _Along
+    extra: Annotated[str, _EXTRA] | None = None
     stuck_s: TimeLimit | None = None
     jump_m: IncrementLimit | None = None
 
@@ -70,7 +80,8 @@ class LoneDisplacement(DisplacementSensor):
 class LoneForce(ForceSensor):
     """A load cell at the specimen that belongs to no axis.
 
-    ``along`` states which share of the specimen's force in each direction it carries.
+    ``along`` states which share of the specimen's force in each direction it carries; ``extra`` is
+    as for a displacement sensor.
     """
 
     checks: ClassVar[tuple[Condition, ...]] = _ALONG
@@ -78,11 +89,48 @@ class LoneForce(ForceSensor):
     kind: Literal["force"]
     name: Annotated[str, CHANNEL]
     along: _Along
+    extra: Annotated[str, _EXTRA] | None = None
     stuck_s: TimeLimit | None = None
     jump_n: StepLimit | None = None
 
 
 LoneSensor = LoneDisplacement | LoneForce
+
+
+@dataclass(frozen=True)
+class ReadWithAxis:
+    """A sensor without an actuator that is read with the frames of an axis.
+
+    Attributes:
+        sensor: the sensor.
+        per_m: change of its reading for 1 m of that axis while the others hold still: m/m, or N/m
+            by the elastic stiffness of the specimen.
+        per_n: of a load cell, its change for 1 N measured by the load cell of that axis; for a
+            displacement sensor 0.
+        tare_most: greatest tare that zeroing accepts by the limits of the rig file, m or N; 0: any.
+    """
+
+    sensor: LoneSensor
+    per_m: float
+    per_n: float = 0.0
+    tare_most: float = 0.0
+
+
+def tare_most(by_axis: Floats, most: Sequence[float]) -> float:
+    """Return the greatest allowed tare of a sensor, m or N; 0: any.
+
+    It is what the sensor reads if the tare of every axis is at its own limit, with the signs that
+    add up; where an axis to which it responds has no limit, it has none.
+
+    Args:
+        by_axis: its reading for a unit of each axis, (axes,).
+        most: the limit of each axis, m or N, (axes,); 0: none.
+    """
+    import numpy as np
+
+    size, limit = np.abs(by_axis), np.array(most)
+    felt = size > 1e-9 * size.max()
+    return float(size @ limit) if (limit[felt] > 0.0).all() else 0.0
 
 
 def rows_along(
@@ -102,6 +150,71 @@ def rows_along(
 def in_order(sensors: Sequence[LoneSensor]) -> list[LoneSensor]:
     """Return the sensors in the order of the core: displacements, then forces."""
     return sorted(sensors, key=lambda one: one.kind != "displacement")
+
+
+Extras = Sequence[Sequence[tuple[str, str]]]
+"""Name and unit of the extra channels of each axis."""
+
+
+def places(sensors: Sequence[LoneSensor], extras: Extras) -> list[tuple[int, int] | None]:
+    """Return the axis and the number of the extra channel with the reading of each sensor.
+
+    None for a sensor without ``extra``.
+    """
+    found = {
+        name: (axis, number)
+        for axis, own in enumerate(extras)
+        for number, (name, _) in enumerate(own)
+    }
+    return [None if one.extra is None else found[one.extra] for one in sensors]
+
+
+def extras_fault(
+    sensors: Sequence[LoneSensor], extras: Extras, still: Collection[str] = ()
+) -> str | None:
+    """Return what is wrong with the extra channels that sensors name, or None.
+
+    Args:
+        sensors: all of them.
+        extras: the extra channels of each axis.
+        still: names of those whose scale is 0.
+    """
+    units = {name: unit for own in extras for name, unit in own}
+    taken = dict[str, str]()
+    for one in sensors:
+        if one.extra is None:
+            continue
+        if one.extra not in units:
+            known = ", ".join(units) or "none"
+            return (
+                f"{one.name}: found extra = {written(one.extra)}{nearest(one.extra, list(units))}; "
+                f"it must name an [[axis.sensors.extra]]; the file has: {known}"
+            )
+        if one.extra in still:
+            return (
+                f"{one.name}: found extra = {written(one.extra)} with scale = 0, which makes every "
+                "reading the same; correct the scale of the channel"
+            )
+        unit = "N" if one.kind == "force" else "m"
+        if units[one.extra] != unit:
+            return (
+                f"{one.name}: found extra = {written(one.extra)} with the unit "
+                f"{written(units[one.extra])}; a sensor of kind {one.kind} needs a channel in "
+                f"{unit}: convert it by the channel's scale"
+            )
+        key, range_ = ("range_n", one.range_n) if one.kind == "force" else ("range_m", one.range_m)
+        if range_ is None:
+            return (
+                f"{one.name}: {key} is missing; a sensor that is read through an extra channel "
+                "needs it, because a reading at the end of its range must not count as one"
+            )
+        if one.extra in taken:
+            return (
+                f"sensors {taken[one.extra]} and {one.name} both name the extra channel "
+                f"{one.extra}; each needs its own"
+            )
+        taken[one.extra] = one.name
+    return None
 
 
 def values_of(sensors: Sequence[LoneSensor], samples: NDArray[np.void]) -> NDArray[np.float64]:

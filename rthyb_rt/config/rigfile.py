@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar, Final, Literal
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
-from pydantic import Field, StrictBool
+from pydantic import Field, PrivateAttr, StrictBool
 
 from rthyb_rt import units
 from rthyb_rt.config import busload
@@ -27,6 +27,9 @@ from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.own import PythonClass
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.core.sizes import ELEMENTS_MAX
+
+if TYPE_CHECKING:
+    from rthyb_rt.config.lonesensors import ReadWithAxis
 
 RIG_SCHEMA = "rthyb-rig/1"
 MAX_SUBSTEPS = 1024
@@ -651,7 +654,9 @@ def _gain_in_its_unit(gain: float | None, unit: str, measures: str) -> str | Non
 
 
 class ExtraSensor(Table):
-    """A channel in addition to displacement and force, which is only recorded, by its name.
+    """A channel in addition to displacement and force, recorded by its name.
+
+    On a rig of several axes, a ``[[sensor]]`` may be read through it; nothing else uses it.
 
     ``scale`` and ``offset`` convert the wire to the value; at the end of a serial packet the wire
     has steps of ``wire_step``. ``measures``, ``gain`` and the errors apply to the virtual rig.
@@ -1116,6 +1121,24 @@ class RigFile(WholeFile):
     link: Link | None = None
     calibration: Calibration = Field(default_factory=Calibration)
     limits: Limits = Field(default_factory=Limits)
+    _read_along: tuple[Any, ...] = PrivateAttr(default=())
+    _matrix: list[list[float]] = PrivateAttr(default_factory=list)
+
+    @property
+    def read_along(self) -> tuple[ReadWithAxis, ...]:
+        """Sensors without an actuator in the frames of this axis; a rig of one axis has none."""
+        return self._read_along
+
+    @property
+    def matrix(self) -> list[list[float]]:
+        """Matrix of the kinematics, if there are sensors in `read_along`; otherwise empty."""
+        return self._matrix
+
+    def reading_along(self, read: Sequence[ReadWithAxis], matrix: list[list[float]]) -> RigFile:
+        """Return the same rig with sensors without an actuator that are read with its frames."""
+        found = self.model_copy()
+        found._read_along, found._matrix = tuple(read), matrix if read else []
+        return found
 
     @property
     def rate(self) -> Rate:

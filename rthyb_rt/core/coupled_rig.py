@@ -15,6 +15,7 @@ from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.core.library import CoreError, FloatArray, check, doubles, reading, writing
 from rthyb_rt.core.rows import CHANNELS_MAX
 from rthyb_rt.core.settings import (
+    EXTRAS_MAX,
     ElementConfig,
     ExtraSensorConfig,
     LoadCell,
@@ -126,6 +127,8 @@ class CoupledRigConfig:
         extras: further sensors of each axis, which measure along it; none: no axis has any.
         sensors: errors of the sensors without an actuator, as many as ``kinematics`` has:
             displacements, then forces; none: without errors.
+        through: for each of them the axis and the number of its extra sensor that gives the same
+            reading, or None; none: no extra sensor does.
     """
 
     kinematics: Kinematics
@@ -143,6 +146,7 @@ class CoupledRigConfig:
     attachment_n_per_m: float = 0.0
     extras: tuple[tuple[ExtraSensorConfig, ...], ...] = ()
     sensors: tuple[SensorConfig, ...] = ()
+    through: tuple[tuple[int, int] | None, ...] = ()
 
     @property
     def axes(self) -> int:
@@ -173,6 +177,9 @@ class CoupledRigConfig:
             struct.extra_count[i] = fill_extras(struct.extras[i], own)
         for k, errors in enumerate(self.sensors):
             struct.sensor[k] = dataclasses.asdict(errors)
+        for k, place in enumerate(self.through):
+            if place is not None:
+                struct.sensor_extra[k] = 1 + place[0] * EXTRAS_MAX + place[1]
         struct.element_count = len(self.elements)
         for i, (along, one) in enumerate(self.elements):
             struct.along[i] = along

@@ -205,6 +205,8 @@ class Loop:
             does not show the difference of two clocks, and slips are not counted.
         further: for several axes, all but the first, to which ``wire``, ``link`` and
             ``calibration`` belong. With the link clock, ticks follow the first axis' drive.
+        sensors: for each of the station's sensors without an actuator, the axis whose feedback has
+            its reading, and the number of the extra channel there.
 
     The length of a tick is the station's ``period_s``.
 
@@ -225,6 +227,7 @@ class Loop:
         *,
         paced: bool = True,
         further: Sequence[LoopAxis] = (),
+        sensors: Sequence[tuple[int, int]] = (),
     ) -> None:
         self._ways = (LoopAxis(wire, link, calibration), *further)
         self._axes = station.config.controller.axis_count
@@ -232,6 +235,13 @@ class Loop:
             raise core.CoreError(
                 f"found {len(self._ways)} links; there must be one for each of the {self._axes} "
                 "axes"
+            )
+        tie = station.config.controller.kinematics
+        asked = 0 if tie is None else tie.sensors
+        if len(sensors) != asked:
+            raise core.CoreError(
+                f"found the places of {len(sensors)} sensors without an actuator in the feedback; "
+                f"the station has {asked} of them"
             )
         self._kept = (station, wire, link, ring)
         # An array of doubles, for its alignment.
@@ -244,6 +254,8 @@ class Loop:
                 (way.wire.struct, way.link.struct, way.calibration.struct()[0])
                 for way in self._ways
             ],
+            "sensor_axis": [axis for axis, _ in sensors],
+            "sensor_extra": [number for _, number in sensors],
             "ring": ffi.NULL if ring is None else ring.pointer,
             "ag_mps2": self._ag,
             "ag_count": station._ag.size,
@@ -251,7 +263,14 @@ class Loop:
             "unpaced": not paced,
             "lead_ns": lead_us * 1e3,
         }
-        if lib.rthyb_loop_init(self._c, ffi.new("rthyb_loop_config *", config)):
+        error = lib.rthyb_loop_init(self._c, ffi.new("rthyb_loop_config *", config))
+        if error == lib.RTHYB_E_KINEMATICS:
+            raise core.CoreError(
+                f"found sensors without an actuator at {list(sensors)}; each must be an axis and "
+                "the number of an extra channel in its feedback, both from 0, and the channel must "
+                "carry the whole range of the sensor, which must not be 0"
+            )
+        if error:
             raise core.CoreError(self._refused(lead_us))
         self._clock = clock
         self._running = False

@@ -656,6 +656,16 @@ class Station:
         return tuple(int(n) for n in self._c.controller.sensor_missing[0 : self._sensors])
 
     @property
+    def sensors_at_end(self) -> tuple[float | None, ...]:
+        """Reading of each sensor without an actuator that is at the end of its range, or None.
+
+        Of the last tick, m or N, before the tare.
+        """
+        return tuple(
+            float(one.reading) if one.off_scale else None for one in self._c.lone[0 : self._sensors]
+        )
+
+    @property
     def command_tare_m(self) -> float:
         """Offset added to a command for the drive: the drive's command at the tare, m.
 

@@ -7,6 +7,7 @@ C link uses the same functions on the struct of `Wire`, a Python link uses the m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -283,6 +284,19 @@ class Codec:
             slot.signal.scale *= one.scale
         return Codec(struct)
 
+    def extra_reach(self, number: int) -> float:
+        """Return the magnitude up to which an extra channel carries every value of either sign.
+
+        A converter that saturates sends a value of at least that magnitude in place of what it
+        cannot carry. 0: the channel does not carry both signs.
+        """
+        return float(lib.rthyb_extra_reach(self.struct, number))
+
+    def extra_step(self, number: int) -> float:
+        """Return the difference of neighbouring values of an extra channel; 0 if it is a float."""
+        signal = self.struct.extra[number].signal
+        return 0.0 if signal.kind == lib.RTHYB_FLOAT else abs(float(signal.scale))
+
     def encode_setpoint(self, setpoint: Setpoint) -> tuple[Frame, float]:
         """Return a command's frame and the displacement that the drive will decode, m.
 
@@ -326,7 +340,9 @@ class Codec:
         verdict = lib.rthyb_decode_feedback(self.struct, _fill(self._frames, frame), c)
         x_m = c.x_m if c.has & lib.RTHYB_HAS_X else None
         f_n = c.f_n if c.has & lib.RTHYB_HAS_F else None
-        extra = tuple(c.extra[i] for i in range(self.struct.extra_count))
+        extra = tuple(
+            math.nan if c.beyond >> i & 1 else c.extra[i] for i in range(self.struct.extra_count)
+        )
         return verdict, Reading(x_m, f_n, c.echo, c.count, c.status, extra)
 
 

@@ -46,6 +46,7 @@ def rig_config(rig: AxesRig, fs_hz: float = core.FS_HZ) -> CoupledRigConfig:
         given.attachment_stiffness_n_per_m or 0.0,
         tuple(experiment.extra_sensor_configs(axis.sensors) for axis in rig.axis),
         tuple(_errors_of(one) for one in rig.lone_sensors),
+        tuple(rig.sensor_places),
     )
 
 

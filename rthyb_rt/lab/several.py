@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import config, core, ground_motion
-from rthyb_rt.config import AxesRig, Derived, Limit, RigFile, TestFile, matrix_response
+from rthyb_rt.config import AxesRig, Derived, Limit, RigFile, TestFile, defaults, matrix_response
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config.axes_reference import reference_of
 from rthyb_rt.config.deriving_axes import (
@@ -21,7 +21,13 @@ from rthyb_rt.config.deriving_axes import (
     of_axis,
     resolve_axes,
 )
-from rthyb_rt.config.lonesensors import READ, LoneDisplacement, LoneForce, LoneSensor
+from rthyb_rt.config.lonesensors import (
+    READ,
+    LoneDisplacement,
+    LoneForce,
+    LoneSensor,
+    tare_most,
+)
 from rthyb_rt.config.placing import placing
 from rthyb_rt.config.testfile import MATRIX, MatrixLaw
 from rthyb_rt.core.coupled_rig import CoupledRig
@@ -37,7 +43,7 @@ from rthyb_rt.core.matrix_lead import MatrixLeadConfig
 from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import axes_rig, experiment
+from rthyb_rt.lab import axes_rig, experiment, sensor_wires
 from rthyb_rt.lab.experiment import Group, Setup
 from rthyb_rt.record.recording import BESIDE_SAMPLES
 
@@ -77,6 +83,8 @@ def prepare(
     _refuse_what_is_of_one(test)
     if real_time:
         rig.refuse_redundant("a test in real time", "run it in virtual time, without --realtime")
+        rig.refuse_silent_sensors("a test in real time")
+        sensor_wires.check(rig)
         experiment.refuse_other_rate(test, rig)
         experiment.refuse_python(test, [own.law for own in rig.specimen.element])
 
@@ -266,8 +274,28 @@ def _range_notes(group: Group) -> list[str]:
 
 
 def _derived_notes(group: Group) -> list[str]:
-    """Return a note for each velocity limit that is derived because no file states one."""
-    return [
+    """Return a note for each velocity limit that is derived because no file states one.
+
+    And one for each sensor without an actuator of which a limit is neither stated nor derived.
+    """
+    unwatched = []
+    channels = sensor_wires.carried(group.rig)
+    for one, channel in zip(group.rig.lone_sensors, channels, strict=True):
+        of_force, found = isinstance(one, LoneForce), default_limits(one, channel, group)
+        jump = one.jump_n if isinstance(one, LoneForce) else one.jump_m
+        keys = {
+            "stuck": ("stuck_s", one.stuck_s),
+            "jump": ("jump_n" if of_force else "jump_m", jump),
+        }
+        missing = [key for name, (key, own) in keys.items() if own is None and name not in found]
+        if missing:
+            noise = "noise_std_n and lsb_n" if of_force else "noise_std_m and lsb_m"
+            unwatched.append(
+                f"sensor {one.name}: {' and '.join(missing)} cannot be derived from its noise "
+                f"({noise}), so a reading that repeats itself or jumps may not end the test: state "
+                "them"
+            )
+    return unwatched + [
         f"axis {name}: {note}"
         for name, own in zip(group.rig.names, group.derived.axis, strict=True)
         for note in experiment.derived_notes(own.limits)
@@ -304,6 +332,8 @@ def at_rest(rig: AxesRig) -> Setup:
         InputError: the values of the rig file are inconsistent, or the actuators are redundant.
     """
     rig.refuse_redundant("real time", "only tests in virtual time are: rthyb run TEST.toml")
+    rig.refuse_silent_sensors("real time")
+    sensor_wires.check(rig)
     storeys = range(1, len(rig.directions) + 1)
     masses = np.diag(rig.k_e) / (2.0 * np.pi) ** 2
     text = _AT_REST.format(
@@ -466,6 +496,7 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
     common = {cause: w for cause, w in views[0].watches.items() if cause not in AXIS_WATCHES}
     part, own = experiment.part_channels(setup.derived), axis_channels(setup.controller)
     lone = _lone_channels(rig)
+    channels = sensor_wires.carried(rig) if real else [None] * len(rig.lone_sensors)
     return replace(
         views[0],
         controller=replace(setup.controller, axes=axes),
@@ -478,15 +509,23 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
         part_channel_count=len(part),
         axis_channel=setup.channels.index(own[0]) if own else 0,
         axis_channel_count=len(own),
-        sensors=tuple(_watched(one, setup, group, views) for one in rig.lone_sensors),
+        sensors=tuple(
+            _watched(one, setup, group, views, default_limits(one, channel, group) if real else {})
+            for one, channel in zip(rig.lone_sensors, channels, strict=True)
+        ),
         lone_channel=setup.channels.index(lone[0]) if lone else 0,
         lone_channel_count=len(lone),
     )
 
 
 def _watched(
-    one: LoneSensor, setup: Setup, group: Group, views: Sequence[core.StationConfig]
+    one: LoneSensor,
+    setup: Setup,
+    group: Group,
+    views: Sequence[core.StationConfig],
+    derived_limits: Mapping[str, Limit],
 ) -> SensorWatches:
+    """Return the limits of a sensor without an actuator, stated or else derived, by name."""
     limits: dict[str, tuple[str, Limit | None]] = {"stuck": ("sensor_stuck_s", one.stuck_s)}
     if isinstance(one, LoneForce):
         reach, limits["jump"] = one.range_n, ("force_jump_n", one.jump_n)
@@ -497,6 +536,14 @@ def _watched(
         for name, (of, limit) in limits.items()
         if limit is not None and limit.acts
     }
+    for name, derived in derived_limits.items():
+        of, stated = limits[name]
+        # Derived changes per sample are already for the rate of the test; times never are.
+        value = experiment.at_rate(of, derived.value, setup.rate)
+        if stated is None:
+            watches[name] = core.Watch(
+                value if name == "stuck" else float(derived.value), derived.action
+            )
     return SensorWatches(
         one.name,
         reach or 0.0,
@@ -504,6 +551,40 @@ def _watched(
         watches.get("jump"),
         0.0 if isinstance(one, LoneForce) else _rest_spread_m(one, group),
         _tare_most(one, group.rig, views),
+    )
+
+
+def default_limits(
+    one: LoneSensor, channel: sensor_wires.Carried | None, group: Group
+) -> dict[str, Limit]:
+    """Return the limits on a sensor without an actuator that follow from its noise and the motion.
+
+    Args:
+        one: the sensor.
+        channel: what the frames carry of it; None: not known.
+        group: rig, limits of the axes, and reference.
+
+    Returns:
+        ``stuck``, a time, and ``jump``, a change per sample of the test, if they can be derived:
+        both need the noise of the sensor, the jump of a load cell a reference.
+    """
+    rig, derived = group.rig, group.derived
+    along = np.array([one.along.get(name, 0.0) for name in rig.directions])
+    step = 0.0 if channel is None else channel.step
+    tie, rate = rig.core_kinematics(), derived.rate
+    limits = [own.limits for own in derived.axis]
+    if isinstance(one, LoneForce):
+        change = float(np.abs(np.diff(group.reference.force @ along)).max(initial=0.0))
+        force = [limit.limits.force_n for limit in limits]
+        most = [limit.value if limit is not None and limit.acts else 0.0 for limit in force]
+        reach = tare_most(along @ tie.jacobian().T, most)
+        return defaults.of_load_cell(
+            one.noise_std_n, max(one.lsb_n, step), min(reach, one.range_n or math.inf), change, rate
+        )
+    by_axis = np.array(along @ tie.back())
+    peak = float(np.abs(group.reference.v @ along).max(initial=0.0))
+    return defaults.of_displacement_sensor(
+        one.noise_std_m, max(one.lsb_m, step), by_axis.tolist(), limits, peak, rate
     )
 
 
@@ -523,18 +604,17 @@ def _rest_spread_m(one: LoneDisplacement, group: Group) -> float:
 def _tare_most(one: LoneSensor, rig: AxesRig, views: Sequence[core.StationConfig]) -> float:
     """Return the greatest allowed tare of a sensor, m or N; 0: any.
 
-    It is what the sensor reads if the tare of every axis is at its own limit, with the signs that
-    add up; where an axis to which it responds has no limit, it has none. The readings r = a u for
-    the interface's displacement u follow from those of the axes, u = B^+ x; those of a load cell, r
-    = a F, from the forces of the axes with the same work, F = B^T f.
+    The readings r = a u for the interface's displacement u follow from those of the axes,
+    u = B^+ x; those of a load cell, r = a F, from the forces of the axes with the same work,
+    F = B^T f.
     """
     along = np.array([one.along.get(name, 0.0) for name in rig.directions])
     tie = rig.core_kinematics()
     of_force = isinstance(one, LoneForce)
-    by_axis = np.abs(along @ (tie.jacobian().T if of_force else tie.back()))
-    most = np.array([view.tare_most_n if of_force else view.tare_most_m for view in views])
-    felt = by_axis > 1e-9 * by_axis.max()
-    return float(by_axis @ most) if (most[felt] > 0.0).all() else 0.0
+    by_axis = along @ (tie.jacobian().T if of_force else tie.back())
+    return tare_most(
+        by_axis, [view.tare_most_n if of_force else view.tare_most_m for view in views]
+    )
 
 
 def _velocity(own: Derived, axis: AxisConfig, real: bool) -> float | None:

@@ -113,8 +113,26 @@ def _too_large(run: Run) -> str:
 
 def silent_sensors(run: Run) -> str:
     """Return the sensors without an actuator that give no usable reading, in words; "": none."""
+    station = run.station
     return "; ".join(
         f"{trips.sensor_of(run.config, k)}: no usable reading for {numbers.count(ticks, 'tick')}"
-        for k, ticks in enumerate(run.station.sensors_missing)
+        + _at_end(run, k, end)
+        for k, (ticks, end) in enumerate(
+            zip(station.sensors_missing, station.sensors_at_end, strict=True)
+        )
         if ticks
+    )
+
+
+def _at_end(run: Run, sensor: int, reading: float | None) -> str:
+    """Return in words that a sensor reads a value at the end of its range; "" if it does not."""
+    if reading is None:
+        return ""
+    group = run.setup.group
+    of_force = group is not None and isinstance(group.rig.lone_sensors[sensor], LoneForce)
+    unit, factor, key = ("kN", 1e-3, "range_n") if of_force else ("mm", 1e3, "range_m")
+    range_ = run.config.sensors[sensor].range
+    return (
+        f", because it reads {numbers.quantity(reading, unit, factor, 4)}, at or beyond the end of "
+        f"its range of {numbers.quantity(range_, unit, factor)} ({key} in the rig file)"
     )

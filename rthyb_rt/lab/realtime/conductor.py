@@ -136,6 +136,7 @@ class Conductor:
                 lead_us=_lead_us(rig, self.rate),
                 paced=before_tick is not None,
                 further=self.ways[1:],
+                sensors=_sensors_at(first.setup),
             )
             self._owned = owned.pop_all()
             undo.pop_all()
@@ -657,6 +658,13 @@ class Conductor:
             "ring": {"locked": run.ring.locked, "in_memory": run.ring.in_memory},
             **self._axis_facts(run, before, now),
         }
+
+
+def _sensors_at(setup: experiment.Setup) -> list[tuple[int, int]]:
+    """Return axis and number of the extra channel with the reading of each sensor of no axis."""
+    if setup.group is None:
+        return []
+    return [place for place in setup.group.rig.sensor_places if place is not None]
 
 
 def _lead_us(rig: RigFile, rate: Rate) -> float:

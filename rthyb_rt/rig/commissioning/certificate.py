@@ -134,7 +134,8 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
 
     Covers link, calibration, actuator, sensors and limits, but not names, comments, specimen, k_e
     or identified values. A DBC file counts by its content, not by its path. For an axis of several
-    its name counts as well, because the kinematics refer to it by name.
+    its name counts as well, because the kinematics refer to it by name, and so do the sensors
+    without an actuator in its frames, with the matrix of the kinematics.
     """
     content = {key: value for key, value in rig.model_dump().items() if key in _MATTERS}
     for table, first in _FIRST_KEYS.items():
@@ -157,6 +158,10 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
         content["actuator"].pop(key, None)
     if axis:
         content["axis"] = axis
+    # What sign and scale of these sensors were checked against.
+    if rig.read_along:
+        content["sensor"] = [one.sensor.model_dump() for one in rig.read_along]
+        content["matrix"] = rig.matrix
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 

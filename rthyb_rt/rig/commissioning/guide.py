@@ -13,7 +13,7 @@ from rthyb_rt import core
 from rthyb_rt.core import FLAGS
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
-from rthyb_rt.rig.commissioning import limit_checks, polarity, stops
+from rthyb_rt.rig.commissioning import limit_checks, polarity, sensor_checks, stops
 from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate, CheckedStep, now, rig_hash
 from rthyb_rt.rig.commissioning.guided_motion import (
     ATTEMPTS,
@@ -131,7 +131,7 @@ def _link(connection: Connection, plan: CommissioningSettings) -> CheckedStep | 
         moved = undisturbed(connection, rest)
     except InputError as error:
         return CheckedStep("link", False, now(), faults=(str(error),))
-    figures = rest_figures(moved)
+    figures: dict[str, Any] = rest_figures(moved)
     faults = []
     if moved.cause != "completed":
         faults.append(f"the rig did not stay at rest: {moved.end_reason}")
@@ -150,6 +150,10 @@ def _link(connection: Connection, plan: CommissioningSettings) -> CheckedStep | 
             f"{1e3 * after:.4g} mm when commands began, although it was commanded to hold: "
             "displacement and command disagree; check both in [calibration], starting with offset_m"
         )
+    sensors, missing = sensor_checks.at_rest(connection.rig, moved)
+    if sensors:
+        figures["sensors"] = sensors
+    faults += missing
     rate = figures["rate_hz"]
     wanted_hz = connection.rig.rate.hz
     if rate is not None and abs(rate / wanted_hz - 1.0) > RATE_TOLERANCE:
@@ -202,13 +206,19 @@ def _polarity(connection: Connection, plan: CommissioningSettings) -> CheckedSte
     faults = list(verdict.faults)
     if moved.cause != "completed":
         faults.append(f"the motion did not finish: {moved.end_reason}")
-    figures = {
+    figures: dict[str, Any] = {
         "commanded_m": moved.commanded_m,
         "moved_m": moved.moved_m,
         "slope": verdict.slope,
         "force_change_n": moved.change_n,
         "stiffness_n_per_m": verdict.stiffness_n_per_m,
     }
+    sensors, wrong = sensor_checks.by_motion(connection, moved)
+    if sensors:
+        figures["sensors"] = sensors
+    # If the axis itself moved the wrong way, its sensors cannot be judged by it.
+    if verdict.good:
+        faults += wrong
     bring_back(connection, moved)
     return CheckedStep("polarity", not faults, now(), figures, tuple(faults))
 

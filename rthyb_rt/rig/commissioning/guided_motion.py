@@ -129,6 +129,13 @@ class MotionResult:
     def _mean_ticks(self) -> int:
         return Rate(self.recording.fs_hz).ticks(_MEAN_S)
 
+    def rests(self) -> tuple[Rows, Rows]:
+        """Return the rows over which positions and forces are averaged, before and after it."""
+        rows, most = self.rows[fresh(self.rows)], self._mean_ticks
+        moves = rows["state"] >= STATES.index("RAMP_IN")
+        begun = int(np.argmax(moves)) if moves.any() else rows.size
+        return rows[:begun][-most:], rows[-most:]
+
     @property
     def zeroed(self) -> bool:
         """Whether the tare was taken; from then on everything is relative to it."""

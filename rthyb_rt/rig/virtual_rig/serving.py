@@ -20,7 +20,7 @@ from rthyb_rt.config import STANDARD, AxesRig, Rate, RigFile
 from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import axes_rig, experiment, extras
+from rthyb_rt.lab import axes_rig, experiment, extras, sensor_wires
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.rig.links.opened import Opened
 from rthyb_rt.rig.virtual_rig.rig_plan import NO_PLAN, RigPlan
@@ -122,6 +122,8 @@ def drives_of(
             actuators.
     """
     rig.refuse_redundant("a rig on a link", "run tests in virtual time: rthyb run TEST.toml")
+    rig.refuse_silent_sensors("a rig on a link")
+    sensor_wires.check(rig)
     seed = rig.rig.seed if plan.seed is None else plan.seed
     given = rig.model_copy(update={"rig": rig.rig.model_copy(update={"seed": seed})})
     plant: CoupledRig = axes_rig.virtual_rig(given, rate_of(rig, plan).hz)
