@@ -277,8 +277,26 @@ def test_bounds_hold_whatever_comes_back() -> None:
 @pytest.mark.parametrize(
     ("lines", "complaint"),
     [
-        ('type = "inverse"\ninverse = { delay_least_s = 0.06 }', "greater than delay_least_s"),
-        ('type = "inverse"\ninverse = { b3 = -1 }', "rig as fitted is unstable"),
+        (
+            'type = "inverse"\ninverse = { delay_least_s = 0.06 }',
+            "delay_most_s = 0.0585938 s, its default; must be greater than delay_least_s = 0.06 s",
+        ),
+        (
+            'type = "inverse"\ninverse = { delay_least_s = 0.02, delay_most_s = 0.01 }',
+            "delay_most_s = 0.01 s; must be greater than delay_least_s = 0.02 s",
+        ),
+        (
+            'type = "inverse"\ninverse = { b0 = 0, b1 = 0, b2 = 0, b3 = -1, b4 = 0, b5 = 0 }',
+            "rig as fitted is unstable",
+        ),
+        (
+            'type = "inverse"\ninverse = { b0 = 0 }',
+            "found b0 without b1, b2, b3, b4, b5; the coefficients of the inverse belong together",
+        ),
+        (
+            'type = "inverse"\ninverse = { b0 = 0, b1 = 0.02, b2 = 0, b4 = 0, b5 = 0 }',
+            "found b0, b1, b2, b4, b5 without b3;",
+        ),
         ('type = "gain-alpha-beta"\ngain_alpha_beta = { gain0 = 1.5 }', "within gain_most"),
         ('type = "gain-alpha-beta"\ngain_alpha_beta = { delay0_s = 0.07 }', "to delay_most_s"),
         (
@@ -297,12 +315,58 @@ def test_settings_that_do_not_fit_are_named(lines: str, complaint: str) -> None:
 
 @pytest.mark.parametrize("key", ["roll_off_hz", "cutoff_hz", "fit_roll_off_hz"])
 def test_a_frequency_beyond_half_the_rate_is_named_with_the_rate(key: str) -> None:
-    text = TEST.replace('"t"', '"t", sample_rate_hz = 256')
+    text = TEST.replace('"t"', '"t", sample_rate_hz = 512')
     rig = config.load_rig(config.shipped_rig("rths-benchmark"))
-    keys = f'type = "inverse"\ninverse = {{ {key} = 200, b0 = 0 }}'
+    keys = f'type = "inverse"\ninverse = {{ {key} = 300 }}'
     test = config.parse_test(f"{text}[controller]\n{keys}\n")
-    with pytest.raises(InputError, match=r"below half of test\.sample_rate_hz = 256 Hz"):
+    with pytest.raises(InputError, match=r"below half of test\.sample_rate_hz = 512 Hz"):
         config.derive(test, rig)
+
+
+NO_INVERSE = "{ b0 = 0, b1 = 0, b2 = 0, b3 = 0, b4 = 0, b5 = 0 }"
+
+
+@pytest.mark.parametrize("rig_name", ["shaking-table-portal-frame", "rths-benchmark"])
+def test_coefficients_that_are_all_zero_are_refused_with_and_without_a_response(
+    rig_name: str,
+) -> None:
+    rig = config.load_rig(config.shipped_rig(rig_name))
+    for bare in (False, True):
+        if bare and rig.identified is not None:
+            none = {"frequency_hz": [], "amplitude": [], "delay_at_frequency_s": []}
+            rig = rig.model_copy(update={"identified": rig.identified.model_copy(update=none)})
+        keys = f'type = "inverse"\ninverse = {NO_INVERSE}'
+        test = config.parse_test(f"{TEST}[controller]\n{keys}\n", "test.toml")
+        with pytest.raises(InputError, match="all 0, which is no inverse"):
+            config.derive(test, rig)
+
+
+@pytest.mark.parametrize("given", [{}, {"b0": 0.0}, {f"b{j}": 0.0 for j in range(5)}])
+def test_an_incomplete_inverse_never_replaces_the_fit_to_the_response(
+    given: dict[str, float],
+) -> None:
+    """Settings that did not come from a file: a rig without a response is refused nevertheless."""
+    bare = config.load_rig(config.shipped_rig("shaking-table-portal-frame"))
+    rig = config.load_rig(config.shipped_rig("rths-benchmark"))
+    assert bare.identified is not None
+    none = {"frequency_hz": [], "amplitude": [], "delay_at_frequency_s": []}
+    bare = bare.model_copy(update={"identified": bare.identified.model_copy(update=none)})
+    test = config.parse_test(f'{TEST}[controller]\ntype = "inverse"\n')
+    own = test.controller.with_settings({f"inverse.{key}": value for key, value in given.items()})
+    test = test.model_copy(update={"controller": own})
+    with pytest.raises(InputError, match="needs the identified response"):
+        config.derive(test, bare)
+    fitted = config.derive(test, rig).law_settings
+    assert abs(fitted["inverse.b1"] - rig.identified.delay_s) < 0.1 * rig.identified.delay_s
+
+
+def test_a_run_without_phase_lead_can_be_repeated_from_its_resolved_test() -> None:
+    """Its inverse was never fitted, and is written out as zeros."""
+    rig = config.load_rig(config.shipped_rig("shaking-table-portal-frame"))
+    test = config.parse_test(f'{TEST}[controller]\ntype = "inverse"\nplc_enabled = false\n')
+    resolved = config.resolve(test, config.derive(test, rig))
+    assert resolved.controller.setting("inverse.b1") == 0.0
+    config.derive(resolved, rig)
 
 
 @pytest.mark.parametrize("name", LAWS)

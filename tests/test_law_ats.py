@@ -158,7 +158,7 @@ def test_it_begins_with_a_share_of_the_squared_delay_as_curvature() -> None:
     ("line", "complaint"),
     [
         ("window_s = 2", "must be from 4 to 288 times spacing_s"),
-        ("spacing_s = 0.5", "must be from 4 to 288 times spacing_s"),
+        ("spacing_s = 0.5", "window_s = 1 s, its default; must be from 4 to 288 times spacing_s"),
         ("a1_s = 0.09", "a1_max_s = 0.08"),
         ("a2_max_s2 = 1e-6", "a2_share times the square of a1_s"),
         ("a2_share = 1.5", "must be"),
@@ -177,6 +177,30 @@ controller = { type = "ats", ats = { a1_s = 0.02, %s } }
     with pytest.raises(InputError) as caught:
         config.parse_test(text % line, "test.toml")
     assert complaint in str(caught.value)
+
+
+def test_a_setting_changed_on_the_command_line_is_not_blamed_for_the_value_of_another() -> None:
+    """The error is told at the option, which has not the value that is out of bounds."""
+    changes = {"controller.type": "ats", "controller.ats.spacing_s": "1e-9"}
+    with pytest.raises(InputError) as caught:
+        config.load_test(config.builtin_test_path(), changes)
+    assert str(caught.value).startswith(
+        "--set controller.ats.spacing_s: found window_s = 1 s, its default; must be from 4 to 288 "
+        "times spacing_s = 1e-09 s"
+    )
+
+
+def test_the_delay_of_the_rig_is_what_its_bound_is_held_against() -> None:
+    """A rig of 16.6 ms: a1 starts from there, so its bound may be below the default of 20 ms."""
+    rig = config.load_rig(config.shipped_rig("shaking-table-portal-frame"))
+    for most, fits in (("0.018", True), ("0.015", False)):
+        changes = {"controller.type": "ats", "controller.ats.a1_max_s": most}
+        test = config.load_test(config.builtin_test_path(), changes)
+        if fits:
+            assert config.derive(test, rig).law_settings["ats.a1_s"] < float(most)
+            continue
+        with pytest.raises(InputError, match=r"gives identified\.delay_s = .*a1_max_s = 0\.015"):
+            config.derive(test, rig)
 
 
 def test_the_shaking_table_follows_within_one_percent() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import tracemalloc
 from typing import Any
 
@@ -273,14 +274,42 @@ def test_delay_margin_is_what_the_critical_delay_leaves(law: str, delay: int) ->
 def test_weights_of_the_paper_are_unstable_on_the_benchmarks_actuator(
     rate: int, law: str, radius: float, frequency_hz: float
 ) -> None:
-    verdict = judged(framed(law, rate))
+    setup = framed(law, rate)
+    verdict = judged(setup)
     assert verdict.unstable
     assert verdict.radius - 1.0 == pytest.approx(radius - 1.0, rel=0.2)
     assert verdict.frequency_hz == pytest.approx(frequency_hz, abs=1.0)
-    text = loop_roots.remark(verdict)
+    text = loop_stability.remark(setup, verdict)
     assert text is not None
     assert "unstable" in text
     assert "remove controller.w1 and w2" in text
+
+
+@pytest.mark.parametrize(
+    ("law", "advice"),
+    [
+        ('"ats"', "use the control law inverse"),
+        ('"third-order"', "use the control law inverse"),
+        ('"amb", rfc = { cutoff_hz = 200 }', "set controller.rfc.cutoff_hz below the resonance"),
+        (
+            '"gain-alpha-beta", gain_alpha_beta = { roll_off_hz = 400 }',
+            "lower controller.gain_alpha_beta.roll_off_hz or use the control law inverse",
+        ),
+    ],
+)
+def test_advice_against_an_unstable_resonance_has_only_keys_of_the_law_that_help(
+    law: str, advice: str
+) -> None:
+    setup = framed(f"type = {law}")
+    verdict = judged(setup)
+    assert verdict.unstable
+    assert verdict.frequency_hz == pytest.approx(67.0, abs=3.0)
+    text = loop_stability.remark(setup, verdict)
+    assert text is not None
+    assert f"the lead drives a resonance of actuator and specimen: {advice}" in text
+    known = {p.key for p in setup.controller.law.law.parameters} | {"rfc.cutoff_hz"}
+    assert set(re.findall(r"controller\.([a-z0-9_.]*[a-z0-9_])", text)) <= known
+    assert not judged(framed('type = "inverse"')).unstable
 
 
 @pytest.mark.long
@@ -289,11 +318,12 @@ def test_weights_of_the_paper_are_unstable_on_the_benchmarks_actuator(
 def test_defaults_are_stable_on_the_benchmarks_actuator_with_room_to_spare(
     law: str, rate: int
 ) -> None:
-    verdict = judged(framed(f'type = "{law}"', rate))
+    setup = framed(f'type = "{law}"', rate)
+    verdict = judged(setup)
     assert not verdict.unstable
     assert not verdict.thin
     assert verdict.gain_margin > 2.0
-    assert loop_roots.remark(verdict) is None
+    assert loop_stability.remark(setup, verdict) is None
 
 
 def silent(rig: RigFile) -> RigFile:
@@ -370,10 +400,11 @@ def test_a_rig_that_would_push_more_than_the_margin_is_unstable() -> None:
 
 @pytest.mark.long
 def test_uncompensated_shaking_table_grows_at_the_structures_own_frequency() -> None:
-    verdict = judged(table("none"))
+    setup = table("none")
+    verdict = judged(setup)
     assert verdict.unstable
     assert verdict.frequency_hz == pytest.approx(2.0, abs=0.1)
-    text = loop_roots.remark(verdict)
+    text = loop_stability.remark(setup, verdict)
     assert text is not None
     assert "compensate the delay" in text
     for law in ("paper", "robust", "alpha-beta", "inverse"):
@@ -408,7 +439,7 @@ def test_friction_of_the_table_does_not_make_an_unstable_loop_stable(
 def test_little_to_spare_is_said_in_figures() -> None:
     verdict = LoopVerdict(0.9999, 67.0, 1.1, 0.6, 80.0)
     assert verdict.thin
-    text = loop_roots.remark(verdict)
+    text = loop_roots.remark(verdict, "")
     assert text is not None
     assert "1.1 times the rig's gain (1.25 are advised)" in text
     assert (
@@ -416,7 +447,7 @@ def test_little_to_spare_is_said_in_figures() -> None:
         in text
     )
     assert not LoopVerdict(0.9999, 3.6, 2.0, math.inf, 80.0).thin
-    assert loop_roots.remark(LoopVerdict(0.9999, 3.6, 2.0, math.inf, 80.0)) is None
+    assert loop_roots.remark(LoopVerdict(0.9999, 3.6, 2.0, math.inf, 80.0), "") is None
 
 
 def test_without_an_identified_response_nothing_is_judged() -> None:
@@ -428,7 +459,7 @@ def test_without_an_identified_response_nothing_is_judged() -> None:
     assert found.loop is None
     (row,) = [row for row in found.tables()[0] if row[0] == "Largest root"]
     assert row[1:] == ("not computed", "the rig file has no identified response")
-    assert loop_roots.remark(None) is None
+    assert loop_roots.remark(None, "") is None
 
 
 # ---- before ARM ---------------------------------------------------------------------------------

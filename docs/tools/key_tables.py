@@ -397,7 +397,7 @@ def _of_laws(model: type[Table], key: str) -> str:
                if name.rpartition(".")[0] == table}  # fmt: skip
     names = [law.name for law, _ in users]
     more = f" ({', '.join(f'`{name}`' for name in names)})" if set(names) != sharing else ""
-    if rig_key == rigsettings.RESPONSE:
+    if rig_key == lawtables.RESPONSE:
         more += f"; absent: fitted to the response in the rig's `{rig_key}`"
     elif rig_key == rigsettings.ROLL_OFF:
         more += (

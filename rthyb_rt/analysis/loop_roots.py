@@ -421,13 +421,9 @@ def badness(found: LoopVerdict) -> tuple[bool, float, float]:
 
 
 _SLOW: Final = "compensate the delay, or increase the damping of the structure"
-_FAST: Final = (
-    "the lead drives a resonance of actuator and specimen: remove controller.w1 and w2 if the rig "
-    "was identified up to 80 Hz, lower controller.rfc.cutoff_hz, or use the control law inverse"
-)
 
 
-def remark(found: LoopVerdict | None, fast: str = _FAST) -> str | None:
+def remark(found: LoopVerdict | None, fast: str) -> str | None:
     """Return a remark for the user on an unstable or nearly unstable loop, or None.
 
     Args:

@@ -15,6 +15,9 @@ _FAST_AXES: Final = (
     "compensate the delay of every axis (the control law matrix also compensates their coupling), "
     "increase the damping of the structure, or lower controller.rfc.cutoff_hz"
 )
+_CALMER_KEYS: Final = {"roll_off_hz": "lower", "filter_s": "raise", "order": "lower"}
+"""Settings with which a law leads fast motion less, by the last part of their keys."""
+_INVERSE: Final = "inverse"
 
 
 def judge(setup: Setup) -> LoopVerdict | None:
@@ -25,8 +28,37 @@ def judge(setup: Setup) -> LoopVerdict | None:
 def remark(setup: Setup, found: LoopVerdict | None) -> str | None:
     """Return a remark for the user on a loop that is unstable or nearly so, or None."""
     if setup.group is None:
-        return loop_roots.remark(found)
+        return loop_roots.remark(found, _advice(setup, found))
     return loop_roots.remark(found, _FAST_AXES)
+
+
+def _advice(setup: Setup, found: LoopVerdict | None) -> str:
+    """Return what to do against an instability at a resonance, with the keys of the test's law."""
+    config = setup.controller
+    law, other = config.law.law, f"use the control law {_INVERSE}"
+    if law.passes or not config.lead_enabled:
+        return f"nothing compensates the delay of the rig: {other}"
+    ways = [
+        f"{_CALMER_KEYS[last]} controller.{p.key}"
+        for p, value in zip(law.parameters, config.law.values(), strict=True)
+        if (last := p.key.rpartition(".")[2]) in _CALMER_KEYS
+        and (value > p.low or _CALMER_KEYS[last] == "raise")
+    ]
+    if law.parameter("w1") is not None and not law.as_printed:
+        ways.append("remove controller.w1 and w2 if the rig was identified up to 80 Hz")
+    cutoff_hz = config.rfc.cutoff_hz
+    if config.rfc.enabled and found is not None and not 0.0 < cutoff_hz <= found.frequency_hz:
+        # A low-pass below the resonance has done what it can.
+        ways.append("set controller.rfc.cutoff_hz below the resonance")
+    if law.name != _INVERSE:
+        ways.append(other)
+    return f"the lead drives a resonance of actuator and specimen: {_one_of(ways)}"
+
+
+def _one_of(ways: list[str]) -> str:
+    """Return alternatives as a list in words."""
+    *first, last = ways
+    return f"{', '.join(first)}, or {last}" if len(first) > 1 else " or ".join(ways)
 
 
 def remark_of(setup: Setup) -> str | None:

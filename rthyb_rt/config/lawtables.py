@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Annotated, Any, Final, TypeVar
 
 from pydantic import AfterValidator, Field, create_model
@@ -19,6 +19,11 @@ from rthyb_rt.core.laws import LAWS, LawDescription, Parameter, parameters
 _T = TypeVar("_T", bound=Table)
 
 DEFAULT_LAW: Final = "paper"
+RESPONSE: Final = "identified.frequency_hz"
+"""Key of the rig file that a law's setting names if it is fitted to the identified response."""
+DELAY: Final = "identified.delay_s"
+COEFFICIENTS: Final = tuple(f"b{j}" for j in range(6))
+"""Last part of the keys of the coefficients of a fitted inverse; they belong together."""
 
 
 TABLES: Final[dict[type[Table], str]] = {}
@@ -112,6 +117,10 @@ def faults(
     if keys.get("type") == PYTHON:
         return
     law = LAWS.get(str(keys.get("type", DEFAULT_LAW)), LAWS[DEFAULT_LAW])
+    partial = _partial_inverse(law, keys)
+    if partial is not None:
+        yield partial
+        return
     values = _values(law, keys)
     if values is None:
         return
@@ -121,21 +130,80 @@ def faults(
     key, text = found
     prefix = key.rpartition(".")[0]
     words = set(re.findall(r"\w+", text))
-    beside = [
-        p.key.removeprefix(f"{prefix}." if prefix else "")
+    others = [
+        p.key
         for p in law.parameters
-        if p.key.rpartition(".")[2] in words and p.key.startswith(prefix)
+        if p.key != key and p.key.rpartition(".")[2] in words and p.key.startswith(prefix)
     ]
-    yield tuple(key.split(".")), text, tuple(beside)
+    if any(_only_the_rig_knows(law, one, keys) for one in (key, *others)):
+        return
+    beside = [one.removeprefix(f"{prefix}." if prefix else "") for one in others]
+    yield tuple(key.split(".")), _with_its_key(text, key, others, keys), tuple(beside)
+
+
+def coefficients_of(law: LawDescription) -> tuple[str, ...]:
+    """Return the keys of the coefficients of a law's fitted inverse, below [controller]."""
+    return tuple(
+        p.key
+        for p in law.parameters
+        if p.rig_key == RESPONSE and p.key.rpartition(".")[2] in COEFFICIENTS
+    )
+
+
+def _partial_inverse(
+    law: LawDescription, keys: Mapping[str, Any]
+) -> tuple[tuple[str, ...], str, tuple[str, ...]] | None:
+    """Return an error if some coefficients of an inverse are given and others are not.
+
+    The missing ones cannot be fitted: each depends on all others.
+    """
+    all_of_them = coefficients_of(law)
+    given = [key for key in all_of_them if _at(keys, key) is not None]
+    if not given or len(given) == len(all_of_them):
+        return None
+    missing = ", ".join(key.rpartition(".")[2] for key in all_of_them if key not in given)
+    text = (
+        f"found {', '.join(key.rpartition('.')[2] for key in given)} without {missing}; the "
+        "coefficients of the inverse belong together: give all six, as in the resolved test file "
+        "of a run, or none, so that they are fitted to what rthyb identify has found"
+    )
+    return tuple(given[0].split(".")), text, ()
+
+
+def _only_the_rig_knows(law: LawDescription, key: str, keys: Mapping[str, Any]) -> bool:
+    """Return whether a setting is the delay of the rig; it is checked once the rig is read."""
+    found = law.parameter(key)
+    return found is not None and found.rig_key == DELAY and _at(keys, key) is None
+
+
+def _with_its_key(text: str, key: str, others: Sequence[str], keys: Mapping[str, Any]) -> str:
+    """Return a complaint that names the setting whose value it begins with, where that is needed.
+
+    An error is reported at the setting that the user has changed, which may be another of those
+    that contradict each other; without its key, the value would be taken for that of the other.
+    """
+    given = _at(keys, key) is not None
+    if given and all(_at(keys, other) is None for other in others):
+        return text
+    named = f"found {key.rpartition('.')[2]} = "
+    if given:
+        return re.sub(r"^found ", named, text)
+    return re.sub(r"^found ([^;]*);", rf"{named}\1, its default;", text)
+
+
+def _at(keys: Mapping[str, Any], key: str) -> Any:
+    """Return the value of a key with points below [controller], or None."""
+    place: Any = keys
+    for part in key.split("."):
+        place = place.get(part) if isinstance(place, Mapping) else None
+    return place
 
 
 def _values(law: LawDescription, keys: Mapping[str, Any]) -> list[float] | None:
     """Return all settings, NaN for those that only the rig knows; None if one is not valid."""
     values = []
     for p in law.parameters:
-        place: Any = keys
-        for part in p.key.split("."):
-            place = place.get(part) if isinstance(place, Mapping) else None
+        place = _at(keys, p.key)
         if place is None:
             values.append(math.nan if p.default is None else p.default)
             continue

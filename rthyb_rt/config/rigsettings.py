@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
+from rthyb_rt.config.lawtables import COEFFICIENTS, RESPONSE, coefficients_of
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import RigFile
@@ -17,11 +18,9 @@ if TYPE_CHECKING:
 PAIR_CUTOFF_HZ: Final = 10.0
 """Cut-off of the filter pair with a rolled-off lead: noise would bias beta with a higher one."""
 ROLL_OFF: Final = "identified.roll_off_hz"
-RESPONSE: Final = "identified.frequency_hz"
 _WEIGHTS: Final = ("w1", "w2")
 _PAIR: Final = "delay_estimator.cutoff_hz"
 _CURVATURE: Final = "beta0"
-_COEFFICIENTS: Final = tuple(f"b{j}" for j in range(6))
 _SWEEP: Final = '`rthyb identify RIG --max-frequency "80 Hz"` looks for a resonance'
 
 
@@ -60,22 +59,42 @@ def law_settings_of_rig(
         if value is not None:
             found[p.key] = value
     fitted = [p.key for p in open_keys if p.rig_key == RESPONSE]
+    _reject_no_inverse(controller, problems)
     if fitted and controller.plc_enabled:
         table, start = fitted[0].partition(".")[0], dict[str, float]()
         try:
-            if f"{table}.{_COEFFICIENTS[0]}" in fitted:
-                roll_off = controller.setting(f"{table}.fit_roll_off_hz")
-                start = _inverse(roll_off or 0.0, rig, rate)
+            if f"{table}.{COEFFICIENTS[0]}" in fitted:
+                roll_off = controller.setting(f"{table}.fit_roll_off_hz") or 0.0
+                # The law itself rejects a frequency that this rate does not have.
+                start = _inverse(roll_off, rig, rate) if roll_off < 0.5 * rate.hz else {}
             else:
-                roll_off = found.get(f"{table}.roll_off_hz") or controller.setting(
-                    f"{table}.roll_off_hz"
-                )
-                start = _lead(roll_off or 0.0, rig, rate)
+                key = f"{table}.roll_off_hz"
+                roll_off = found.get(key) or controller.setting(key) or 0.0
+                start = _lead(roll_off, rig, rate)
         except InputError as error:
             problems += error.problems
             start = dict.fromkeys((key.rpartition(".")[2] for key in fitted), math.nan)
         found |= {key: start[name] for key in fitted if (name := key.rpartition(".")[2]) in start}
     return found
+
+
+def _reject_no_inverse(controller: Controller, problems: list[Problem]) -> None:
+    """Reject an inverse whose given coefficients are all zero: it would compensate nothing.
+
+    Without phase lead they are not used, and a resolved test file then has zeros.
+    """
+    keys = coefficients_of(controller.law)
+    if not keys or not controller.plc_enabled or not all(_is_in(controller, key) for key in keys):
+        return
+    if not any(controller.setting(key) for key in keys):
+        problems.append(
+            Problem(
+                f"controller.{keys[0]}",
+                f"found {', '.join(COEFFICIENTS)} all 0, which is no inverse; leave all of them "
+                "out, so that they are fitted to what rthyb identify has found, or use the law "
+                "gain-alpha-beta, which needs no inverse",
+            )
+        )
 
 
 def _inverse(roll_off_hz: float, rig: RigFile, rate: Rate) -> dict[str, float]:
@@ -150,13 +169,13 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
 def _said(controller: Controller, key: str) -> bool:
     """Return whether the test file gives a setting, or one that belongs to it.
 
-    The two weights belong together, with the filter pair's cut-off and the curvature; so do the
-    coefficients of an inverse.
+    The two weights belong together, with the filter pair's cut-off and the curvature. Coefficients
+    of an inverse count only if all of them are given.
     """
     together: tuple[str, ...] = _WEIGHTS if key in (*_WEIGHTS, _PAIR, _CURVATURE) else ()
     table, _, last = key.rpartition(".")
-    if last in _COEFFICIENTS:
-        together = tuple(f"{table}.{one}" for one in _COEFFICIENTS)
+    if last in COEFFICIENTS:
+        return all(_is_in(controller, f"{table}.{one}") for one in COEFFICIENTS)
     return any(_is_in(controller, one) for one in (key, *together))
 
 
