@@ -370,6 +370,14 @@ def test_a_sensor_at_the_end_of_its_frame_is_not_zeroed(name: str) -> None:
         assert "range" in said
 
 
+@EACH
+def test_a_channel_without_a_number_from_the_beginning_is_named(name: str) -> None:
+    """Its amplifier is off: nothing is sent to the drives, and there is no tare."""
+    said = zeroed(name, lambda _, raw: NO_NUMBER)
+    assert f"sensor {name}: no usable reading for" in said
+    assert said.endswith("because its channel has no number")
+
+
 # ---- serial lines --------------------------------------------------------------------------------
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, Literal, cast
@@ -654,6 +655,15 @@ class Station:
     def sensors_missing(self) -> tuple[int, ...]:
         """Ticks for which each sensor without an actuator has had no usable reading."""
         return tuple(int(n) for n in self._c.controller.sensor_missing[0 : self._sensors])
+
+    @property
+    def sensors_without_number(self) -> tuple[bool, ...]:
+        """Whether the reading of each sensor without an actuator arrived in the last tick as no
+        number.
+        """
+        return tuple(
+            not one.lost and math.isnan(one.reading) for one in self._c.lone[0 : self._sensors]
+        )
 
     @property
     def sensors_at_end(self) -> tuple[float | None, ...]:

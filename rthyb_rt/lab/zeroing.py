@@ -116,9 +116,14 @@ def silent_sensors(run: Run) -> str:
     station = run.station
     return "; ".join(
         f"{trips.sensor_of(run.config, k)}: no usable reading for {numbers.count(ticks, 'tick')}"
-        + _at_end(run, k, end)
-        for k, (ticks, end) in enumerate(
-            zip(station.sensors_missing, station.sensors_at_end, strict=True)
+        + (", because its channel has no number" if no_number else _at_end(run, k, end))
+        for k, (ticks, end, no_number) in enumerate(
+            zip(
+                station.sensors_missing,
+                station.sensors_at_end,
+                station.sensors_without_number,
+                strict=True,
+            )
         )
         if ticks
     )
