@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import base64
+import copy
 import html
 import inspect
 import json
+import pickle
 import re
 import subprocess
 import sys
@@ -670,6 +672,18 @@ MISTAKES = {
         rt.Comparison,
         "found a recording; a comparison is made by compare(first, second)",
     ),
+    "table for a list of tables": (
+        lambda rec: rt.Rig("delay-10-elastic", specimen={"element": "stiffness"}),
+        'specimen has the entries 0 to 0; found "element"; it is a list of tables: give the whole',
+    ),
+    "table for an empty list": (
+        lambda rec: rt.Rig("delay-10-elastic", sensors={"extra": {"name": "a"}}),
+        'sensors.extra has no entries; found "name"; it is a list of tables',
+    ),
+    "rig of several axes for a model": (
+        lambda rec: rt.diagnose(rec, rt.Rig("two-axis-frame")),
+        'diagnose: model "two-axis-frame": found [[axis]]: this rig has several axes',
+    ),
     "list to compare": (
         lambda rec: rt.compare([rec, rec]),
         "found a list of 2; give each recording, or its path, by itself: compare(*recordings)",
@@ -798,6 +812,38 @@ def test_a_recording_is_a_mapping_with_a_default(rec: rt.Recording) -> None:
     np.testing.assert_array_equal(rec.get("x_meas_m"), rec["x_meas_m"])
     with pytest.raises(AttributeError, match=r'no figure hysteresys \(did you mean "hysteresis"'):
         rec.plot.hysteresys()  # type: ignore[operator]
+
+
+READ_BY_NAME = {
+    'recording["x_meas_m"]': lambda rec: rec.x_meas_m,
+    'recording.measures["tracking_nrmse"]': lambda rec: rec.tracking_nrmse,
+    'in brackets, ["tracking_nrmse"]': lambda rec: rec.measures.tracking_nrmse,
+    'a value is read by its key, test["controller"]': lambda rec: rec.test.controller,
+    'a value is read by its key, rig["actuator"]': lambda rec: rec.rig.actuator,
+    'a recording has no attribute complete (did you mean "completed"?)': lambda rec: rec.complete,
+    'a test has no attribute too_toml (did you mean "to_toml"?)': lambda rec: rec.test.too_toml,
+}
+
+
+@pytest.mark.parametrize("told", READ_BY_NAME)
+def test_name_written_like_an_attribute_is_told_with_how_it_is_read(
+    told: str, rec: rt.Recording
+) -> None:
+    with pytest.raises(AttributeError, match=re.escape(told)):
+        READ_BY_NAME[told](rec)
+
+
+def test_objects_with_such_hints_are_copied_and_sent_to_other_processes(rec: rt.Recording) -> None:
+    for made in (copy.deepcopy(rec), pickle.loads(pickle.dumps(rec))):
+        np.testing.assert_array_equal(made["x_meas_m"], rec["x_meas_m"])
+        assert made.measures == rec.measures
+    for made in (copy.deepcopy(rec.test), pickle.loads(pickle.dumps(rec.test))):
+        assert made == rec.test
+    assert not hasattr(rec, "shape")
+    assert "controller.w1" in rec.test
+    assert "controller.w9" not in rec.test
+    with pytest.raises(TypeError, match="not iterable"):
+        list(rec.test)  # type: ignore[call-overload]
 
 
 def test_a_test_takes_changes_of_its_rig_where_it_takes_those_of_its_own_tables() -> None:

@@ -227,3 +227,18 @@ def test_what_is_of_one_axis_says_so(rig: rt.Rig, rec: rt.Recording, tmp_path: P
     ):
         with pytest.raises(InputError, match=r"axes \(?left, right"):
             call()
+
+
+def test_figure_of_several_axes_is_told_with_where_it_is(rec: rt.Recording) -> None:
+    with pytest.raises(rt.InputError) as caught:
+        rec.plot.displacement()
+    assert str(caught.value).startswith("plot.displacement: the test ran on several axes (")
+    assert "report(path) or report_files(folder); balance() alone" in str(caught.value)
+
+
+def test_remedy_of_an_identification_is_in_words_of_python() -> None:
+    with pytest.raises(
+        rt.InputError, match="identify with a smaller amplitude, or up to"
+    ) as caught:
+        rt.identify("two-axis-frame", max_frequency=2)
+    assert "--" not in str(caught.value)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 _WORDS = MAP_WORDS | {
     r"^--map (\w+)": r"compare: columns: \1",
     "--map": "columns",
+    r'campaign\.keep = "all" \(rthyb sweep --keep all\)': 'sweep(..., keep="all")',
     r"--axis ([\w.-]+)": r'axis="\1"',
     r"^--axis$": "compare: axis",
 }

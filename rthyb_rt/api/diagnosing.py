@@ -29,6 +29,9 @@ _WORDS = {
     **MAP_WORDS,
     r"^--map (\w+)": r"diagnose: columns: \1",
     "--map": "columns",
+    # Objects are written to files for the time of a diagnosis.
+    r"^\S*/rthyb-\w+/(recording|heldout)/\S*?(?=$|: )": r"diagnose: \1",
+    r"^\S*/rthyb-\w+/([\w.-]+?)\.toml(:\d+)?": r'diagnose: model "\1"',
 }
 """Options of the command line in messages, and their equivalents here."""
 

@@ -234,11 +234,35 @@ class _Document(Generic[_File]):
             place = inside
         return place
 
-    def __setattr__(self, name: str, value: Any) -> None:
-        """Refuse every change: `with_` returns a changed copy."""
-        if not name.startswith("_"):
-            raise AttributeError(self._unchangeable(f"{self._kind}.{name}", name))
-        super().__setattr__(name, value)
+    __iter__ = None
+    """Without it, Python would ask for the keys 0, 1 and so on."""
+
+    def __contains__(self, key: object) -> bool:
+        """Return whether there is a dotted key, such as ``"numerical.mass_kg"``."""
+        try:
+            self[str(key)]
+        except InputError:
+            return False
+        return True
+
+    if not TYPE_CHECKING:  # otherwise every attribute would be known to mypy
+
+        def __getattr__(self, name: str) -> Any:
+            """Refuse an unknown attribute; the name of a table, with how it is read."""
+            if name.startswith("_"):  # asked for by copy, pickle and notebooks
+                raise AttributeError(name)
+            if name in self:
+                raise AttributeError(f'a value is read by its key, {self._kind}["{name}"]')
+            known = [one for one in dir(type(self)) if one[0] != "_"]
+            raise AttributeError(f"a {self._kind} has no attribute {name}{nearest(name, known)}")
+
+    if not TYPE_CHECKING:  # otherwise every attribute would be known to mypy
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            """Refuse every change: `with_` returns a changed copy."""
+            if not name.startswith("_"):
+                raise AttributeError(self._unchangeable(f"{self._kind}.{name}", name))
+            super().__setattr__(name, value)
 
     def __setitem__(self, key: str, value: Any) -> None:
         """Refuse every change: `with_` returns a changed copy."""

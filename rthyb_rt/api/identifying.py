@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from rthyb_rt import config
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig
-from rthyb_rt.api.messages import require_progress
+from rthyb_rt.api.messages import in_python, require_progress
 from rthyb_rt.api.recordings import Plot, Recording, plot_of
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.fields import Range
@@ -24,6 +24,7 @@ from rthyb_rt.rig import identify_axes
 Progress = Callable[[int, int], None]
 """Called with the number of samples done and the total number."""
 
+_WORDS: Final = {r" \(--amplitude\)": "", r" \(--max-frequency\)": ", max_frequency"}
 _AMPLITUDE: Final = Range("m", 1e-5, 1.0, "the amplitude of the slow sines", 'as in "1 mm"')
 _FREQUENCY: Final = Range("Hz", 0.05, 100.0, "the last sine's frequency", 'as in "5 Hz"')
 
@@ -181,6 +182,15 @@ def identify(
         10
     """
     on = files.rig_to_identify(rig)
+    try:
+        return _identified(on, amplitude, max_frequency, progress)
+    except InputError as error:
+        raise in_python(error, _WORDS) from None
+
+
+def _identified(
+    on: Rig, amplitude: float | str, max_frequency: float | str, progress: Progress | None
+) -> Identification | AxesIdentification:
     require_progress(progress, "identify")
     sweep = sweeping.SweepPlan.up_to(
         _read(max_frequency, "max_frequency", _FREQUENCY), _read(amplitude, "amplitude", _AMPLITUDE)

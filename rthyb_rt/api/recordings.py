@@ -60,6 +60,16 @@ class Named(dict[str, Any]):
         super().__init__(values)
         self._what, self._hint, self._where = what, hint, where
 
+    if not TYPE_CHECKING:  # otherwise every attribute would be known to mypy
+
+        def __getattr__(self, name: str) -> Any:
+            """Refuse a name written like an attribute, with how it is read."""
+            raise AttributeError(
+                f'{self._what}s are read by their names in brackets, ["{name}"]'
+                if name in self
+                else f"no attribute {name}{nearest(name, list(self))}"
+            )
+
     def __missing__(self, name: object) -> Any:
         raise _absent(name, list(self), self._what, self._hint, self._where)
 
@@ -181,11 +191,18 @@ class Plots:
     def _drawn(self, key: str) -> Plot:
         from rthyb_rt.report.html import extra_needed
 
+        if self._of.axis_names:
+            raise InputError(
+                f"the test ran on several axes ({', '.join(self._of.axis_names)}), whose figures "
+                "are drawn together: report(path) or report_files(folder); balance() alone is "
+                "also drawn by itself",
+                f"plot.{key}",
+            )
         try:
             with extra_needed("a figure"):
                 from rthyb_rt.report.figures import draw_one
         except InputError as error:
-            chart = None if self._of.axis_names else self._interactive(key)
+            chart = self._interactive(key)
             if chart is None:
                 raise InputError(
                     f"{error.problems[0].message}; without it, plot.displacement() alone is drawn, "
@@ -275,10 +292,14 @@ class Plots:
         """Plot the tangent stiffness of the restoring-force compensator."""
         return self._drawn("stiffness")
 
-    def __getattr__(self, name: str) -> Any:
-        """Refuse a name that is not a figure, with those that are."""
-        names = [one for one in vars(type(self)) if not one.startswith("_")]
-        raise AttributeError(f"no figure {name}{nearest(name, names)}; figures: {', '.join(names)}")
+    if not TYPE_CHECKING:  # otherwise every attribute would be known to mypy
+
+        def __getattr__(self, name: str) -> Any:
+            """Refuse a name that is not a figure, with those that are."""
+            names = [one for one in vars(type(self)) if not one.startswith("_")]
+            raise AttributeError(
+                f"no figure {name}{nearest(name, names)}; figures: {', '.join(names)}"
+            )
 
     def __repr__(self) -> str:
         names = [name for name in vars(type(self)) if not name.startswith("_")]
@@ -348,6 +369,21 @@ class Recording(Mapping[str, NDArray[Any]]):
             values[rows] = raw.reference[name][: rows.size]
             return _protected(values)
         raise _absent(name, list(self.units), "signal")
+
+    if not TYPE_CHECKING:  # otherwise every attribute would be known to mypy
+
+        def __getattr__(self, name: str) -> Any:
+            """Refuse an unknown attribute; the name of a signal or measure, with how it is read."""
+            if name.startswith("_"):  # asked for by copy, pickle and notebooks
+                raise AttributeError(name)
+            from rthyb_rt.analysis.summary import Summary
+
+            if name in self:
+                raise AttributeError(f'a signal is read by its name, recording["{name}"]')
+            if name in Summary.__dataclass_fields__:
+                raise AttributeError(f'a measure is read by its name, recording.measures["{name}"]')
+            known = [*(one for one in dir(type(self)) if one[0] != "_"), *self]
+            raise AttributeError(f"a recording has no attribute {name}{nearest(name, known)}")
 
     def get(self, name: str, default: Any = None) -> Any:
         """Return a signal, or ``default`` if there is none of that name."""

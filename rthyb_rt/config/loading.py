@@ -951,9 +951,12 @@ def _override(
                     str(one["name"]) for one in place if isinstance(one, dict) and "name" in one
                 ]
                 by_name = f" ({', '.join(named)})" if name in _NAMED and named else ""
-                return (
-                    f"{name} has the entries 0 to {len(place) - 1}{by_name}; found {written(part)}"
-                )
+                has = f"the entries 0 to {len(place) - 1}{by_name}" if place else "no entries"
+                hint = "" if isinstance(part, int) or by_name else (
+                    f"; it is a list of tables: give the whole list, {name} = [{{ ... }}], or the "
+                    f"number of an entry, {name}.0.{part}"
+                )  # fmt: skip
+                return f"{name} has {has}; found {written(part)}{hint}"
             if last:
                 place[part] = _override_value(text)
             place = place[part]
