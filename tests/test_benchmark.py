@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +17,8 @@ from kernels import Floats
 from rthyb_rt import ground_motion
 from rthyb_rt.benchmark import benchmark_runs, benchmark_table, cases, criteria, plants
 from rthyb_rt.benchmark.benchmark_runs import BenchmarkRun, RunOutcome
+from rthyb_rt.campaign.pools import ONE_THREAD
+from rthyb_rt.cli import benchmark as command
 from rthyb_rt.core import ElementConfig
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.numerical_parts import DensePart
@@ -308,6 +313,51 @@ def test_the_worst_plant_stands_behind_the_mean() -> None:
     assert shown["J2 %"] == "3.00/6.00"
     assert shown["J3 %"] == "3.00"
     assert shown["unstable"] == "0 of 3"
+    assert benchmark_table.remarks([line]) == []
+
+
+def test_runs_that_no_law_could_complete_are_told_beside_the_table(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Kobe in case 3: of four plants, two exceed the limit by themselves and one is unstable."""
+    done = RunOutcome(
+        BenchmarkRun("inverse", 1024, 3, "kobe", 0),
+        "completed",
+        dict.fromkeys(criteria.MEANINGS, 1.0),
+    )
+    ended = [
+        RunOutcome(replace(done.run, plant=plant), "stopped", {}, beyond)
+        for plant, beyond in ((7001, True), (7002, False), (7003, True))
+    ]
+    other = replace(done, run=replace(done.run, entrant="ats"))
+    found = benchmark_table.lines([done, *ended, other])
+    command.print_lines(found, sys.stdout)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "1 of 2" in shown
+    assert shown.count("ended at the force limit") == 1
+    assert "inverse, case 3, kobe, 1024 Hz: 2 of 4 runs ended at the force limit" in shown
+    assert "the figures are those of the other 2." in shown
+
+
+def _threads(size: int) -> tuple[int, list[str | None]]:
+    """Multiply matrices; return the threads of this process, and what limits them."""
+    matrix = np.ones((size, size))
+    assert (matrix @ matrix)[0, 0] == size
+    return len(list(Path("/proc/self/task").iterdir())), [os.environ.get(n) for n in ONE_THREAD]
+
+
+def test_a_single_run_computes_with_one_thread_as_in_a_pool(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its process has two threads: the run, and the one that ends it with this process."""
+    for name in ONE_THREAD:
+        monkeypatch.setenv(name, "8")
+    for jobs, items in ((1, [600, 600]), (4, [600])):
+        for threads, limits in benchmark_runs.each(_threads, items, jobs):
+            assert threads == 2
+            assert limits == ["1"] * len(ONE_THREAD)
+    assert [os.environ[name] for name in ONE_THREAD] == ["8"] * len(ONE_THREAD)
+    assert list(benchmark_runs.each(_threads, [], 1)) == []
 
 
 # ---- the command --------------------------------------------------------------------------------
@@ -333,6 +383,9 @@ def test_the_command_prints_a_line_a_law_and_everything_as_json(rthyb: Rthyb) ->
         (("--rate", "2048"), "must be one of 4096, 1024 Hz"),
         (("--case", "5"), "must be one of 1, 2, 3, 4"),
         (("--motion", "northridge"), "must be one of elcentro, kobe, morgan"),
+        (("--law", "ats", "--law", "ats"), "--law: found ats twice; give each value once"),
+        (("--rate", "1024", "--rate", "1024"), "--rate: found 1024 twice"),
+        (("--plant", "7001", "--plant", "7001"), "--plant: found 7001 twice"),
         (("--plants", "21"), "must be 0 to 20 perturbed plants"),
         (("--plants", "-1"), "must be 0 to 20 perturbed plants"),
         (("--jobs", "0"), "must be at least 1 process"),
@@ -340,7 +393,7 @@ def test_the_command_prints_a_line_a_law_and_everything_as_json(rthyb: Rthyb) ->
     ],
 )
 def test_what_is_not_there_is_named_with_what_is(
-    rthyb: Rthyb, arguments: tuple[str, str], words: str
+    rthyb: Rthyb, arguments: tuple[str, ...], words: str
 ) -> None:
     end = rthyb("benchmark", "rths", *arguments)
     assert end.code in (2, 3)

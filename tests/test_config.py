@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from rthyb_rt import config, documents
 from rthyb_rt.config import lawtables
+from rthyb_rt.config.axesfile import JointIdentified
 from rthyb_rt.config.deriving_axes import derive_axes
 from rthyb_rt.config.rigfile import HysteresisElement, RigFile, ServoHydraulic
 from rthyb_rt.errors import InputError, Problem
@@ -480,6 +482,29 @@ def test_sweep_with_rows_missing_is_refused() -> None:
     identified = config.parse_rig(ok).identified
     assert identified is not None
     assert identified.date == "2026-03-01"
+
+
+@pytest.mark.parametrize(
+    ("listed", "told"),
+    [
+        ("[1, 2, 2]", "found 2 Hz after 2 Hz, entry 3 of 3"),
+        ("[1, 4, 2]", "found 2 Hz after 4 Hz, entry 3 of 3"),
+        ("[3, 2, 4]", "found 2 Hz after 3 Hz, entry 2 of 3"),
+    ],
+)
+def test_a_sweep_whose_frequencies_do_not_increase_is_refused_at_its_line(
+    listed: str, told: str
+) -> None:
+    """Two sweeps pasted together, or a table sorted by amplitude."""
+    rows = "amplitude = [1, 0.9, 0.8]\ndelay_at_frequency_s = [0.01, 0.01, 0.01]\n"
+    text = f"{RIG}[identified]\nalpha = 10\ndelay_s = 0.01\nfrequency_hz = {listed}\n{rows}"
+    line = text[: text.index("frequency_hz")].count("\n") + 1
+    found = refused_rig(text)
+    assert told in found[f"rig.toml:{line}: identified.frequency_hz"]
+    joint = {"frequency_hz": [1.0, 1.0], "real": [[[1.0]]] * 2, "imaginary": [[[0.0]]] * 2}
+    joint |= {"rest_noise_displacement_m": [1e-6]}
+    with pytest.raises(ValidationError, match="found 1 Hz after 1 Hz, entry 2 of 2"):
+        JointIdentified.model_validate(joint)
 
 
 def test_all_faults_of_a_file_come_at_once_and_in_its_order() -> None:

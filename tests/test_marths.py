@@ -292,6 +292,8 @@ def test_unknown_names_are_refused() -> None:
     ):
         with pytest.raises(InputError, match=says):
             marths.planned(*arguments)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="--law: found lead twice; give each value once"):
+        marths.planned(["lead", "none", "lead"], ["kobe"], 0)
     assert len(marths.planned(["none", "lead"], ["kobe"], 20)) == 42
 
 

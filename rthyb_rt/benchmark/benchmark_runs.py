@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from rthyb_rt.benchmark import cases, criteria
 from rthyb_rt.campaign import pools
-from rthyb_rt.errors import InputError
+from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
@@ -86,8 +86,12 @@ def planned(
         width, yielding, noise: as in `BenchmarkRun`.
 
     Raises:
-        InputError: there is no such entrant, rate, case, motion or plant.
+        InputError: there is no such entrant, rate, case, motion or plant, or one is given twice.
     """
+    require_once(
+        {"--law": entrants, "--rate": rates, "--case": numbers, "--motion": motions}
+        | {"--plant": seeds}
+    )
     for name in entrants:
         cases.entrant(name)
     _known(rates, cases.RATES, "--rate", "Hz")
@@ -123,6 +127,24 @@ def seeds_of(perturbed: int) -> tuple[int, ...]:
             "--plants",
         )
     return (NOMINAL, *cases.SEEDS[:perturbed])
+
+
+def require_once(given: Mapping[str, Sequence[Any]]) -> None:
+    """Reject values that occur twice: their runs would be counted twice in one row of the table.
+
+    Args:
+        given: the values, by the option that has them.
+
+    Raises:
+        InputError: names the first such value of each option.
+    """
+    problems = []
+    for where, values in given.items():
+        twice = next((one for n, one in enumerate(values) if one in values[:n]), None)
+        if twice is not None:
+            problems.append(Problem(where, f"found {twice} twice; give each value once"))
+    if problems:
+        raise InputError(problems)
 
 
 def _known(found: Sequence[Any], known: Any, where: str, unit: str) -> None:
@@ -211,7 +233,7 @@ def measured(
 
     Args:
         runs: the runs.
-        jobs: number of processes; 1: only this one.
+        jobs: number of processes that compute, each with one thread.
         tell: called with (runs done, total runs, the entrant) after each.
 
     Raises:
@@ -228,13 +250,23 @@ def measured(
 def each(do: Callable[[Item], Found], items: Sequence[Item], jobs: int) -> Iterator[Found]:
     """Yield the result of a function for each item, in order, using the given number of processes.
 
+    Even a single run has a process of its own: the linear algebra library of this one has already
+    started its threads, which would make a run slower than on one processor.
+
+    Args:
+        do: a function that a new process can import.
+        items: its arguments, one for each call.
+        jobs: number of processes, each with one thread.
+
     Raises:
         InputError: the number of processes is below one.
     """
     if jobs < 1:
         raise InputError(f"found {jobs}; must be at least 1 process", "--jobs")
-    if min(jobs, len(items)) <= 1:
-        yield from map(do, items)
+    if not items:
         return
-    with pools.workers(min(jobs, len(items))) as pool:
-        yield from pool.map(do, items, chunksize=_CHUNK)
+    processes = min(jobs, len(items))
+    with pools.workers(processes) as pool:
+        # Few items are spread over all processes.
+        share = max(1, min(_CHUNK, len(items) // processes))
+        yield from pool.map(do, items, chunksize=share)

@@ -95,6 +95,18 @@ def cells(line: EntrantLine) -> list[str]:
     return [*found, f"{line.unstable} of {line.runs - line.beyond}"]
 
 
+def remarks(found: Sequence[EntrantLine]) -> list[str]:
+    """Return a sentence for each row of which runs are missing that no law could complete."""
+    return [
+        f"{line.entrant}, case {line.case}, {line.motion}, {line.rate_hz} Hz: {line.beyond} of "
+        f"{line.runs} runs ended at the force limit, which the reference simulation of their plant "
+        "exceeds as well, so they are not counted as unstable; the figures are those of the other "
+        f"{line.runs - line.beyond}."
+        for line in found
+        if line.beyond
+    ]
+
+
 def short(value: float) -> str:
     """Return a figure with the digits relevant in a table."""
     if not math.isfinite(value):

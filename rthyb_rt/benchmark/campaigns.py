@@ -121,15 +121,15 @@ def of(file: CampaignFile, path: Path) -> Plan:
             noise=wanted.noise,
         )
     except InputError as error:
-        raise InputError(_placed(problem, path) for problem in error.problems) from error
+        raise InputError(_placed(problem, file) for problem in error.problems) from error
     found = tuple(_case(number, run) for number, run in enumerate(planned))
     return Plan(file.campaign.name, file.campaign.keep, found, plan.fingerprint(found), MEASURES)
 
 
-def _placed(problem: Problem, path: Path) -> Problem:
+def _placed(problem: Problem, file: CampaignFile) -> Problem:
     """Return an error in an option of `rthyb benchmark` as one in the corresponding key."""
     key = {"--rate": "rate_hz", "--case": "structure"}.get(problem.where, problem.where.strip("-"))
-    return Problem(f"{path}: over.{key}", problem.message)
+    return Problem(file.source.place(("over", key)), problem.message)
 
 
 def _case(number: int, run: BenchmarkRun) -> BenchmarkCase:

@@ -272,8 +272,10 @@ def planned(
     ``width``: size of the perturbation, in the benchmark's standard deviations.
 
     Raises:
-        InputError: there is no such law, motion or integrator, or there are not as many plants.
+        InputError: there is no such law, motion or integrator, one is given twice, or there are
+            not as many plants.
     """
+    benchmark_runs.require_once({"--law": laws, "--motion": motions})
     if integrator not in PARTS:
         raise InputError(f"found {integrator!r}; must be one of {', '.join(PARTS)}", "--integrator")
     for name in laws:
@@ -302,7 +304,7 @@ def measured(
 
     Args:
         wanted: the runs.
-        jobs: number of processes; 1: only this one.
+        jobs: number of processes that compute, each with one thread.
         tell: called with (runs done, total runs, the law) after each.
 
     Raises:

@@ -208,14 +208,18 @@ def print_marths(lines: Sequence[MarthsLine], file: IO[str]) -> None:
 
 
 def print_lines(lines: Sequence[EntrantLine], file: IO[str]) -> None:
-    """Print results, a table for each rate and motion."""
+    """Print results, a table for each rate and motion, and the runs that are not counted."""
     from rich.text import Text
+
+    from rthyb_rt.benchmark import benchmark_table
 
     kinds = list(dict.fromkeys((line.rate_hz, line.motion) for line in lines))
     for number, (rate_hz, motion) in enumerate(kinds):
         title = f"{rate_hz} Hz, {motion}"
         terminal.show(Text(f"\n{title}" if number else title, style="bold"), file)
         _print_kind([one for one in lines if (one.rate_hz, one.motion) == kinds[number]], file)
+    for remark in benchmark_table.remarks(lines):
+        terminal.show(Text(remark), file)
 
 
 def _print_kind(lines: Sequence[EntrantLine], file: IO[str]) -> None:

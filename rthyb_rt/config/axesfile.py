@@ -54,6 +54,7 @@ from rthyb_rt.config.rigfile import (
     SpecimenElement,
     StiffnessElement,
     extras_arrive,
+    not_rising,
 )
 from rthyb_rt.core.sizes import COUPLED_MAX, SENSORS_MAX
 from rthyb_rt.errors import InputError
@@ -714,6 +715,7 @@ class JointIdentified(Table):
     """
 
     checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("frequency_hz", ("frequency_hz",), not_rising),
         Condition("frequency_hz", ("frequency_hz", "real", "imaginary"), _responses_fit),
     )
 

@@ -16,6 +16,7 @@ from rthyb_rt.config.fields import (
     Count,
     Range,
     Table,
+    WholeFile,
     explained,
     written,
 )
@@ -99,7 +100,9 @@ class Benchmark(Table):
     plants: Annotated[
         int, Count(0, 20, "the number of perturbed plants, in addition to the nominal one")
     ] = 20
-    width: Annotated[float, Range("", 0.0, 10.0, "the spread of the perturbed plants")] = 1.0
+    width: Annotated[
+        float, Range("", 0.0, 10.0, "the spread of the perturbed plants", open_low=True)
+    ] = 1.0
     yielding: bool = False
     noise: Annotated[float, Range("", 0.0, 10.0, "the size of the sensors' noise")] = 1.0
 
@@ -109,7 +112,7 @@ BENCHMARK_KEYS: Final = ("rate_hz", "motion", "law", "structure")
 benchmark calls a case is called a structure, because in a campaign "case" has another meaning."""
 
 
-class CampaignFile(Table):
+class CampaignFile(WholeFile):
     """A campaign: the keys that are varied, and their values."""
 
     schema_: Literal["rthyb-campaign/1"] = Field(alias="schema")

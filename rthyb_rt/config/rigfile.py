@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
@@ -716,6 +717,18 @@ class Sensors(Table):
     extra: list[ExtraSensor] = Field(default_factory=list, max_length=EXTRAS_MAX)
 
 
+def not_rising(frequency_hz: Sequence[float]) -> str | None:
+    """Return an error message unless frequencies, Hz, increase from each to the next."""
+    for n, (before, now) in enumerate(itertools.pairwise(frequency_hz)):
+        if now <= before:
+            return (
+                f"found {now:g} Hz after {before:g} Hz, entry {n + 2} of {len(frequency_hz)}; "
+                "frequencies must increase from each to the next: sort all lists of the response "
+                "by frequency, and keep one value of each"
+            )
+    return None
+
+
 def _one_row_a_frequency(
     frequency_hz: list[float], amplitude: list[float], delay_at_frequency_s: list[float]
 ) -> str | None:
@@ -759,6 +772,7 @@ class Identified(Table):
     """
 
     checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("frequency_hz", ("frequency_hz",), not_rising),
         Condition(
             "frequency_hz",
             ("frequency_hz", "amplitude", "delay_at_frequency_s"),
