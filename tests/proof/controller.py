@@ -49,7 +49,7 @@ class Allocations:
         return ctypes.c_uint64.in_dll(self._library, name)
 
     def watch(self, thread: int) -> None:
-        """Count this thread's allocations from now on, starting at 0."""
+        """Count this thread's allocations from now on, starting at 0; by the kernel's id of it."""
         if self._library:
             self._word("counting_allocations").value = 0
             self._word("counting_thread").value = thread
@@ -65,11 +65,16 @@ class Allocations:
             return False
         malloc, free = self._library.malloc, self._library.free
         malloc.restype, free.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
-        self.watch(threading.get_ident())
+        self.watch(threading.get_native_id())
         free(malloc(100))
         counted = self.count
         self.watch(0)
         return bool(counted and counted >= 2)
+
+
+def threads() -> set[int]:
+    """Return the kernel's ids of this process's threads."""
+    return {int(name) for name in os.listdir("/proc/self/task")}
 
 
 class Follower:
@@ -142,11 +147,13 @@ def main(spec: dict[str, Any]) -> None:
         reader = owned.enter_context(RingReader(ring.path))
         awake = owned.enter_context(ticker.AwakeProcessors())
         running = loop.Loop(station, end, link, ring, spec["clock"])
+        before = threads()
         running.start(cpu=spec["cpu"], latency_fd=awake.fd)
-        allocations.watch(int(running._c.thread))
+        (tick_thread,) = threads() - before
+        allocations.watch(tick_thread)
         while running.counts.elapsed == 0:
             time.sleep(0.001)
-        print(running._c.ticker.t0_ns, flush=True)
+        print(running.began_ns, flush=True)
         follower = Follower(running, reader)
         sys.stdin.readline()  # the drive is ready
         with jitter.busy_python() if spec["burner"] else nullcontext():
