@@ -319,7 +319,7 @@ def kill(script: Path, folder: str, whom: str, further: int, after_s: float) -> 
 
 
 def swept(folder: Path) -> list[dict[str, Any]]:
-    """Let the script sweep into ``out`` of a folder, or go on there, to its end; return its rows."""
+    """Let the script sweep into ``out`` of a folder, or go on there; return its rows."""
     (folder / "laws.py").write_text(LAWS_BY_A_SCRIPT)
     done = subprocess.run(
         [sys.executable, "laws.py", "out"], cwd=folder, check=True, capture_output=True, text=True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -100,6 +101,25 @@ def test_an_answer_is_kept_until_the_program_is_another(tmp_path: Path) -> None:
         assert said.answer == {"verdict": "none"}
         np.testing.assert_array_equal(said.prediction["f"], [0.0, 1.5, 3.0])
     assert len(asked) == 2
+
+
+def test_a_run_that_was_stopped_has_a_page_of_what_it_has_asked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    call = "proof.py --kept --seed 7 --sources second --level hard --kinds null --out"
+    monkeypatch.setattr(sys, "argv", [*call.split(), str(tmp_path)])
+    stopped = proof.Proof(proof.options())
+    out = stopped.folder("second")
+    for number, has_answer in enumerate((True, False, True)):
+        folder = out / f"s00007_null_hard_{number:03d}"
+        folder.mkdir(parents=True)
+        if has_answer:
+            said = {"seconds": 1.0, "answer": {"verdict": "none", "effects": []}}
+            (folder / f"said-{stopped.state}.json").write_text(json.dumps(said))
+    asked: list[str] = []
+    monkeypatch.setattr(stopped, "_both", lambda *args: asked.extend(f.name for f in args[2]))
+    stopped.second(page.Results())
+    assert asked == ["s00007_null_hard_000", "s00007_null_hard_002"]
 
 
 def test_the_state_is_that_of_the_sources_on_the_disk(

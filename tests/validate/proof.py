@@ -1,12 +1,14 @@
 """The proof of the diagnosis: two generators, shipped rigs, real recordings, the page in docs/.
 
     python tests/validate/proof.py [--seed 7] [--count 60] [--jobs 2] [--page docs/...md]
-        [--sources first second own real times] [--kinds single pair] [--level normal hard]
+        [--sources first second own real times] [--kinds single pair] [--level normal hard] [--kept]
 
 Cases stay in --out under the hash of what makes them, answers beside them under the hash of the
 program: a run that was stopped goes on, and a changed program is asked anew. Without a seed that
 hash gives it, so that a changed program gets other cases. The tool is called on its command line
-only. --short: a fixed few cases, held against what the page says.
+only. --short: a fixed few cases, held against what the page says. --kept: the page of what has been
+answered so far, for a run that was stopped; its cases come kind by kind, so that the last kinds may
+have fewer.
 """
 
 from __future__ import annotations
@@ -91,8 +93,8 @@ class Proof:
         asked: Callable[[Path], scoring.Said] | None = None,
     ) -> list[Path]:
         """Have every case answered while the next ones are made; return their folders."""
-        done: list[Path] = []
         asked = asked or self.tool
+        done: list[Path] = []
         with ThreadPoolExecutor(self.args.jobs) as pool:
             waiting = []
             for folder in folders:
@@ -122,6 +124,9 @@ class Proof:
         def made() -> Iterator[Path]:
             for kind in self._kinds("first", plans.MIX):
                 out = self.folder("first") / kind
+                if self.args.kept:
+                    yield from self._answered(out.glob("*"))
+                    continue
                 for name, _ in generate.generate(self.seed, self.args.count, out, [kind], jobs=1):
                     yield out / name
 
@@ -130,15 +135,23 @@ class Proof:
         results.times[page.TIMES[0][0]] = times
 
     def second(self, results: page.Results) -> None:
+        out, count = self.folder("second"), self.args.count
         for level in self.args.level:
             folders = (
                 folder
                 for kind in self._kinds("second", recipes.KINDS)
-                for folder in second.generate(
-                    kind, level, self.seed, self.args.count, self.folder("second")
+                for folder in (
+                    self._answered(out.glob(f"*_{kind}_{level}_*"))
+                    if self.args.kept
+                    else second.generate(kind, level, self.seed, count, out)
                 )
             )
             self._both(results, page.NORMAL if level == "normal" else page.HARD, folders)
+
+    def _answered(self, folders: Iterable[Path]) -> Iterator[Path]:
+        """Return, in order, the cases that this state of the program has answered."""
+        said = f"said-{self.state}.json"
+        return (folder for folder in sorted(folders) if (folder / said).exists())
 
     def _kinds(self, source: str, known: Iterable[str]) -> list[str]:
         wanted = SHORT[source] if self.args.short else self.args.kinds
@@ -155,9 +168,10 @@ class Proof:
         cases = own_rigs.chosen(self.seed, self.args.count, kinds)
         # The rigs that are recorded are the program's own: another program makes other recordings.
         out = self.folder("own") / self.state
-        made = (
-            own_rigs.make(c, out / f"{c.rig}_{c.label.replace(':', '_')}_{c.seed}") for c in cases
-        )
+        places = {out / f"{c.rig}_{c.label.replace(':', '_')}_{c.seed}": c for c in cases}
+        if self.args.kept:
+            places = {folder: places[folder] for folder in self._answered(places)}
+        made = (own_rigs.make(case, folder) for folder, case in places.items())
         asked = scoring.kept(own_rigs.tool(self.args.tool), f"said-{self.state}")
         said = [(f, asked(f)) for f in self.ask(made, page.OWN, asked)]
         results.own = [own_rigs.score(f, s.answer, s.seconds) for f, s in said]
@@ -175,7 +189,8 @@ class Proof:
     def times(self, results: page.Results) -> None:
         """One at a time: what is timed has the machine for itself."""
         out = self.folder("times")
-        for folder in timed.generate(self.seed, min(REPEATS, self.args.count), out):
+        made = timed.generate(self.seed, min(REPEATS, self.args.count), out)
+        for folder in self._answered(out.glob("*")) if self.args.kept else made:
             seconds = self.tool(folder).seconds
             results.times.setdefault(timed.what(folder), []).append(seconds)
 
@@ -224,6 +239,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--kinds", nargs="*", default=())
     parser.add_argument("--level", nargs="*", choices=second.LEVELS, default=second.LEVELS)
     parser.add_argument("--recordings", type=Path, default=OPEN)
+    parser.add_argument("--kept", action="store_true", help="only what has been answered already")
     parser.add_argument("--short", action="store_true", help="a fixed few cases, against the page")
     parser.add_argument("--tool", default=str(Path(sys.executable).with_name("rthyb")))
     args = parser.parse_args()
