@@ -17,7 +17,7 @@ from rthyb_rt import config, core
 from rthyb_rt.analysis import loop_roots, loop_stability, margins
 from rthyb_rt.analysis.loop_roots import Block, LoopVerdict, judge
 from rthyb_rt.benchmark import plants as rths_benchmark
-from rthyb_rt.checking import examined
+from rthyb_rt.checking import check_tables, examined
 from rthyb_rt.config import RigFile, response
 from rthyb_rt.config.rigfile import Identified
 from rthyb_rt.errors import InputError
@@ -448,6 +448,61 @@ def test_little_to_spare_is_said_in_figures() -> None:
     )
     assert not LoopVerdict(0.9999, 3.6, 2.0, math.inf, 80.0).thin
     assert loop_roots.remark(LoopVerdict(0.9999, 3.6, 2.0, math.inf, 80.0), "") is None
+
+
+def swept_up_to(rig: RigFile, top_hz: float) -> RigFile:
+    """A rig as it is known from a shorter sweep."""
+    assert rig.identified is not None
+    count = sum(f <= top_hz for f in rig.identified.frequency_hz)
+    kept = {
+        name: list(value)[:count]
+        for name, value in rig.identified
+        if isinstance(value, list | tuple) and len(value) == len(rig.identified.frequency_hz)
+    }
+    found = rig.identified.model_copy(update=kept | {"roll_off_hz": None})
+    return rig.model_copy(update={"identified": found})
+
+
+@pytest.mark.parametrize("law", ["ats", "third-order", "alpha-beta", "amb"])
+def test_a_sweep_that_ends_below_the_resonance_proves_no_stability(law: str) -> None:
+    whole, short = rths_benchmark.nominal(), swept_up_to(rths_benchmark.nominal(), 10.0)
+    setup = framed(f'type = "{law}"', rig=short, factor=1.0)
+    found = judged(setup)
+    assert not found.unstable
+    assert found.unproven
+    text = loop_stability.remark(setup, found)
+    assert text is not None
+    assert "known only up to 10 Hz" in text
+    assert "--max-frequency" in text
+    rows = dict(row[::2] for row in check_tables.loop_rows(found))
+    assert rows["Gain margin"].endswith("up to 10 Hz")
+    # With the whole sweep, the verdict is one way or the other.
+    assert not judged(framed(f'type = "{law}"', rig=whole, factor=1.0)).unproven
+
+
+@pytest.mark.parametrize("sweep_hz", [10.0, 20.0, 80.0])
+def test_the_force_that_a_short_sweep_leaves_open_is_that_of_a_loop_gain_of_one(
+    sweep_hz: float,
+) -> None:
+    off = {"controller__rfc__enabled": "false", "controller__delay_estimator__enabled": "false"}
+    setup = table("paper", **off)
+    rig = swept_up_to(setup.rig, sweep_hz)
+    found = judged(experiment.prepare(setup.test, rig))
+    if sweep_hz == 80.0:
+        assert math.isinf(found.unseen_force)
+        return
+    f = np.geomspace(sweep_hz, 80.0, 2000)
+    z, w = np.exp(2j * np.pi * f * H), 2 * np.pi * f
+    motion, lead = setup.controller.motion, margins.lead_of(setup.controller.law, H)
+    top, bottom = lead.polynomials()
+    led = np.polyval(top, z) / np.polyval(bottom, z)
+    # Above the natural frequency of the structure, its mass alone moves.
+    moved = 1.0 / np.abs(motion.mass_kg * w**2)
+    plant = response.plant(rig)
+    assert plant is not None
+    loop_gain = moved * np.abs(led) * plant.stiffness_n_per_m
+    assert found.unseen_force == pytest.approx(1.0 / loop_gain.max(), rel=0.05)
+    assert found.unseen_hz == pytest.approx(f[np.argmax(loop_gain)], rel=0.05)
 
 
 def test_without_an_identified_response_nothing_is_judged() -> None:

@@ -332,6 +332,20 @@ def test_the_papers_controller_keeps_the_papers_weights() -> None:
     assert not any("rolled off" in note for note in found.notes)
 
 
+def test_a_rig_file_with_a_resonance_and_no_roll_off_is_told_where_the_resonance_is() -> None:
+    rig = nominal()
+    assert rig.identified is not None
+    found = derived(
+        rig.model_copy(
+            update={"identified": rig.identified.model_copy(update={"roll_off_hz": None})}
+        ),
+        "alpha-beta",
+    )
+    note = next(note for note in found.notes if "rolled off as before" in note)
+    assert "a resonance at 66.88 Hz but no identified.roll_off_hz" in note
+    assert "add roll_off_hz = 60.2 to [identified]" in note
+
+
 @pytest.mark.parametrize("law", ["robust", "alpha-beta"])
 def test_an_old_rig_file_keeps_what_was_and_is_told_so(law: str) -> None:
     found = derived(old(), law)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
@@ -44,6 +44,12 @@ THIN_GAIN: Final = 1.25
 """The plants of the field's benchmark differ by 10 % in the gain of their actuators."""
 THIN_DELAY_SAMPLES: Final = margins.LEAST_DELAY_MARGIN
 """In samples of 1/1024 s: holding a command changes the delay by as much."""
+
+
+UNSEEN_FORCE: Final = 1.0
+"""In elastic forces. So much is fed back by an actuator that still follows if the force over its
+motion is twice that of the stiffness, or zero. Above the sweep nothing excludes it: a mass of
+k / w^2 does it, or a resonance of actuator and specimen."""
 
 
 @dataclass(frozen=True)
@@ -332,11 +338,15 @@ class LinearLoop(AnyLoop):
             (part.a, part.b[:, None], part.c), (back.a, back.b[:, None], back.c, back.d[:, None])
         )
 
-    def opened(self, z: Complexes) -> Complexes:
-        """Return L of 1 + L = 0, the loop opened at the rig, for z (k,)."""
+    def without_rig(self, z: Complexes) -> Complexes:
+        """Return what a force fed back by the rig moves x_c by, for z (k,), m/N."""
         moved = self.part.response(z)[:, 0]
         inner = self.beside.response(z)[:, 0]
-        return np.asarray(-moved * self.by_rig.response(z)[:, 0] / (1.0 - moved * inner))
+        return np.asarray(moved / (1.0 - moved * inner))
+
+    def opened(self, z: Complexes) -> Complexes:
+        """Return L of 1 + L = 0, the loop opened at the rig, for z (k,)."""
+        return np.asarray(-self.without_rig(z) * self.by_rig.response(z)[:, 0])
 
     def delay_margin(self) -> float:
         """Return the additional delay of the rig at which stability ends, samples; inf: none."""
@@ -377,6 +387,10 @@ class LoopVerdict:
         delay_margin_samples: additional delay of the rig at which stability ends, in samples of
             1/1024 s; inf: none; 0 if the loop is unstable.
         swept_hz: frequency up to which the rig's response is known.
+        unseen_force: least force, from there to the end of a complete sweep, with which the loop
+            could be unstable, as a multiple of the elastic force of the motion commanded; inf: none
+            that matters, or the sweep is complete.
+        unseen_hz: frequency at which that much suffices.
     """
 
     radius: float
@@ -384,6 +398,8 @@ class LoopVerdict:
     gain_margin: float
     delay_margin_samples: float
     swept_hz: float
+    unseen_force: float = math.inf
+    unseen_hz: float = 0.0
 
     @property
     def unstable(self) -> bool:
@@ -397,6 +413,11 @@ class LoopVerdict:
             self.gain_margin < THIN_GAIN or self.delay_margin_samples < THIN_DELAY_SAMPLES
         )
 
+    @property
+    def unproven(self) -> bool:
+        """Whether the response above the sweep, which is not known, decides about stability."""
+        return not self.unstable and self.unseen_force < UNSEEN_FORCE
+
 
 def judge(setup: Setup) -> LoopVerdict | None:
     """Return the stability of the loop of a test; None if the rig's response is not known.
@@ -407,12 +428,35 @@ def judge(setup: Setup) -> LoopVerdict | None:
     model = response.plant(setup.rig)
     if model is None or config.motion.integrator == "prescribed":
         return None
-    hold = response.hold_of(setup.rig)
-    found = [
-        verdict(loop_of(config, model, law, hold), setup.rate, model.swept_hz)
-        for law in laws(config.law, model, config.period_s, hold)
-    ]
-    return max(found, key=badness)
+    hold, h = response.hold_of(setup.rig), config.period_s
+    found = []
+    for law in laws(config.law, model, h, hold):
+        loop = loop_of(config, model, law, hold)
+        lead = law if config.lead_enabled else gain(1.0)
+        f_hz, z = above(model.swept_hz, h)
+        fed_back = model.stiffness_n_per_m * lead.response(z)[:, 0]
+        moved = np.abs(loop.without_rig(z) * fed_back)
+        found.append(verdict(loop, setup.rate, model.swept_hz, (f_hz, moved)))
+    return worst(found)
+
+
+def above(swept_hz: float, h: float) -> tuple[Floats, Complexes]:
+    """Return the frequencies that a complete sweep would also have, Hz, and their z."""
+    top = min(0.5 / h, response.TOP_HZ)
+    f_hz = np.geomspace(swept_hz, top, _ABOVE) if swept_hz < top else np.zeros(0)
+    return f_hz, np.exp(2j * np.pi * f_hz * h)
+
+
+_ABOVE: Final = 300
+"""Number of frequencies: the lead and the numerical part have no narrow peaks there."""
+
+
+def worst(found: list[LoopVerdict]) -> LoopVerdict:
+    """Return the least stable of the states of a law, with the least force of all of them."""
+    least = min(found, key=lambda one: one.unseen_force)
+    return replace(
+        max(found, key=badness), unseen_force=least.unseen_force, unseen_hz=least.unseen_hz
+    )
 
 
 def badness(found: LoopVerdict) -> tuple[bool, float, float]:
@@ -430,7 +474,7 @@ def remark(found: LoopVerdict | None, fast: str) -> str | None:
         found: the stability of the loop; None: not known.
         fast: what to do against an instability above the motion of structures.
     """
-    if found is None or not (found.unstable or found.thin):
+    if found is None or not (found.unstable or found.thin or found.unproven):
         return None
     known = f"the rig's response is known up to {found.swept_hz:g} Hz"
     if found.thin:
@@ -441,6 +485,13 @@ def remark(found: LoopVerdict | None, fast: str) -> str | None:
             f"additional delay of {found_delay}; at least "
             f"{delay(THIN_DELAY_SAMPLES, STANDARD_HZ)} is advised; {known}"
         )
+    if found.unproven:
+        return (
+            f"whether the whole loop is stable is known only up to {found.swept_hz:g} Hz, the end "
+            f"of the rig's sweep: above, {found.unseen_force:.2g} times the elastic force of the "
+            f"commanded motion can make it unstable, at {found.unseen_hz:.3g} Hz, and a mass or a "
+            f"resonance of actuator and specimen can be the cause; {response.REMEDY}"
+        )
     remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else fast
     return (
         "the whole loop (numerical part, control law, rig, force compensation; specimen elastic) "
@@ -449,16 +500,34 @@ def remark(found: LoopVerdict | None, fast: str) -> str | None:
     )
 
 
-def verdict(loop: AnyLoop, rate: Rate, swept_hz: float) -> LoopVerdict:
-    """Return the stability of a loop at a rate, with a rig that is known up to a frequency."""
+def verdict(
+    loop: AnyLoop, rate: Rate, swept_hz: float, unseen: tuple[Floats, Floats] | None = None
+) -> LoopVerdict:
+    """Return the stability of a loop.
+
+    Where the rig's response is not known, the loop is stable whatever its phase if the loop gain is
+    below 1; the force at which it is 1 is what the verdict has of it.
+
+    Args:
+        loop: the loop.
+        rate: its rate.
+        swept_hz: frequency up to which the rig's response is known.
+        unseen: frequencies above, Hz, and there the loop gain with a rig that feeds back the
+            elastic force of what is commanded, (k,) each; None: not examined.
+    """
     roots = loop.roots()
     largest = roots[np.argmax(np.abs(roots))]
     radius, frequency = float(np.abs(largest)), float(abs(np.angle(largest))) * rate.hz
     stable = radius <= 1.0 + ROUNDING
+    f_hz, loop_gain = (np.zeros(0), np.zeros(0)) if unseen is None else unseen
+    at = int(np.argmax(loop_gain)) if loop_gain.size else 0
+    felt = bool(loop_gain.size) and loop_gain[at] > 0.0
     return LoopVerdict(
         radius=radius,
         frequency_hz=frequency / (2.0 * math.pi),
         gain_margin=loop.gain_margin() if stable else 0.0,
         delay_margin_samples=loop.delay_margin() / rate.pace if stable else 0.0,
         swept_hz=swept_hz,
+        unseen_force=float(1.0 / loop_gain[at]) if felt else math.inf,
+        unseen_hz=float(f_hz[at]) if felt else 0.0,
     )

@@ -163,13 +163,14 @@ def loop_rows(loop: LoopVerdict | None, *, swept: bool = False) -> list[tuple[st
     if loop.unstable:
         return [("Largest root", f"{root}: UNSTABLE", what)]
     more = f"{MOST_GAIN:g} or more" if loop.gain_margin >= MOST_GAIN else number(loop.gain_margin)
+    known = f", up to {loop.swept_hz:g} Hz" if loop.unproven else ""
     late = "any"
     if math.isfinite(loop.delay_margin_samples):
         late = quantity(loop.delay_margin_samples / STANDARD_HZ, "ms", 1e3)
     return [
         ("Largest root", root, what),
-        ("Gain margin", more, "factor by which the rig's gain may increase"),
-        ("Delay margin", late, "additional delay the rig may have"),
+        ("Gain margin", more, f"factor by which the rig's gain may increase{known}"),
+        ("Delay margin", late, f"additional delay the rig may have{known}"),
     ]
 
 
