@@ -20,6 +20,7 @@ from rthyb_rt.analysis import summary
 from rthyb_rt.cli import commands
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.core.coupled_rig import CoupledRig
+from rthyb_rt.core.laws import LAWS
 from rthyb_rt.diagnose import catalogue, effects
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_rig, experiment, virtual_time
@@ -451,6 +452,20 @@ def test_every_element_and_actuator_has_its_formula() -> None:
     kinds = dict(key_tables._sections(config.RigFile))
     for model in (*kinds["specimen"], *kinds["actuator"]):
         assert f"| `{key_tables._tag(model)}` |" in page
+
+
+def test_every_setting_of_a_law_is_said_to_be_published_or_chosen() -> None:
+    """Each setting that is not the rig's stands once, in the column of numbers or of choices."""
+    section = read(ROOT / "docs" / "tuning.md").partition("## What is published")[2]
+    rows = re.findall(
+        r"^\| `\"([\w-]+)\"` \| (.*) \|$", section.partition("\n## ")[0], re.MULTILINE
+    )
+    assert {name for name, _ in rows} >= {"kf-adc", "darby", "ahmadizadeh", "ats", "amb"}
+    for name, row in rows:
+        _, published, chosen = row.split(" | ")
+        own = {p.key.rpartition(".")[2] for p in LAWS[name].parameters if p.rig_key is None}
+        named = re.findall(r"`(\w+)`", f"{published} {chosen}")
+        assert sorted(named) == sorted(own), name
 
 
 def test_what_make_run_installs_is_enough_for_the_examples_and_the_code_of_the_readme() -> None:

@@ -51,7 +51,8 @@ SLIP_VOTES: Final[int] = lib.RTHYB_SLIP_VOTES
 WATCHDOG_TICKS: Final[int] = lib.RTHYB_DRIVE_WATCHDOG
 """Ticks of 1/1024 s without a fresh command, after which the virtual drive stops."""
 PHASES: Final = tuple(words("rthyb_drive_phase", "RTHYB_DRIVE_"))
-LINK_FAULTS: Final = ("up", "network-down", "device-gone", "bus-off", "hung-up")
+LINK_FAULTS: Final = tuple(options("rthyb_link_fault", "RTHYB_LINK_"))
+"""Why a link is down, by its number in the core."""
 
 _FAREWELLS: Final = 3
 """Number of farewell frames, so that a single lost one does not matter."""
@@ -107,7 +108,7 @@ class Link:
     @property
     def down(self) -> str:
         """One of `LINK_FAULTS`; readable at any time."""
-        return LINK_FAULTS[self.struct.down]
+        return LINK_FAULTS[int(self.struct.down)]
 
     def counters(self) -> dict[str, int]:
         """Return every counter of ``rthyb_link_counters`` by name; readable at any time."""
