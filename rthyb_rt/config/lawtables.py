@@ -117,12 +117,12 @@ def faults(
     if keys.get("type") == PYTHON:
         return
     law = LAWS.get(str(keys.get("type", DEFAULT_LAW)), LAWS[DEFAULT_LAW])
+    values = _values(law, keys)
+    if values is None:
+        return
     partial = _partial_inverse(law, keys)
     if partial is not None:
         yield partial
-        return
-    values = _values(law, keys)
-    if values is None:
         return
     found = law.complaint(values, STANDARD.period_s)
     if found is None:
