@@ -912,7 +912,7 @@ FITTED = f"forces = {np.hstack([_HALF, [[1.25], [0.0]]]).tolist()}"
 
 
 @pytest.mark.long
-def test_a_real_rig_is_armed_only_with_its_sensors_commissioned(
+def test_sensors_without_an_actuator_are_refused_on_real_drives_even_when_commissioned(
     rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connecting, "clock_of", lambda _: "stepped")
@@ -932,7 +932,11 @@ def test_a_real_rig_is_armed_only_with_its_sensors_commissioned(
         for step in certificate.STEPS:
             own = own.with_step(dataclasses.replace(held.steps["link"], name=step))
         certificate.write(certificate.place(path, name), own)
-    assert certificate.demand(real, path)["commissioning"]["demanded"]
+    with pytest.raises(RefusedError, match=r"sensors without an actuator \(wire, column\)") as told:
+        certificate.demand(real, path)
+    assert "link, calibration" not in str(told.value)
+    assert "with every axis that it responds to" in str(told.value)
+    assert not certificate.demand(read(DEFAULTS), path)["commissioning"]["demanded"]
     for old, new, axis in (
         ("along = { first = 0.4 }", "along = { first = -0.4 }", "left"),
         ('range_m = "80 mm"', 'range_m = "90 mm"', "right"),

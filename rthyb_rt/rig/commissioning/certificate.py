@@ -380,7 +380,8 @@ def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
     virtual rig at the other end (no ``[link]``, or ``link.virtual``) nothing is required.
 
     Raises:
-        RefusedError: a check of `STEPS` has not passed for this rig file; the message names it.
+        RefusedError: a check of `STEPS` has not passed for this rig file; the message names it. Or
+            a real drive is to be run with sensors without an actuator.
     """
     stands = {axis: standing(own, rig_path, axis) for own, axis in each(rig)}
     why_not = [
@@ -388,6 +389,17 @@ def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
         for axis, found in stands.items()
         if found.why_not
     ]
+    # Commissioning moves each of them with one axis only: an error of its sign or scale in the
+    # response to the other axes would neither be found here nor by any limit during a test.
+    lone = rig.lone_sensors if isinstance(rig, AxesRig) else []
+    if lone and any(found.demanded for found in stands.values()):
+        names = ", ".join(one.name for one in lone)
+        why_not.append(
+            f"found sensors without an actuator ({names}), which a test may have only on a virtual "
+            "rig (link.virtual) or in virtual time: commissioning compares each with one axis, not "
+            "with every axis that it responds to; remove [[sensor]] for real drives, or record "
+            "them as extra channels alone"
+        )
     if why_not:
         raise RefusedError("; ".join(why_not), where=str(rig_path))
     known = {axis: _known(own, axis, stands[axis]) for own, axis in each(rig)}
