@@ -33,7 +33,7 @@ from rthyb_rt.core.own_interfaces import (
     rows_of,
 )
 from rthyb_rt.core.own_library import RESPONSES_MAX, Recorded
-from rthyb_rt.core.own_methods import ANSWER, FORCE, LAW, LEAD, PART, REPORT, Method, place_of
+from rthyb_rt.core.own_methods import ANSWER, FORCE, LAW, LEAD, PART, REPORT, OwnMethod, place_of
 from rthyb_rt.core.pending import OwnCodeError, OwnFault, guarded, moment_in_words
 from rthyb_rt.core.sizes import PERIOD_S
 
@@ -190,7 +190,7 @@ class Element(Own):
 # ---- by name ------------------------------------------------------------------------------------
 
 _Kind = TypeVar("_Kind", bound=Own)
-_METHODS: Final[dict[str, tuple[Method, ...]]] = {
+_METHODS: Final[dict[str, tuple[OwnMethod, ...]]] = {
     "NumericalPart": PART, "ControlLaw": LAW, "Element": (FORCE,),
 }  # fmt: skip
 
@@ -377,7 +377,7 @@ class PythonPartConfig:
         return cls(own, period_s=plain["period_s"], **interfaces_of_plain(plain))
 
 
-def _several(method: Method, made: Own, found: Any, count: int) -> list[Any]:
+def _several(method: OwnMethod, made: Own, found: Any, count: int) -> list[Any]:
     """Return the values that a method returned, which must be a certain number.
 
     Raises:

@@ -24,7 +24,7 @@ _STARS: Final[dict[Any, str]] = {
 
 
 @dataclass(frozen=True)
-class Method:
+class OwnMethod:
     """A method that the core calls.
 
     Attributes:
@@ -140,32 +140,32 @@ def _said(found: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}..."
 
 
-ANSWER: Final = Method(
+ANSWER: Final = OwnMethod(
     "answer", ("ag_mps2", "force_n"),
     "the displacement of the next sample as one number, m, or one for each interface",
     DISPLACEMENT_MAX_M, needed=True,
 )  # fmt: skip
 PART: Final = (
     ANSWER,
-    Method("begin", ("period_s", "k_e_n_per_m")),
-    Method("advance", ()),
-    Method("freeze", ("force_n",)),
-    Method("report", (), "a list of numbers, one for each of its responses"),
+    OwnMethod("begin", ("period_s", "k_e_n_per_m")),
+    OwnMethod("advance", ()),
+    OwnMethod("freeze", ("force_n",)),
+    OwnMethod("report", (), "a list of numbers, one for each of its responses"),
 )
 """Methods of a numerical part."""
 REPORT: Final = PART[-1]
-LEAD: Final = Method(
+LEAD: Final = OwnMethod(
     "lead", ("x_c_m", "allowed_m"), "the command x_p as one number, m", DISPLACEMENT_MAX_M,
     needed=True,
 )  # fmt: skip
 LAW: Final = (
     LEAD,
-    Method("begin", ("period_s", "x0_m", "rest_noise_m")),
-    Method("rest", ("x_m",)),
-    Method("observe", ("x_p_m", "x_m_m", "frozen")),
+    OwnMethod("begin", ("period_s", "x0_m", "rest_noise_m")),
+    OwnMethod("rest", ("x_m",)),
+    OwnMethod("observe", ("x_p_m", "x_m_m", "frozen")),
 )
 """Methods of a control law."""
-FORCE: Final = Method(
+FORCE: Final = OwnMethod(
     "force", ("x_m", "v_m_per_s", "a_m_per_s2", "dt_s", "state"), "the force as one number, N",
     FORCE_MAX_N, needed=True,
 )  # fmt: skip
