@@ -7,6 +7,7 @@ import copy
 import html
 import inspect
 import json
+import math
 import pickle
 import re
 import subprocess
@@ -865,3 +866,51 @@ def test_misspelt_public_name_is_told_with_the_name_that_was_meant() -> None:
         check=False, capture_output=True, text=True,
     )  # fmt: skip
     assert "Did you mean: 'compare'?" in done.stderr
+
+
+# ---- nothing that is read changes what was recorded ----------------------------------------------
+
+
+def test_units_and_measures_are_copies_and_a_recording_takes_no_attributes() -> None:
+    rec = rt.run(rt.Test("section5-T0.5", ground_motion={"duration_s": 1}))
+    rec.units["mine"] = "m"
+    rec.units.pop("x_meas_m")
+    assert "x_meas_m" in rec.to_pandas().columns
+    error = rec.measures["tracking_nrmse"]
+    rec.measures["tracking_nrmse"] = 0.0
+    assert rec.measures["tracking_nrmse"] == error > 0.0
+    with pytest.raises(AttributeError, match=r"recording\.x_meas_m cannot be set"):
+        rec.x_meas_m = 3
+
+
+def test_a_number_that_is_none_is_refused_in_a_sweep() -> None:
+    for value in (math.nan, math.inf):
+        with pytest.raises(rt.InputError, match=r"over\.controller\.w1: found .* must be finite"):
+            rt.sweep(rt.Test("section5-T0.5"), {"controller.w1": [3, value]})
+
+
+def test_a_sweep_of_an_identification_has_no_energy_balance() -> None:
+    found = rt.identify("delay-10-elastic").recording
+    with pytest.raises(rt.InputError, match="a test that reached RUNNING, with a numerical part"):
+        found.energy_balance()
+
+
+def test_what_is_a_test_or_a_rig_already_is_told_so() -> None:
+    test = rt.Test("section5-T0.5")
+    with pytest.raises(rt.InputError, match="is a Test already; use it as it is"):
+        rt.Test(test)
+    with pytest.raises(rt.InputError, match="is a Rig already; use it as it is"):
+        rt.Rig(test.rig)
+    with pytest.raises(rt.InputError, match="found two rigs"):
+        test.with_({"rig": "delay-10-elastic"}, rig="first-order-5hz")
+    spring = [{"element": "stiffness", "k_n_per_m": 1e5}]
+    changed = test.with_({"rig": {"specimen": spring}})
+    assert changed.rig["specimen"] == test.with_(rig={"specimen": spring}).rig["specimen"]
+
+
+def test_tests_that_come_with_the_program_are_compared_by_their_names() -> None:
+    found = rt.compare("section5-T0.5", "section5-T1.0")
+    assert found.labels == [
+        "section5-t0.5, reference simulation",
+        "section5-t1.0, reference simulation",
+    ]

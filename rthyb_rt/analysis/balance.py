@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import documents
 from rthyb_rt.analysis import measures
+from rthyb_rt.config.testfile import PRESCRIBED
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.summary import SummarySettings
@@ -84,6 +85,9 @@ def of_recording(rec: Recording, given: SummarySettings) -> EnergyBalance | None
         given: settings from its files.
     """
     test = documents.toml_if_valid(rec.test_toml)
+    about = test.get("test")
+    if isinstance(about, dict) and about.get("description") == PRESCRIBED:
+        return None
     numerical = test.get("numerical", {})
     # What a user's own part does with its energy is not known here.
     if not isinstance(numerical, dict) or numerical.keys() & {"library", "fmu", "python"}:

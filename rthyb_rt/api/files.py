@@ -364,6 +364,11 @@ def _instead(kind: Literal["test", "rig"], given: object) -> str:
     A test, a rig and a recording are easily taken for one another, as arguments of `run` are.
     """
     name = type(given).__name__
+    if isinstance(given, (Test, Rig)) and given._kind == kind:
+        return (
+            f'the {kind} "{given.name}", which is a {type(given).__name__} already; use it as it '
+            f"is, or a changed copy, {kind}.with_(...)"
+        )
     if isinstance(given, (Test, Rig)):
         found = f'the {given._kind} "{given.name}", but a {kind} is needed here'
         of_test = "; test.rig is its rig" if kind == "rig" else "; the test comes before the rig"
@@ -570,6 +575,14 @@ class Test(_Document[TestFile]):
         """
         given = _changes(changes, tables)
         _refuse_tables_of_rig(given)
+        if RIG in given and rig is not None:
+            raise InputError(
+                f"found two rigs, {written(str(given[RIG]))} in the dict and the argument rig; "
+                "give one of them",
+                "with_",
+            )
+        if isinstance(given.get(RIG), Mapping):
+            rig = given.pop(RIG)
         other = given.pop(RIG, None) if isinstance(given.get(RIG), (str, Rig)) else rig
         of_rig = {key: given.pop(key) for key in list(given) if key.startswith(f"{RIG}.")}
         if isinstance(other, Mapping):

@@ -6,6 +6,7 @@ import math
 import re
 import warnings
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from functools import cached_property
 from itertools import count
 from pathlib import Path
@@ -331,15 +332,19 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     # ---- signals --------------------------------------------------------------------------------
 
-    @cached_property
+    @property
     def units(self) -> dict[str, str]:
-        """Unit of each signal by name; ``1`` for a dimensionless signal."""
+        """Unit of each signal by name; ``1`` for a dimensionless signal. A copy."""
+        return Named(self._units, "signal")
+
+    @cached_property
+    def _units(self) -> dict[str, str]:
         raw = self._raw
         channels = {one.name: one.unit for one in raw.channels}
         own = {name: files.UNITS.get(name, channels.get(name, ""))
                for name in raw.samples.dtype.names or ()}  # fmt: skip
         reference = files.REFERENCE_UNITS if raw.reference is not None else {}
-        return Named({TIME: "s", **own, **reference}, "signal")
+        return {TIME: "s", **own, **reference}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return a signal in its unit, shape (n,): one value per sample of the recording.
@@ -354,7 +359,7 @@ class Recording(Mapping[str, NDArray[Any]]):
             raise InputError(
                 f"found {_array_in_words(name)}; a signal is chosen by its name, "
                 f"recording[{written(TIME)}], and its rows by an index of that; signals are: "
-                f"{', '.join(self.units)}",
+                f"{', '.join(self._units)}",
                 "recording",
             )
         if name == TIME:
@@ -368,7 +373,7 @@ class Recording(Mapping[str, NDArray[Any]]):
             rows = np.flatnonzero(raw.running())[: len(raw.reference)]
             values[rows] = raw.reference[name][: rows.size]
             return _protected(values)
-        raise _absent(name, list(self.units), "signal")
+        raise _absent(name, list(self._units), "signal")
 
     if not TYPE_CHECKING:  # otherwise every attribute would be known to mypy
 
@@ -394,13 +399,13 @@ class Recording(Mapping[str, NDArray[Any]]):
         return found
 
     def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name in self.units
+        return isinstance(name, str) and name in self._units
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self.units)
+        return iter(self._units)
 
     def __len__(self) -> int:
-        return len(self.units)
+        return len(self._units)
 
     def __eq__(self, other: object) -> bool:
         return self is other
@@ -431,7 +436,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         columns = {name: self[name][rows] for name in self if name != TIME}
         index = pandas.Index(self[TIME][rows], name=TIME)
         table: DataFrame = pandas.DataFrame(columns, index=index)
-        table.attrs = {"name": self.name, "fs_hz": self.fs_hz, "units": dict(self.units)}
+        table.attrs = {"name": self.name, "fs_hz": self.fs_hz, "units": dict(self._units)}
         return table
 
     def to_xarray(self, *, whole: bool = False) -> Dataset:
@@ -447,7 +452,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         rows = slice(None) if whole else self.running
         signals = {
             name: (TIME, self[name][rows].copy(), {"units": unit})
-            for name, unit in self.units.items()
+            for name, unit in self._units.items()
             if name != TIME
         }
         time = (TIME, self[TIME][rows].copy(), {"units": "s"})
@@ -498,21 +503,36 @@ class Recording(Mapping[str, NDArray[Any]]):
             return None
         return several_axes.summarize(self._raw)
 
-    @cached_property
+    @property
     def measures(self) -> dict[str, Any]:
         """Measures of the test by name, as in ``rthyb run --json``: SI units and fractions.
 
         Names include the unit. A measure is None if the recording does not contain it. With several
         axes, the measures of each axis are under ``axes``, and those of each direction under
-        ``directions``.
+        ``directions``. A copy.
         """
-        if self.axis_names:
-            found = {} if self._of_axes is None else self._of_axes.as_json()
+        hint = ""
+        if self.axis_names and self._measures:
             hint = f'; those of an axis are in measures["axes"][{written(self.axis_names[0])}]'
-            return Named(found, "measure", hint if found else "")
+        return Named(deepcopy(self._measures), "measure", hint)
+
+    @cached_property
+    def _measures(self) -> dict[str, Any]:
+        if self.axis_names:
+            return {} if self._of_axes is None else dict(self._of_axes.as_json())
         found = self.summary.as_json()
-        kept = {name: value for name, value in found.items() if name not in _IDENTITY}
-        return Named(kept, "measure")
+        return {name: value for name, value in found.items() if name not in _IDENTITY}
+
+    if not TYPE_CHECKING:  # otherwise every attribute would be known to mypy
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            """Refuse what a recording does not have: a signal or a measure is never changed."""
+            if not (name.startswith("_") or name in ("path", "notes")):
+                raise AttributeError(
+                    f"recording.{name} cannot be set, because a recording never changes; copy a "
+                    f"signal to change it, values = recording[{written(TIME)}].copy()"
+                )
+            super().__setattr__(name, value)
 
     @property
     def table(self) -> list[tuple[str, str, str]]:

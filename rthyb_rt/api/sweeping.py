@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from rthyb_rt.api import files
-from rthyb_rt.api.files import Place, Rig, Test, plain
+from rthyb_rt.api.files import Place, Rig, Test, in_words, plain
 from rthyb_rt.api.messages import in_python, require_progress
 from rthyb_rt.api.recordings import Recording, extra, open_recording
 from rthyb_rt.api.tables import html_table
@@ -86,7 +87,14 @@ class Sweep:
             InputError: there is no such measure; the message lists those that exist.
         """
         known = [name for name in self._columns() if name not in (*self._keys, *_NO_MEASURES)]
-        for name in measures:
+        given_names: tuple[object, ...] = measures
+        for name in given_names:
+            if not isinstance(name, str):
+                raise InputError(
+                    f"no measure {in_words(name)}; measures are: {', '.join(known)}; give them "
+                    f"one by one, statistics({written(known[0])}, ...)",
+                    "statistics",
+                )
             if name not in known:
                 raise InputError(
                     f"no measure {written(name)}{nearest(str(name), known)}; measures are: "
@@ -118,6 +126,13 @@ class Sweep:
             InputError: it was not kept; the message lists those that were.
         """
         kept = {row["case"]: row["folder"] for row in self.rows if row.get("folder")}
+        wanted: object = case  # from a notebook it may be anything
+        if isinstance(wanted, bool) or not isinstance(wanted, Integral):
+            raise InputError(
+                f"found {in_words(case)}; give the number of a run, as in the column case: "
+                "recording(0)",
+                "recording",
+            )
         if case not in kept:
             listed = ", ".join(map(str, kept)) or "none"
             raise InputError(
@@ -125,7 +140,7 @@ class Sweep:
                 'sweep(..., keep="all") keeps all of them',
                 str(self.folder),
             )
-        return open_recording(self.folder / kept[case])
+        return open_recording(self.folder / kept[int(case)])
 
     def __repr__(self) -> str:
         stopped, failed = len(self.stopped), len(self.failed)

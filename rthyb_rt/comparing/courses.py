@@ -79,8 +79,8 @@ def read(
     Args:
         given: each a recording, or the folder or file of one; the folder of a campaign or sweep,
             for the recordings that it kept; a prepared test or a test file, for its reference
-            simulation; or a table of another laboratory (CSV). A single recording is compared with
-            its reference simulation.
+            simulation, or the name of a test that comes with the program; or a table of another
+            laboratory (CSV). A single recording is compared with its reference simulation.
         options: columns of the tables, as for `mapping.read_wishes`.
         axis: axis to be compared, for tests on several axes.
 
@@ -88,6 +88,7 @@ def read(
         InputError: one of them cannot be read, there is nothing to compare, or an axis is not named
             or does not exist.
     """
+    from rthyb_rt import config
     from rthyb_rt.diagnose.mapping import read_wishes
     from rthyb_rt.lab.experiment import Setup
 
@@ -100,7 +101,10 @@ def read(
         if isinstance(one, Setup):
             what = [simulation_of(one, axis)]
         elif isinstance(one, (str, Path)):
-            what, label = _at(Path(one), wishes, axis, missed), _place_name(Path(one))
+            place = Path(one)
+            if not place.exists():
+                place = config.shipped("test").get(str(one), place)
+            what, label = _at(place, wishes, axis, missed), _place_name(place)
         else:
             what = one
         if isinstance(what, list):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -38,6 +39,8 @@ def _values(given: object) -> Values:
             raise explained(
                 f"found {written(value)}; each value must be a string, a number, true or false"
             )
+        if isinstance(value, float) and not math.isfinite(value):
+            raise explained(f"found {value}; each number must be finite")
     if len({(type(value), value) for value in found}) < len(found):
         raise explained(f"found {written(found)}; a value occurs in it twice")
     return tuple(found)

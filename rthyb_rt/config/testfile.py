@@ -65,6 +65,10 @@ SampleCount = Annotated[
 ]
 
 
+PRESCRIBED: Final = "prescribed motion, not a test"
+"""Description of what runs a motion without a structure, such as a sweep of `rthyb identify`."""
+
+
 class TestInfo(Table):
     """Name and length of the test.
 

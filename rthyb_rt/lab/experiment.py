@@ -517,7 +517,7 @@ def cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> Groun
 
 
 _PRESCRIBED: Final = """schema = "rthyb-test/1"
-test = {{ name = "{name}", description = "prescribed motion, not a test", sample_rate_hz = {hz:g} }}
+test = {{ name = "{name}", description = "{what}", sample_rate_hz = {hz:g} }}
 numerical = {{ period_s = 1, damping_ratio = 0 }}
 controller = {{ type = "none" }}
 """
@@ -537,7 +537,9 @@ def prescribed(
     Raises:
         InputError: the values of the rig file are inconsistent.
     """
-    test = config.parse_test(_PRESCRIBED.format(name=name, hz=(rate or rig.rate).hz), name)
+    test = config.parse_test(
+        _PRESCRIBED.format(name=name, what=test_file.PRESCRIBED, hz=(rate or rig.rate).hz), name
+    )
     derived = config.derive(test, rig)
     derived = replace(derived, limits=with_sensors(rig, derived.limits, derived.rate))
     test = config.resolve(test, derived)
