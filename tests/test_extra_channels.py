@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 from rthyb_rt._core import ffi, lib
 
 import rthyb_rt as rt
@@ -324,10 +325,32 @@ def test_what_a_channel_cannot_be_is_told_with_its_key(text: str, says: str) -> 
     assert says in str(error.value)
 
 
-def test_a_name_that_recordings_have_already_is_refused() -> None:
-    rig = rig_of('\n[[sensors.extra]]\nname = "x_meas_m"\nunit = "m"\n')
-    with pytest.raises(InputError, match="a name that every recording already uses"):
+@pytest.mark.parametrize("name", ["x_meas_m", "x_true_m"])
+def test_a_name_that_recordings_have_already_is_refused(name: str) -> None:
+    rig = rig_of(f'\n[[sensors.extra]]\nname = "{name}"\nunit = "m"\n')
+    with pytest.raises(InputError, match=f'found "{name}", but a recording of this test already'):
         experiment.prepare(test_file(), rig)
+
+
+def test_the_name_of_a_value_of_the_control_law_is_refused() -> None:
+    test = config.load_test(config.builtin_test_path(), {**SHORT, "controller.type": "ats"})
+    law = experiment.prepare(test, rig_of("")).channels[0].name
+    rig = rig_of(f'\n[[sensors.extra]]\nname = "{law}"\nunit = "1"\n')
+    with pytest.raises(InputError, match=f'found "{law}", but a recording of this test already'):
+        experiment.prepare(test, rig)
+
+
+def test_no_extra_channel_replaces_time_or_reference(virtual: Recording, tmp_path: Path) -> None:
+    export.to_mat(virtual, tmp_path / "one.mat")
+    own = {name for name, _, _ in scipy.io.whosmat(tmp_path / "one.mat")}
+    beside = own - set(virtual.samples.dtype.names or ()) - {"ag_mps2"}
+    beside |= set(rt.Recording(virtual).units) - set(virtual.samples.dtype.names or ())
+    assert beside >= {"x_ref_m", "v_ref_mps", "f_ref_n", "t_s", "fs_hz", "meta"}
+    for name in beside:
+        text = f'{TABLE}\n[[sensors.extra]]\nname = "{name}"\nunit = "m"\n'
+        says = rf'mine.toml:{text.count(chr(10)) - 1}: .*found "{name}", but exported files have'
+        with pytest.raises(InputError, match=says):
+            experiment.prepare(test_file(), config.parse_rig(text, "mine.toml"))
 
 
 def test_a_rig_with_extra_channels_reads_back() -> None:

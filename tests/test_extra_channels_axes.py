@@ -172,7 +172,7 @@ def test_channels_that_an_axis_cannot_have_are_told_with_their_key(
 @pytest.mark.parametrize("name", ["x_meas_m", "x_num_m_1", "alpha_1", "f_true_n_1"])
 def test_a_name_that_recordings_of_several_axes_have_already_is_refused(name: str) -> None:
     given = rig(right=RIGHT.replace("right_strain", name))
-    with pytest.raises(InputError, match="a name that every recording already uses") as error:
+    with pytest.raises(InputError, match="a recording of this test already has a channel") as error:
         virtually(given)
     assert "axis.1.sensors.extra.0.name" in str(error.value)
 
@@ -358,3 +358,11 @@ def test_the_frame_records_a_second_sensor_from_the_command_line(
     found = rt.open("run")
     assert found["right_strain"].shape == found["x_meas_m"].shape
     assert experiment.TRUE[0] not in found
+
+
+def test_no_extra_sensor_of_an_axis_replaces_time_or_reference() -> None:
+    for name in ("t_s", "x_ref_m", "v_ref_mps", "f_ref_n"):
+        given = rig(right=RIGHT.replace('"right_strain"', f'"{name}"'))
+        with pytest.raises(InputError, match=f'found "{name}", but exported files have') as error:
+            virtually(given)
+        assert "axis.1.sensors.extra.0.name" in str(error.value)

@@ -172,7 +172,7 @@ def prepare(
         ag_mps2=ag,
         controller=(controller := controller_config(test, rig, derived, end_tick)),
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=(extra_channels(rig) + part_channels(derived) + law_channels(controller.law)),
+        channels=channels_beside(test, rig, derived, controller.law),
         notes=derived.notes + (() if baseline.ok else (f"ground motion: {baseline.message}",)),
     )
     try:
@@ -238,7 +238,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
         ag_mps2=plan.path_m,
         controller=controller,
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=extra_channels(rig) + law_channels(controller.law),
+        channels=channels_beside(test, rig, derived, controller.law),
         notes=derived.notes,
         plan=plan,
         reference=_along(rig, plan),
@@ -555,7 +555,7 @@ def prescribed(
             motion=core.MotionConfig("prescribed", period_s=derived.rate.period_s),
         ),
         virtual_rig=rig_config(rig, derived.fs_hz),
-        channels=extra_channels(rig),
+        channels=channels_of_sensors(rig.sensors, RECORDED, "sensors"),
     )
 
 
@@ -654,19 +654,40 @@ _TIMED: Final[dict[str, Callable[[Rate, float], float]]] = {
 """Limits that depend on the rate: times, and changes in 1/1024 s, with their conversion."""
 
 
-def extra_channels(rig: RigFile) -> tuple[core.Channel, ...]:
-    """Return the channels of everything that the rig measures besides displacement and force.
+def channels_beside(
+    test: TestFile, rig: RigFile, derived: Derived, law: core.LawConfig
+) -> tuple[core.Channel, ...]:
+    """Return the channels of a test on one axis beside its record, in the order of a row.
+
+    Those of the rig's extra sensors, of the numerical part, and of the control law.
 
     Raises:
-        InputError: a channel has a name that the record uses already.
+        InputError: a channel has a name that recordings or exported files use already.
     """
-    return channels_of_sensors(rig.sensors, RECORDED, "sensors")
+    own = part_channels(derived) + law_channels(law)
+    refuse_own_names(test, own, RECORDED)
+    taken = RECORDED | {one.name for one in own}
+    return channels_of_sensors(rig.sensors, taken, "sensors") + own
 
 
 TRUE: Final = ("x_true_m", "f_true_n")
 """Channels of a virtual rig's readings without errors; those of further axes end with a number."""
 RECORDED: Final = frozenset(core.RECORD_DTYPE.names or ()) | set(TRUE)
 """Names that the record of one axis uses."""
+
+
+def why_taken(name: str, taken: Collection[str]) -> str | None:
+    """Return why no further channel of a recording can have a name, or None if one can.
+
+    Args:
+        name: of the channel.
+        taken: names of the channels that the recording has without it.
+    """
+    if name in taken:
+        return f'a recording of this test already has a channel "{name}"'
+    if name in recording.BESIDE_SAMPLES:
+        return f'exported files have a variable "{name}" beside the channels'
+    return None
 
 
 def channels_of_sensors(
@@ -676,20 +697,54 @@ def channels_of_sensors(
 
     Args:
         sensors: of the axis.
-        taken: names that the recording uses already.
+        taken: names of the channels that the recording has without them.
         where: key of the sensors' table in the rig file.
 
     Raises:
-        InputError: a channel has such a name.
+        InputError: a channel has a name that recordings or exported files use already.
     """
     for i, one in enumerate(sensors.extra):
-        if one.name in taken:
+        if why := why_taken(one.name, taken):
             raise InputError(
-                f'found "{one.name}", a name that every recording already uses; choose another '
-                "name",
-                f"{where}.extra.{i}.name",
+                f'found "{one.name}", but {why}; choose another name', f"{where}.extra.{i}.name"
             )
     return tuple(core.Channel(one.name, one.unit) for one in sensors.extra)
+
+
+def refuse_own_names(
+    test: TestFile, channels: Sequence[core.Channel], taken: Collection[str]
+) -> None:
+    """Refuse channels of the numerical part or the control law whose names are used already.
+
+    Args:
+        test: the test file, which names the class, library, FMU or structure that they are from.
+        channels: of the part, then of the law.
+        taken: names of the channels that the recording has without them.
+
+    Raises:
+        InputError: naming the first such channel, and where its name is chosen.
+    """
+    used = set(taken)
+    for one in channels:
+        if why := why_taken(one.name, used):
+            where, whose = _origin(test, one.name)
+            raise InputError(f'{whose} "{one.name}", but {why}; choose another name for it', where)
+        used.add(one.name)
+
+
+def _origin(test: TestFile, name: str) -> tuple[str, str]:
+    """Return the key and, in words, the origin of a channel that is not the rig's."""
+    from rthyb_rt.core.own import ControlLaw, NumericalPart
+    from rthyb_rt.core.own_methods import place_of
+
+    law, part = test.controller.python, test.numerical.python
+    if law is not None and name in (kind := law.own.found(ControlLaw)).values:
+        return "controller.python", f"{place_of(kind)}: {kind.__name__}.values names"
+    if part is not None:
+        made = part.own.found(NumericalPart)
+        return "numerical.python", f"{place_of(made)}: {made.__name__}.responses names"
+    given = [key for key in ("library", "fmu") if getattr(test.numerical, key) is not None]
+    return ".".join(("numerical", *given)), "found a response called"
 
 
 def law_channels(law: core.LawConfig) -> tuple[core.Channel, ...]:

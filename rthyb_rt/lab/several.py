@@ -45,7 +45,6 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import axes_rig, experiment, sensor_wires
 from rthyb_rt.lab.experiment import Group, Setup
-from rthyb_rt.record.recording import BESIDE_SAMPLES
 
 Floats = NDArray[np.float64]
 
@@ -114,7 +113,9 @@ def prepare(
     reference["f_ref_n"] = force[:, 0]
     controller = controller_config(ordered, rig, derived, end_tick)
     first = replace(derived.axis[0], structure=derived.structure)
-    own_channels = experiment.part_channels(first) + axis_channels(controller) + _lone_channels(rig)
+    of_part, of_axes = experiment.part_channels(first), axis_channels(controller)
+    experiment.refuse_own_names(test, of_part, _recorded(rig) | {one.name for one in of_axes})
+    own_channels = of_part + of_axes + _lone_channels(rig)
     baseline_note = () if baseline.ok else (f"ground motion: {baseline.message}",)
     setup = Setup(
         test=resolved,
@@ -162,22 +163,23 @@ def _refuse_names(rig: AxesRig, own: Sequence[core.Channel]) -> None:
         InputError: naming the first such sensor.
     """
     names = [one.name for one in own]
-    taken = set(experiment.RECORDED)
-    taken |= {f"{name}_{i}" for name in experiment.TRUE for i in range(1, len(rig.axis))}
+    taken = _recorded(rig) | {name for name in names if names.count(name) > 1}
     extra = {each.name: axis.name for axis in rig.axis for each in axis.sensors.extra}
     for i, one in enumerate(rig.sensor or ()):
         for name in (one.name, f"{one.name}{READ}"):
-            why = ""
-            if name in taken or names.count(name) > 1:
-                why = f'a recording of this test already has a channel "{name}"'
-            elif name in extra:
+            why = experiment.why_taken(name, taken)
+            if why is None and name in extra:
                 why = f'axis {extra[name]} has an extra sensor "{name}", recorded by that name'
-            elif name in BESIDE_SAMPLES:
-                why = f'exported files have a variable "{name}" beside the channels'
             if why:
                 raise InputError(
                     f'found "{one.name}", but {why}; choose another name', f"sensor.{i}.name"
                 )
+
+
+def _recorded(rig: AxesRig) -> set[str]:
+    """Return the names that the records of all axes use."""
+    further = {f"{name}_{i}" for name in experiment.TRUE for i in range(1, len(rig.axis))}
+    return further | experiment.RECORDED
 
 
 def _extra_channels(rig: AxesRig, own: Sequence[core.Channel]) -> tuple[core.Channel, ...]:
@@ -190,8 +192,7 @@ def _extra_channels(rig: AxesRig, own: Sequence[core.Channel]) -> tuple[core.Cha
     Raises:
         InputError: a name is used already, or a row has no room for so many.
     """
-    taken = experiment.RECORDED | {one.name for one in own}
-    taken |= {f"{name}_{i}" for name in experiment.TRUE for i in range(1, len(rig.axis))}
+    taken = _recorded(rig) | {one.name for one in own}
     _refuse_names(rig, own)
     found = tuple(
         channel
