@@ -160,6 +160,60 @@ class Unset(rt.ControlLaw):
         return x_c_m
 
 
+class Valued(rt.ControlLaw):
+    """Passes the command on; one of its values becomes something else, -1: in begin."""
+
+    values: ClassVar[dict[str, str]] = {"alpha": "samples", "tau_s": "s"}
+
+    def __init__(self, name: str, what: str, after: int) -> None:
+        self.name, self.what_it_gives, self.left = name, float(what), after
+
+    def begin(self, period_s: float, x0_m: float, rest_noise_m: float) -> None:
+        self.alpha = self.tau_s = 0.0
+        self._perhaps()
+
+    def lead(self, x_c_m: float, allowed_m: float) -> float:
+        self.left -= 1
+        self._perhaps()
+        return x_c_m
+
+    def _perhaps(self) -> None:
+        if self.left < 0:
+            setattr(self, self.name, self.what_it_gives)
+
+
+class Unnamed(rt.ControlLaw):
+    """Takes any number of arguments."""
+
+    def __init__(self, *delays_s: float) -> None:
+        self.delays_s = delays_s
+
+    def lead(self, x_c_m: float, allowed_m: float) -> float:
+        return x_c_m
+
+
+class Reporting(Oscillator):
+    """Reports something that is not a velocity after a while."""
+
+    def __init__(self, what: str, after: int) -> None:
+        super().__init__(4220.0)
+        self.what_it_gives, self.left = float(what), after
+
+    def report(self) -> list[float]:
+        self.left -= 1
+        return super().report() if self.left >= 0 else [self.what_it_gives]
+
+
+class Unreported(Silly):
+    """Names responses and does not return them."""
+
+    responses: ClassVar[dict[str, str]] = {"roof": "m", "drift": "m"}
+    report = rt.NumericalPart.report
+
+    def __init__(self, mass_kg: float) -> None:
+        super().__init__(mass_kg, "0")
+
+
 class OneResponse(Oscillator):
     """Reports a number instead of a list."""
 

@@ -14,7 +14,7 @@ import pytest
 
 import rthyb_rt as rt
 from rthyb_rt import core
-from rthyb_rt.core import own
+from rthyb_rt.core import own, own_methods
 from rthyb_rt.lab import experiment
 
 SHORT = rt.Test("section5-T0.5", ground_motion={"duration_s": 3}, test={"free_vibration_s": 0.5})
@@ -201,6 +201,108 @@ def test_law_and_element_whose_numbers_are_possible_but_absurd_are_named() -> No
         rt.run(SHORT.with_(controller=own_parts.Astray("0.01")))
 
 
+REPORTED = [*SENSELESS, "-1e200"]
+
+
+@pytest.mark.parametrize("what", REPORTED)
+def test_senseless_response_of_a_part_ends_the_test_with_class_line_tick_and_value(
+    what: str,
+) -> None:
+    found = told({"numerical": own_parts.Reporting(what, after=300)})
+    line = line_of(own_parts.Reporting.report)
+    assert found.startswith(f"{line}, in report: Reporting.report returned velocity = "), found
+    assert f"velocity = {float(what)!r} at tick 300 of a simulation without the rig;" in found
+    assert "one for each of its responses, finite and of at most 1e+150" in found
+
+
+@pytest.mark.parametrize("what", REPORTED)
+@pytest.mark.parametrize("name", ["alpha", "tau_s"])
+def test_senseless_value_of_a_law_ends_the_test_with_class_line_tick_and_value(
+    name: str, what: str
+) -> None:
+    found = told({"controller": own_parts.Valued(name, what, after=200)})
+    line = line_of(own_parts.Valued.lead)
+    assert found.startswith(f"{line}, in lead: Valued.values names {name}, but"), found
+    assert (
+        f"but the attribute {name} is {float(what)!r} after lead at tick 200 of a simulation"
+        in found
+    )
+    assert f"set self.{name} to a number, finite and of at most 1e+150" in found
+
+
+def test_value_of_a_law_that_is_senseless_from_the_beginning_is_told_with_begin() -> None:
+    found = told({"controller": own_parts.Valued("tau_s", "nan", after=-1)})
+    assert found.startswith(f"{line_of(own_parts.Valued.begin)}, in begin: Valued.values names tau")
+    assert "is nan after begin; set self.tau_s to a number, finite and" in found
+
+
+def test_values_up_to_the_largest_are_recorded_as_they_are() -> None:
+    """Of any kind of number; the largest is one whose square is finite."""
+    largest = own_methods.VALUE_MAX
+    assert np.isfinite(largest * largest)
+    for what in (repr(largest), repr(-largest)):
+        rec = rt.run(SHORT.with_(controller=own_parts.Valued("tau_s", what, after=0)))
+        assert rec["tau_s"][rec.running][-1] == float(what)
+    with pytest.raises(rt.RthybError, match="of at most"):
+        own_methods.value_of(own_parts.Valued("tau_s", "1", 0), "tau_s", "lead")
+
+
+def line_of(method: Any) -> str:
+    """Return file and line of a method as messages name them."""
+    code = method.__code__
+    return f"{Path(code.co_filename).relative_to(Path.cwd())}:{code.co_firstlineno}"
+
+
+def with_attribute(base: type, **attributes: Any) -> Any:
+    """Return an object of a class at the top level of own_parts, with other attributes."""
+    made = type("Changed", (base,), {"__module__": own_parts.__name__, **attributes})
+    own_parts.Changed = made  # type: ignore[attr-defined]
+    return made(*{own_parts.Oscillator: (4220.0,), own_parts.Inverse: (0.01,)}.get(base, ()))
+
+
+ILL_FORMED = [
+    (own_parts.Unset, "values", ["tau_s"], "has values = ['tau_s']: define values as a dict"),
+    (own_parts.Unset, "values", None, "has values = None: define values as a dict of names and"),
+    (own_parts.Unset, "values", {"Tau": "s"}, "has 'Tau' as a name in values; a name consists"),
+    (own_parts.Unset, "values", {"tau": 1}, "has 1 as the unit of tau in values; a unit is a"),
+    (own_parts.Unset, "values", {f"v{i}": "1" for i in range(99)}, "has 99 values; at most"),
+    (own_parts.Unset, "lead", 3, "Changed.lead at module own_parts is 3, which is not a method"),
+    (own_parts.Unset, "observe", "x", "is 'x', which is not a method: define it as observe(self"),
+    (own_parts.Oscillator, "responses", {3: "m"}, "has 3 as a name in responses; a name consists"),
+    (own_parts.Oscillator, "responses", "roof", "has responses = 'roof': define responses as a"),
+    (own_parts.Oscillator, "responses", {f"v{i}": "1" for i in range(99)}, "has 99 responses; at"),
+    (own_parts.Oscillator, "report", rt.NumericalPart.report, "no method report(self); define it"),
+    (own_parts.Oscillator, "answer", None, "is None, which is not a method: define it as answer("),
+]
+
+
+@pytest.mark.parametrize(("base", "name", "value", "words"), ILL_FORMED)
+@pytest.mark.parametrize("does", [rt.run, rt.check])
+def test_attribute_of_the_wrong_form_is_told_with_class_and_what_to_do(
+    does: Any, base: type, name: str, value: Any, words: str
+) -> None:
+    table = "controller" if issubclass(base, rt.ControlLaw) else "numerical"
+    test = SHORT.with_(**{table: with_attribute(base, **{name: value})})
+    with pytest.raises(rt.InputError) as caught:
+        does(test)
+    found = str(caught.value)
+    assert found.startswith(f'with_: {table}.python.class: "own_parts:Changed": Changed'), found
+    assert words in found
+    assert len(caught.value.problems) == 1
+
+
+def test_responses_without_report_are_told_with_their_names() -> None:
+    found = told({"numerical": own_parts.Unreported(4220.0)})
+    assert re.search(rf"Unreported at {PLACE} has no method report\(self\)", found)
+    assert "because its responses are roof, drift" in found
+    assert "own.py" not in found
+
+
+def test_static_methods_and_other_callables_are_methods() -> None:
+    still = with_attribute(own_parts.Unset, values={}, lead=staticmethod(lambda x, allowed: x))
+    assert rt.run(SHORT.with_(controller=still)).completed
+
+
 WRONG = [
     ("controller", own_parts.Short, "Short.lead", "takes (self, x_c_m), but it is called with 2"),
     ("controller", own_parts.Misspelt, "Misspelt", "lead(self, x_c_m, allowed_m); is laed miss"),
@@ -270,10 +372,53 @@ def test_a_class_that_is_not_there_is_refused_with_its_place() -> None:
     assert "does its own integration" in found
 
 
-def test_settings_that_the_class_does_not_take_are_told_by_python() -> None:
+def test_settings_that_the_class_does_not_take_are_told_with_those_that_it_takes() -> None:
     wrong = {"class": "own_parts:Oscillator", "settings": {"mass": 3.0}}
-    with pytest.raises(TypeError, match=r"argument.*mass"):
-        rt.run(SHORT.with_({"numerical.python": wrong}))
+    found = told({"numerical.python": wrong})
+    where = line_of(own_parts.Oscillator.__init__)
+    assert found == (
+        'with_: numerical.python.settings.mass: "own_parts:Oscillator": Oscillator.__init__ at '
+        f"{where} takes the settings mass_kg, damping_n_s_per_m = 0.0; found mass: mass_kg is "
+        "missing, mass is unknown (is it mass_kg?)"
+    )
+    found = told({"numerical.python": {"class": "own_parts:Oscillator"}})
+    assert "found none: mass_kg is missing" in found
+    test = SHORT.with_(controller=own_parts.Inverse(0.01))
+    with pytest.raises(rt.InputError, match=r"with_: controller.python.settings.b: .* b is unk"):
+        rt.run(test.with_({"controller.python.settings.b": 2}))
+    bare = {"element": "python", "class": "own_parts:Text", "settings": {"k": 2.0}}
+    for does in (rt.run, rt.check, lambda test: rt.identify(test.rig)):
+        with pytest.raises(rt.InputError, match=r"Text.__init__ at .* no settings; found k: k is"):
+            does(SHORT.with_({"rig.specimen": [bare]}))
+
+
+def test_wrong_settings_in_a_file_are_told_with_the_line_of_the_file(tmp_path: Path) -> None:
+    good = SHORT.with_(controller=own_parts.Inverse(0.01)).to_toml()
+    assert good.count("delay_s = 0.01\n") == 1
+    path = tmp_path / "mine.toml"
+    path.write_text(good.replace("delay_s = 0.01\n", "delay = 0.01\n"))
+    number = path.read_text().split("\n").index("delay = 0.01") + 1
+    with pytest.raises(rt.InputError) as caught:
+        rt.run(path, SHORT.rig)
+    assert str(caught.value).startswith(
+        f'{path}:{number}: controller.python.settings.delay: "own_parts:Inverse": Inverse.__init__'
+    )
+    path.write_text(good.replace("delay_s = 0.01\n", ""))
+    with pytest.raises(rt.InputError) as caught:
+        rt.run(path, SHORT.rig)
+    number = path.read_text().split("\n").index("[controller.python.settings]") + 1
+    assert str(caught.value).startswith(f"{path}:{number}: controller.python.settings: ")
+    assert str(caught.value).endswith("found none: delay_s is missing")
+
+
+def test_settings_that_have_no_name_are_refused_with_words() -> None:
+    found = told({"controller": own_parts.Unnamed(0.01, 0.02)})
+    assert "takes *delays_s by position only, but a file states every setting by its name" in found
+
+
+def test_an_object_created_with_wrong_arguments_is_told_with_its_class() -> None:
+    with pytest.raises(TypeError, match=r"^Oscillator\(\) missing a required argument: 'mass_kg'"):
+        own_parts.Oscillator()  # type: ignore[call-arg]
 
 
 def test_what_no_file_can_hold_is_refused_where_it_is_given() -> None:

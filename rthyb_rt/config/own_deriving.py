@@ -7,6 +7,7 @@ from rthyb_rt.config.own_structure import OwnStructure, Rows, build, period_note
 from rthyb_rt.config.rigfile import RigFile
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.core import CoreError, own
+from rthyb_rt.core.pending import OwnCodeError
 from rthyb_rt.errors import InputError, Problem
 
 
@@ -32,7 +33,7 @@ def check_classes(test: TestFile, rig: RigFile) -> None:
             if given is not None:
                 given.own.made(getattr(own, kind))
         except CoreError as error:
-            problems.append(Problem(f"{place}.class", str(error)))
+            problems.append(Problem(f"{place}.{own.key_of(error)}", str(error)))
     if problems:
         raise InputError(problems)
 
@@ -71,6 +72,9 @@ def structure_of(
         return None
     try:
         structure = build(given, k_e_n_per_m, step_s, test.interface)
+    except OwnCodeError:
+        # `rthyb_rt.run` raises the user's own exception, which a list of problems does not keep.
+        raise
     except InputError as error:
         problems += error.problems
         return None

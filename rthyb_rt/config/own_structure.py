@@ -17,7 +17,7 @@ from rthyb_rt.config.sparse_structure import JointModel
 from rthyb_rt.config.structures import Interface
 from rthyb_rt.core import CoreError, ElementConfig
 from rthyb_rt.core.numerical_parts import Part
-from rthyb_rt.core.own import PythonPartConfig
+from rthyb_rt.core.own import PythonPartConfig, key_of
 from rthyb_rt.core.own_fmu import FmuConfig
 from rthyb_rt.core.own_interfaces import IN_ORDER, Places, Stiffness, rows_of
 from rthyb_rt.core.own_library import FEW_STEPS, LibraryConfig, tried
@@ -157,7 +157,7 @@ def build(
         names = tuple(one.name for one in part.responses)
         _require_interfaces(part)
     except CoreError as error:
-        raise InputError(str(error), f"{place}.{_key(given)}") from error
+        raise InputError(str(error), f"{place}.{_key(given, error)}") from error
     try:
         if not isinstance(part, PythonPartConfig):
             tried(part, FEW_STEPS)
@@ -196,8 +196,8 @@ def _require_interfaces(part: OwnPartConfig) -> None:
     raise CoreError(f"{name}: {what} {found}; it must be {wanted}, because {rig}")
 
 
-def _key(given: LibraryFile | FmuFile | PythonClass) -> str:
-    return "class" if isinstance(given, PythonClass) else "file"
+def _key(given: LibraryFile | FmuFile | PythonClass, error: CoreError) -> str:
+    return key_of(error) if isinstance(given, PythonClass) else "file"
 
 
 def _config(

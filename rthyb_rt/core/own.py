@@ -14,7 +14,7 @@ import inspect
 import itertools
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Final, Self, TypeVar
 
 import numpy as np
@@ -32,9 +32,22 @@ from rthyb_rt.core.own_interfaces import (
     plain_interfaces,
     rows_of,
 )
-from rthyb_rt.core.own_library import RESPONSES_MAX, Recorded
-from rthyb_rt.core.own_methods import ANSWER, FORCE, LAW, LEAD, PART, REPORT, OwnMethod, place_of
-from rthyb_rt.core.pending import OwnCodeError, OwnFault, guarded, moment_in_words
+from rthyb_rt.core.own_library import Recorded
+from rthyb_rt.core.own_methods import (
+    ANSWER,
+    FORCE,
+    LAW,
+    LEAD,
+    PART,
+    REPORT,
+    RESPONSES,
+    VALUE_MAX,
+    VALUES,
+    OwnMethod,
+    settings_complaint,
+    value_of,
+)
+from rthyb_rt.core.pending import OwnCodeError, guarded
 from rthyb_rt.core.sizes import PERIOD_S
 
 _Plain = bool | int | float | str
@@ -43,7 +56,6 @@ Settings = tuple[tuple[str, Setting], ...]
 
 ELEMENT_STATES: Final[int] = lib.RTHYB_ELEMENT_STATES - 1
 """Number of state variables of a user-defined element."""
-LAW_VALUES_MAX: Final[int] = lib.RTHYB_LAW_VALUES_MAX
 
 
 class Own:
@@ -58,7 +70,10 @@ class Own:
         made = super().__new__(cls)
         if cls.__init__ is object.__init__ and (args or kwargs):
             raise TypeError(f"{cls.__name__}() takes no arguments")
-        given = inspect.signature(cls.__init__).bind(made, *args, **kwargs).arguments
+        try:
+            given = inspect.signature(cls.__init__).bind(made, *args, **kwargs).arguments
+        except TypeError as error:
+            raise TypeError(f"{cls.__name__}() {error}") from None
         own = dict(itertools.islice(given.items(), 1, None))
         names = inspect.signature(cls.__init__).parameters
         for name, parameter in names.items():
@@ -79,7 +94,7 @@ class NumericalPart(Own):
             one, force and displacement are arrays, (interfaces,), and the stiffness of the specimen
             is a matrix, (interfaces, interfaces).
         responses: names and units of the values that `report` returns; each becomes a channel of
-            the recording.
+            the recording. They must be finite.
 
     Examples:
         >>> class Oscillator(NumericalPart):
@@ -122,8 +137,8 @@ class ControlLaw(Own):
 
     Attributes:
         values: names and units of the values that it reports at every sample, each an attribute of
-            that name. ``alpha`` and ``beta``, in samples and samples squared, have fields of their
-            own in every recording; the others become channels.
+            that name, a finite number. ``alpha`` and ``beta``, in samples and samples squared,
+            have fields of their own in every recording; the others become channels.
         uses_rest_noise: whether it needs the noise at rest.
 
     Examples:
@@ -195,6 +210,45 @@ _METHODS: Final[dict[str, tuple[OwnMethod, ...]]] = {
 }  # fmt: skip
 
 
+class SettingsError(CoreError):
+    """A user's class does not take the settings that it is given.
+
+    Args:
+        message: what it takes, and what it was given.
+        unknown: a setting that it does not take; "" if there is none.
+
+    Attributes:
+        key: the settings, or the unknown one, as a key of the table that describes the class.
+    """
+
+    def __init__(self, message: str, unknown: str) -> None:
+        super().__init__(message)
+        self.key = f"settings.{unknown}" if unknown else "settings"
+
+
+def key_of(error: CoreError) -> str:
+    """Return the key of the table of a user's class to which an error belongs."""
+    return error.key if isinstance(error, SettingsError) else "class"
+
+
+def _complaint(place: type[Own], kind: type[Own]) -> str | None:
+    """Return what is wrong with a user's class, or None."""
+    for method in _METHODS.get(kind.__name__, ()):
+        complaint = method.complaint(place, kind)
+        if complaint is not None:
+            return complaint
+    if issubclass(place, ControlLaw):
+        return VALUES.complaint(place)
+    if issubclass(place, NumericalPart):
+        complaint = RESPONSES.complaint(place)
+        if complaint is None and place.responses:
+            lacking = replace(REPORT, needed=True).complaint(place, kind)
+            said = f"its responses are {', '.join(place.responses)}"
+            complaint = None if lacking is None else f"{lacking}, because {said}"
+        return complaint
+    return None
+
+
 @dataclass(frozen=True)
 class OwnClass:
     """A user-defined class and the arguments with which it is created.
@@ -209,8 +263,9 @@ class OwnClass:
         """Return the class.
 
         Raises:
-            CoreError: it cannot be imported, is not a class of the requested kind, or one of its
-                methods is missing or takes other arguments.
+            CoreError: it cannot be imported, is not a class of the requested kind, one of its
+                methods is missing or takes other arguments, or what it reports is not named in
+                the right form.
         """
         module_name, _, inner = self.name.partition(":")
         try:
@@ -239,10 +294,9 @@ class OwnClass:
                 f'"{self.name}" is not a {kind.__name__}; {kind.what} is a class '
                 f"{inner}(rthyb_rt.{kind.__name__})"
             )
-        for method in _METHODS.get(kind.__name__, ()):
-            complaint = method.complaint(place, kind)
-            if complaint is not None:
-                raise CoreError(f'"{self.name}": {complaint}')
+        complaint = _complaint(place, kind)
+        if complaint is not None:
+            raise CoreError(f'"{self.name}": {complaint}')
         return place
 
     def made(self, kind: type[_Kind]) -> _Kind:
@@ -250,9 +304,14 @@ class OwnClass:
 
         Raises:
             CoreError: it cannot be imported, or is not a class of the requested kind.
+            SettingsError: it does not take its settings.
             OwnCodeError: it raised an error.
         """
         own, given = self.found(kind), {name: _listed(value) for name, value in self.settings}
+        complaint = settings_complaint(own, given)
+        if complaint is not None:
+            text, unknown = complaint
+            raise SettingsError(f'"{self.name}": {text}', unknown)
         try:
             return own(**given)
         except Exception as error:  # whatever a user's class may raise
@@ -351,13 +410,9 @@ class PythonPartConfig:
         """Return the ``rthyb_library_config`` of the C core, and the objects that must outlive it.
 
         Raises:
-            CoreError: it cannot be imported, or names too many responses.
+            CoreError: it cannot be imported.
         """
         names, cfg = self.responses, ffi.new("rthyb_library_config *")
-        if len(names) > RESPONSES_MAX:
-            raise CoreError(
-                f"{self.own.name} has {len(names)} responses; at most {RESPONSES_MAX} are allowed"
-            )
         kept = fill_setup(cfg, self, self.interfaces, [])
         calls = _part_calls(self, [one.name for one in names])
         for name, call in calls.items():
@@ -426,11 +481,11 @@ def _part_calls(config: PythonPartConfig, names: Sequence[str]) -> dict[str, Any
         at["part"].freeze(forces(force_n))
 
     def report(_state: Any, values: Any) -> None:
-        reported = _several(REPORT, at["part"], at["part"].report(), len(names))
-        try:
-            values[0 : len(reported)] = reported
-        except TypeError:
-            raise REPORT.fault(at["part"], f"returned {reported!r}") from None
+        part = at["part"]
+        reported = _several(REPORT, part, part.report(), len(names))
+        values[0 : len(names)] = [
+            REPORT.number(part, one, name=name) for name, one in zip(names, reported, strict=True)
+        ]
 
     kind = config.own.found(NumericalPart)
     functions: dict[str, Callable[..., Any]] = {"init": init, "answer": answer}
@@ -455,13 +510,9 @@ def law_of(own: OwnClass) -> LawDescription:
     """Return the description of a user-defined control law, like those of the core.
 
     Raises:
-        CoreError: it cannot be imported, or reports too many values.
+        CoreError: it cannot be imported.
     """
     kind = own.found(ControlLaw)
-    if len(kind.values) > LAW_VALUES_MAX:
-        raise CoreError(
-            f"{own.name} reports {len(kind.values)} values; at most {LAW_VALUES_MAX} are allowed"
-        )
     learns = kind.observe is not ControlLaw.observe
     return LawDescription(
         name="python",
@@ -476,17 +527,6 @@ def law_of(own: OwnClass) -> LawDescription:
     )
 
 
-def _without_value(law: ControlLaw, name: str) -> Exception:
-    """Return the error for a law without one of the values that it says it reports."""
-    kind = type(law)
-    what = f"is {getattr(law, name)!r}" if hasattr(law, name) else "is missing"
-    return OwnFault(
-        f"{kind.__name__}.values names {name}, but the attribute {name} {what}{moment_in_words()}; "
-        f"set self.{name} to a number in begin, before the first sample, or remove it from values",
-        place_of(kind),
-    )
-
-
 _LAW_CALLS: Final = dict(ffi.typeof("rthyb_control_law").fields)
 
 
@@ -494,7 +534,7 @@ def control_law(own: OwnClass) -> Any:
     """Return the ``rthyb_control_law`` of the C core, which lives as long as the program.
 
     Raises:
-        CoreError: it cannot be imported, or reports too many values.
+        CoreError: it cannot be imported.
         OwnCodeError: it raises an error when it is created.
     """
     own.made(ControlLaw)
@@ -530,12 +570,14 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
     at: dict[float, ControlLaw] = {}
     numbers = itertools.count(1)
 
-    def store_values(state: Any, law: ControlLaw) -> int:
-        for i, name in enumerate(names):
-            try:
-                state[1 + i] = getattr(law, name)
-            except (AttributeError, TypeError):
-                raise _without_value(law, name) from None
+    def store_values(state: Any, law: ControlLaw, method: str) -> int:
+        for i, name in enumerate(names, 1):
+            found = getattr(law, name, None)
+            # The common case, because this is called several times in every tick.
+            if type(found) is float and -VALUE_MAX <= found <= VALUE_MAX:
+                state[i] = found
+            else:
+                state[i] = value_of(law, name, method)
         return 0
 
     def init(state: Any, start: Any) -> int:
@@ -545,7 +587,7 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
         place[0], at[number] = number, law
         # Objects that are no longer in use are the oldest.
         at.pop(number - 64.0, None)
-        return store_values(place, law)
+        return store_values(place, law, "begin")
 
     def rest(state: Any, x_m: float) -> None:
         at[ffi.cast("double *", state)[0]].rest(x_m)
@@ -554,14 +596,14 @@ def _law_calls(own: OwnClass, names: Sequence[str]) -> dict[str, Any]:
         place = ffi.cast("double *", state)
         law = at[place[0]]
         law.observe(x_p_m, x_m_m, bool(frozen))
-        return store_values(place, law)
+        return store_values(place, law, "observe")
 
     def lead(state: Any, x_c_m: float, allowed_m: float, x_p_m: Any) -> int:
         place = ffi.cast("double *", state)
         law = at[place[0]]
         x_p_m[0] = x_c_m
         x_p_m[0] = LEAD.number(law, law.lead(x_c_m, allowed_m), (x_c_m, allowed_m))
-        return store_values(place, law)
+        return store_values(place, law, "lead")
 
     functions: dict[str, Callable[..., Any]] = {
         "init": init,

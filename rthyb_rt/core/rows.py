@@ -104,7 +104,8 @@ RECORD_DTYPE: Final = record_dtype(1)
 CHANNELS_MAX: Final[int] = lib.RTHYB_CHANNELS_MAX
 """Largest number of named values in a row in addition to its record."""
 
-_CHANNEL_NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
+CHANNEL_NAME: Final = re.compile(r"[a-z][a-z0-9_]{0,31}")
+"""Form of the name of a channel."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def check_channels(channels: Sequence[Channel]) -> None:
         raise ValueError(f"found {len(channels)} channels; a row has room for {CHANNELS_MAX}")
     taken = set(RECORD_DTYPE.names or ())
     for channel in channels:
-        if not _CHANNEL_NAME.fullmatch(channel.name):
+        if not CHANNEL_NAME.fullmatch(channel.name):
             raise ValueError(
                 f"channel {channel.name!r}: a name has up to 32 of a-z 0-9 _ and starts with a "
                 "letter"
