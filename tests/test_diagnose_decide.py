@@ -47,7 +47,8 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
 
 
 ANSWERS = {
-    "held_out": 0.9, "size": 0.5, "driven": (60.0, 60.0, 60.0), "driven_together": 180.0,
+    "held_out": 0.9, "size": 0.5, "left": 0.5, "driven": (60.0, 60.0, 60.0),
+    "driven_together": 180.0,
 }  # fmt: skip
 
 
@@ -148,6 +149,7 @@ RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...
     "simplest first": (a_form_of_one(), {}, ("coulomb", "cubic"), ("coulomb", "gap")),
     "earns": (evidence(of("cubic", chi2=19_990.0), null=20_000.0), {}, (), ("cubic",)),
     "size": (evidence(of("cubic", chi2=1000.0)), {"size": 1e-4}, (), ("cubic",)),
+    "closer": (evidence(of("inertia", chi2=1000.0)), {"left": 1.1}, (), ("inertia",)),
     "held out": (evidence(of("cubic", chi2=1000.0)), {"held_out": 0.1}, (), ("cubic",)),
 }
 """Of each rule evidence, what is answered when it is asked for, and what is named with and without
@@ -291,7 +293,7 @@ def test_what_is_not_known_is_asked_for_and_nothing_else() -> None:
         return {"part": of("gap", chi2=5000.0)}.get(need.what, 0.5)
 
     assert gathered(evidence(pair), POLICY, answer).best is pair
-    assert [n.what for n in asked] == ["part", "part", "size", "held out"]
+    assert [n.what for n in asked] == ["part", "part", "size", "left", "held out"]
 
 
 def test_a_model_of_free_stiffness_is_asked_for_yielding_in_the_place_of_bristles() -> None:

@@ -21,8 +21,8 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 CLOSER = 3
 """Number of sets, best first, for which yielding is tried in place of bristles."""
 What = Literal[
-    "part", "yielding", "beyond forms", "drift", "driven", "driven together", "size", "held out",
-    "zero",
+    "part", "yielding", "beyond forms", "drift", "driven", "driven together", "size", "left",
+    "held out", "zero",
 ]  # fmt: skip
 
 
@@ -200,9 +200,10 @@ class Need:
             "driven", what each effect earns by the motion that the test imposes (chi-squared, a
             number for each; empty if nothing moves); "driven together", what those of ``which``
             earn together (likewise, one number); "size", its force relative to the recorded
-            force; "held out", the fraction of its gain that is confirmed on rows to which it was
-            not fitted; "zero", how far a constant force or a drift deflects the spring, in
-            standard deviations of the displacement noise in its data sheet.
+            force; "left", the rms difference from the recorded force with the set, as a multiple
+            of that of the model as given; "held out", the fraction of its gain that is confirmed
+            on rows to which it was not fitted; "zero", how far a constant force or a drift
+            deflects the spring, in standard deviations of the displacement noise in its data sheet.
         of: the set.
         which: indices of the effects concerned.
     """
@@ -699,6 +700,20 @@ def is_a_finding(court: Court, of: Hypothesis) -> bool:
     return size > wanted or court.refuse("size", of, found=size, wanted=wanted)
 
 
+def closer(court: Court, of: Hypothesis) -> bool:
+    """With it, the model must be closer to the force of a load cell than without it.
+
+    Chi-squared weighs frequencies by the noise spectrum read from the recording. A law may win by
+    what it does where the noise is weak, such as undoing the smoothing of an estimated motion, and
+    yet add more error than it removes.
+    """
+    setting = court.setting
+    if setting.judged != "force" or setting.returns:
+        return True
+    left = court.ask("left", of)
+    return left <= 1.0 or court.refuse("closer", of, found=left, wanted=1.0)
+
+
 def holds(court: Court, of: Hypothesis) -> bool:
     """It must be confirmed on rows to which it was not fitted."""
     held = court.ask("held out", of)
@@ -709,6 +724,7 @@ def holds(court: Court, of: Hypothesis) -> bool:
 NAMING: dict[str, Callable[[Court, Hypothesis], bool]] = {
     "earns": earns,
     "size": is_a_finding,
+    "closer": closer,
     "held out": holds,
 }
 """Requirements on the first set to be named; no other set takes its place."""

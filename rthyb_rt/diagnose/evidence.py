@@ -25,7 +25,16 @@ from rthyb_rt.diagnose.effects.base import Floats
 from rthyb_rt.diagnose.feedback import Driven, inferred, returns
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, Member, Problem, columns_of, inflation, price, solve
+from rthyb_rt.diagnose.select import (
+    Fit,
+    Member,
+    Problem,
+    columns_of,
+    inflation,
+    leaning,
+    price,
+    solve,
+)
 
 FOLD_S = 0.25
 FOLDS = 4
@@ -171,6 +180,8 @@ class Gathered:
                 return np.inf
             force_n = float(np.max(np.abs(contribution(problem, fit, need.which[0]))))
             return force_n / abs(model.k) / model.x_std
+        if need.what == "left":
+            return left(problem, fit)
         return size(problem, fit) if need.what == "size" else self.held_out(fit)
 
     def _refined(self, members: list[Member]) -> Hypothesis | None:
@@ -239,6 +250,16 @@ def size(problem: Problem, fit: Fit) -> float:
     return float(np.std(np.asarray(total)[rows]) + abs(np.mean(np.asarray(total)[rows]))) / max(
         float(np.sqrt(np.mean(force**2))), 1e-300
     )
+
+
+def left(problem: Problem, fit: Fit) -> float:
+    """Return the rms difference from the recorded force with a set, relative to that without it."""
+    rows = problem.estimate.rows
+    before = (problem.estimate.force - problem.ctx.total)[rows]
+    added = leaning(problem, fit) + sum(
+        contribution(problem, fit, i) for i in range(len(fit.members))
+    )
+    return float(np.std(before - added[rows])) / max(float(np.std(before)), 1e-300)
 
 
 def beyond_forms(problem: Problem, fit: Fit, which: int) -> float:

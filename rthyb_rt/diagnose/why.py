@@ -259,6 +259,12 @@ def _not_enough(search: forces.Search, fit: Fit, gain: float) -> str:
             f"improves chi-squared by {count(gain)}, but its force is only {_percent(size)} of "
             f"the whole; less than {_percent(POLICY.least_force)} is not reported"
         )
+    left = evidence.left(search.problem, fit)
+    if left > 1.0 and any(r.rule == "closer" and r.names == fit.names for r in search.ledger):
+        return (
+            f"improves chi-squared by {count(gain)}, but the model with it differs from the "
+            f"recorded force by {_percent(left)} of what it does without it"
+        )
     if not search.moved:
         held = evidence.held_out_gain(search.problem, fit)
         if held < POLICY.held_out_share:
