@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
+import numpy as np
+
 import rthyb_rt as rt
 
 
@@ -180,6 +182,47 @@ class Valued(rt.ControlLaw):
     def _perhaps(self) -> None:
         if self.left < 0:
             setattr(self, self.name, self.what_it_gives)
+
+
+class Weighted(rt.ControlLaw):
+    """The mean of the last commands by weights."""
+
+    def __init__(self, weights: Any) -> None:
+        self.given = weights
+
+    def begin(self, period_s: float, x0_m: float, rest_noise_m: float) -> None:
+        self.weights = np.asarray(self.given, dtype=float)
+        self.last = np.full(self.weights.size, x0_m)
+
+    def lead(self, x_c_m: float, allowed_m: float) -> float:
+        self.last = np.append(x_c_m, self.last)[: self.weights.size]
+        return float(self.weights @ self.last / self.weights.sum())
+
+
+class Late(Oscillator):
+    """Rejects its settings when it begins."""
+
+    def __init__(self) -> None:
+        super().__init__(4220.0)
+
+    def begin(self, period_s: float, k_e_n_per_m: float) -> None:
+        raise ValueError("the mass is too large")
+
+
+class Singular(rt.ControlLaw):
+    """Solves equations that have no solution, by a function of NumPy."""
+
+    def lead(self, x_c_m: float, allowed_m: float) -> float:
+        return float(np.linalg.solve(np.zeros((2, 2)), np.ones(2))[0])
+
+
+class Torn(rt.Element):
+    """Looks for what is not there."""
+
+    def force(
+        self, x_m: float, v_m_per_s: float, a_m_per_s2: float, dt_s: float, state: Any
+    ) -> float:
+        return float({}["stiffness"])
 
 
 class Unnamed(rt.ControlLaw):

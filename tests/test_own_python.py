@@ -114,7 +114,87 @@ def test_a_run_of_a_sweep_whose_law_fails_is_a_row_that_names_file_and_line(tmp_
     assert "the law has had enough" in str(found.rows[1]["cause"])
 
 
+@pytest.mark.parametrize(
+    ("given", "stored"),
+    [
+        (np.array([0.01, 0.002]), [0.01, 0.002]),
+        (np.array([0.01]), [0.01]),
+        (np.array([True, False]), [True, False]),
+        (np.array([2, 3]), [2, 3]),
+        ([np.int64(2), np.float64(0.5)], [2, 0.5]),
+        (np.array(0.01), 0.01),
+        (np.float32(0.5), 0.5),
+        (np.array([]), []),
+    ],
+)
+def test_numpy_array_as_a_setting_is_stored_as_a_list(given: Any, stored: Any) -> None:
+    test = SHORT.with_(controller=own_parts.Weighted(given))
+    found = test["controller.python.settings.weights"]
+    assert found == stored
+    assert type(found) is type(stored)
+    again = rt.Test.from_toml(test.to_toml(), test.rig)
+    assert again == test
+    assert again["controller.python.settings.weights"] == stored
+
+
+def test_law_with_an_array_runs_as_with_the_list() -> None:
+    weights = [0.5, 0.25]
+    by_list = rt.run(SHORT.with_(controller=own_parts.Weighted(weights)))
+    by_array = rt.run(SHORT.with_(controller=own_parts.Weighted(np.array(weights))))
+    same_numbers(by_list, by_array)
+    assert rt.replay(by_array).identical
+
+
+@pytest.mark.parametrize("given", [np.eye(2), np.array([1j]), np.array([None]), [[1.0]], {"a": 1}])
+def test_what_is_no_list_of_plain_values_is_refused_with_words(given: Any) -> None:
+    with pytest.raises(rt.InputError, match=r"or a list or a one-dimensional array of these"):
+        SHORT.with_(controller=own_parts.Weighted(given))
+
+
 # ---- what goes wrong ----------------------------------------------------------------------------
+
+
+FAULTY = [
+    ({"numerical": own_parts.Failing(4220.0)}, ZeroDivisionError, own_parts.Failing.answer),
+    ({"numerical": own_parts.Late()}, ValueError, own_parts.Late.begin),
+    ({"numerical": own_parts.Silly(4220.0, "nan")}, rt.InputError, own_parts.Silly.answer),
+    ({"controller": own_parts.Inverse(0.01, 3)}, RuntimeError, own_parts.Inverse.lead),
+    ({"controller": own_parts.Singular()}, np.linalg.LinAlgError, own_parts.Singular.lead),
+    ({"rig": {"specimen": [own_parts.Jumpy("nan")]}}, rt.InputError, own_parts.Jumpy.force),
+    ({"rig": {"specimen": [own_parts.Torn()]}}, KeyError, own_parts.Torn.force),
+]
+
+
+def within(method: Any, found: str) -> bool:
+    """Return whether a message begins with a line of this method."""
+    match = re.match(rf"[\w/.-]*{re.escape(HERE)}:(\d+)", found)
+    lines = {line for *_, line in method.__code__.co_lines()}
+    return match is not None and int(match[1]) in lines
+
+
+@pytest.mark.parametrize(("change", "kind", "method"), FAULTY)
+def test_check_tells_the_error_of_a_class_as_an_input_error_with_its_cause(
+    change: dict[str, Any], kind: type[Exception], method: Any
+) -> None:
+    test = SHORT.with_(**change)
+    with pytest.raises(kind) as raised:
+        rt.run(test)
+    with pytest.raises(rt.InputError) as caught:
+        rt.check(test)
+    assert within(method, str(caught.value)), str(caught.value)
+    assert isinstance(caught.value.__cause__, kind)
+    if kind is rt.InputError:
+        assert str(caught.value) == str(raised.value)
+
+
+@pytest.mark.parametrize(("change", "kind", "method"), FAULTY[-2:])
+def test_identify_tells_the_error_of_an_element_as_an_input_error_with_its_cause(
+    change: dict[str, Any], kind: type[Exception], method: Any
+) -> None:
+    with pytest.raises(rt.InputError) as caught:
+        rt.identify(SHORT.with_(**change).rig)
+    assert within(method, str(caught.value)), str(caught.value)
+    assert isinstance(caught.value.__cause__, kind)
 
 
 def test_an_error_in_a_part_comes_out_as_it_was_raised_with_its_own_line() -> None:

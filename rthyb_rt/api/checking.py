@@ -118,7 +118,9 @@ def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
         rig: a rig, or the path or name of one; None: the rig of the test.
 
     Raises:
-        InputError: test, rig or ground motion are invalid; the message lists all errors.
+        InputError: test, rig or ground motion are invalid; the message lists all errors. Or your
+            own numerical part, control law or element raised an exception, which is then the
+            cause of this one; the message names its file and line.
 
     Examples:
         >>> round(check("section5-T0.5").figures["period_s"], 3)

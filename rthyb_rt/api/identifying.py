@@ -174,7 +174,9 @@ def identify(
         The result; for a rig with several axes, an `AxesIdentification`.
 
     Raises:
-        InputError: the rig is invalid, or cannot be identified; the message explains why.
+        InputError: the rig is invalid, or cannot be identified; the message explains why. Or your
+            own element raised an exception, which is then the cause of this one; the message names
+            its file and line.
 
     Examples:
         >>> found = identify("delay-10-elastic")
@@ -185,7 +187,8 @@ def identify(
     try:
         return _identified(on, amplitude, max_frequency, progress)
     except InputError as error:
-        raise in_python(error, _WORDS) from None
+        # The cause is an exception that a user's element raised, or there is none.
+        raise in_python(error, _WORDS) from error.__cause__
 
 
 def _identified(

@@ -337,6 +337,13 @@ def _frozen(value: Any) -> Any:
     return tuple(_frozen(v) for v in value) if isinstance(value, (list, tuple)) else value
 
 
+def _storable(value: Any) -> Any:
+    """Return a setting with NumPy's arrays and tuples as lists, and its scalars as Python's."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    return [_storable(v) for v in value] if isinstance(value, (list, tuple)) else value
+
+
 def spelled(made: Own) -> OwnClass:
     """Return name and settings of an object, from which it can be created again.
 
@@ -352,14 +359,15 @@ def spelled(made: Own) -> OwnClass:
         )
     settings = []
     for name, value in made._given.items():
-        value = value.item() if hasattr(value, "item") else value
-        inner = value if isinstance(value, (list, tuple)) else [value]
+        stored = _storable(value)
+        inner = stored if isinstance(stored, list) else [stored]
         if not all(isinstance(v, (bool, int, float, str)) for v in inner):
             raise CoreError(
                 f"{kind.__qualname__} was created with {name} = {value!r}; a setting must be a "
-                "number, a string, true or false, or a list of these, so that a file can hold it"
+                "number, a string, true or false, or a list or a one-dimensional array of these, "
+                "so that a file can hold it"
             )
-        settings.append((name, _frozen(value)))
+        settings.append((name, _frozen(stored)))
     return OwnClass(f"{kind.__module__}:{kind.__qualname__}", tuple(settings))
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import sysconfig
 import threading
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
@@ -12,27 +13,30 @@ from typing import Any, Final
 from rthyb_rt.errors import InputError, RthybError
 
 _PACKAGE: Final = f"{Path(__file__).resolve().parents[1]}/"
+_PYTHON: Final = f"{sysconfig.get_path('stdlib')}/"
+"""Folder of Python's own modules."""
 
 
 class OwnFault(InputError):
     """User code returned what it must not; the message names its method, its place and when."""
 
 
-class OwnCodeError(RthybError):
+class OwnCodeError(InputError):
     """An error raised by user code; the message names the error and its location.
 
     Attributes:
         original: the original exception with its traceback.
     """
 
+    exit_code = RthybError.exit_code
+
     def __init__(self, original: BaseException, doing: str) -> None:
         self.original = original
         if isinstance(original, OwnFault):
             problem = original.problems[0]
-            super().__init__(problem.message, where=problem.where)
+            super().__init__(problem)
             return
-        last = traceback.extract_tb(original.__traceback__)
-        own = [frame for frame in last if not _of_this_program(frame.filename)]
+        own = _of_the_user(traceback.extract_tb(original.__traceback__))
         at = f"{own[-1].filename}:{own[-1].lineno}, in {own[-1].name}" if own else doing
         if isinstance(original, SyntaxError) and original.filename:
             at = f"{original.filename}:{original.lineno}"
@@ -40,8 +44,19 @@ class OwnCodeError(RthybError):
         super().__init__(f"{text} ({doing})", where=at)
 
 
-def _of_this_program(file: str) -> bool:
-    return file.startswith((_PACKAGE, "<frozen"))
+def _of_the_user(frames: Iterable[traceback.FrameSummary]) -> list[traceback.FrameSummary]:
+    """Return the frames in the user's files; those in installed packages if there are none."""
+    outside = [
+        one
+        for one in frames
+        if not one.filename.startswith((_PACKAGE, "<frozen"))
+        and (_installed(one.filename) or not one.filename.startswith(_PYTHON))
+    ]
+    return [one for one in outside if not _installed(one.filename)] or outside
+
+
+def _installed(file: str) -> bool:
+    return "/site-packages/" in file or "/dist-packages/" in file
 
 
 class _Pending(threading.local):
