@@ -20,7 +20,7 @@ from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
 from rthyb_rt.config.own import Settings
-from rthyb_rt.config.rigfile import BoucWen, Link, RigFile, Sensors
+from rthyb_rt.config.rigfile import BoucWen, Link, RigFile, Sensors, ServoHydraulic, assumable
 from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.config.testfile import AxisLaw, Controller, Numerical, TestFile
 from rthyb_rt.errors import InputError
@@ -131,6 +131,13 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         data["interface"] = [{"name": "x", "storey": 1, "dof": None}] if many else []
     if model is Matrices:
         data.update(draw(matrices()))
+    if model is RigFile:
+        listed = [key for key in assumable(data["actuator"]) if draw(st.booleans())]
+        data["rig"]["assumed"] = listed or draw(st.sampled_from([None, []]))
+        (fits,) = ServoHydraulic.checks
+        for name in (key.removeprefix("actuator.") for key in listed):
+            if name not in fits.needs and draw(st.booleans()):
+                data["actuator"][name] = ServoHydraulic.model_fields[name].default
     if model is RigFile and data["actuator"]["kind"] == "servo-valve":
         data["specimen"] = [*data["specimen"][:3], {"element": "inertia", "m_kg": 29.13}]
     if issubclass(model, BoucWen):

@@ -187,6 +187,8 @@ MEANINGS: dict[str, str] = {
     "Similitude.length": "displacement of the structure over that of the specimen",
     "Similitude.force": "force of the structure over that of the specimen",
     "RigInfo.name": "name of the rig",
+    "RigInfo.assumed": 'keys whose values nobody stated, `"actuator.kp_per_s"`: they are those of '
+    "another rig, and every command notes them; written by the program",
     "RigInfo.command_shift_s": "delay of the measured row behind the command row, in addition to "
     "the actuator's delay; negative: ahead of it",
     "BaselineFile.command_shift_s": "delay of the measured row behind the command row, in addition "

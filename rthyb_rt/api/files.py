@@ -341,7 +341,8 @@ class _Document(Generic[_File]):
                 problems += error.problems
         if problems:
             raise InputError(problems)
-        config.remove_omitted(self._file, values)
+        if not any(self._own_key(key) == "rig.assumed" for key in changes):
+            config.remove_omitted(self._file, values)
         given = {key: config.inline(value) for key, value in changes.items() if key not in gone}
         return parse(config.dump_values(values), self._origin, given, config.IN_PYTHON)
 

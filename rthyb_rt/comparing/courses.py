@@ -207,6 +207,7 @@ def recorded(rec: Recording, label: str | None = None, axis: str | None = None) 
         np.asarray(rec.samples["f_meas_n"][rows], np.float64),
         "completed" if found.end_reason == "completed" else found.ending or found.end_reason,
         {name: measures[name] for name in MEASURES},
+        notes=found.setup.omitted,
     )
 
 

@@ -64,6 +64,7 @@ def recorded(rec: Recording, label: str | None, axis: str | None) -> Course:
         signals.force_n[:, k],
         found.end_reason,
         dict.fromkeys(MEASURES) | known,
+        notes=found.omitted,
         axis=own.name,
     )
 

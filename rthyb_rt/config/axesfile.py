@@ -6,7 +6,7 @@ An axis consists of the same tables that a rig with one axis has at the top leve
 from __future__ import annotations
 
 import datetime
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
@@ -42,6 +42,7 @@ from rthyb_rt.config.lonesensors import (
 from rthyb_rt.config.lonesensors import fault as lone_fault
 from rthyb_rt.config.rate import STANDARD, Rate
 from rthyb_rt.config.rigfile import (
+    ASSUMED,
     MAX_ELEMENTS,
     Actuator,
     Calibration,
@@ -53,8 +54,12 @@ from rthyb_rt.config.rigfile import (
     Sensors,
     SpecimenElement,
     StiffnessElement,
+    assumable,
+    assumed_faults,
+    assumed_of,
     extras_arrive,
     not_rising,
+    with_assumed,
 )
 from rthyb_rt.core.sizes import COUPLED_MAX, SENSORS_MAX
 from rthyb_rt.errors import InputError
@@ -742,7 +747,7 @@ class AxesInfo(Table):
     """General properties of a rig with several axes, as for one axis.
 
     ``elastic_stiffness`` is the measured stiffness along the interface; if it is missing, that of
-    the specimen is used.
+    the specimen is used. ``assumed`` names the axis, "axis.left.actuator.kp_per_s".
     """
 
     name: Annotated[str, SLUG]
@@ -756,6 +761,7 @@ class AxesInfo(Table):
         float, Range("s", -1, 1, "the delay of the measured row behind the command row")
     ] = 0.0
     seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the sensor noise")] = 0
+    assumed: Annotated[list[str], ASSUMED] | None = None
 
 
 def _names_differ(axes: list[Axis]) -> str | None:
@@ -1033,6 +1039,40 @@ class AxesRig(WholeFile):
             )
         return where, text
 
+    @classmethod
+    def further_faults(
+        cls, keys: dict[str, Any]
+    ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+        """Report names in ``rig.assumed`` that are no keys which the file may omit."""
+        known, axes = [], keys.get("axis")
+        for one in axes if isinstance(axes, list) else ():
+            own = one if isinstance(one, dict) else getattr(one, "__dict__", {})
+            known += assumable(own.get("actuator"), f"axis.{own.get('name')}.")
+        yield from assumed_faults(keys.get("rig"), known, ("axis",))
+
+    def settle(self) -> None:
+        """Omit the values that are listed as assumed, and list all that are omitted."""
+        listed = self.rig.assumed
+        if listed:
+            self.__dict__["axis"] = [
+                axis
+                if axis.actuator is None
+                else axis.model_copy(
+                    update={"actuator": with_assumed(axis.actuator, listed, f"axis.{axis.name}.")}
+                )
+                for axis in self.axis
+            ]
+        assumed = list(self.assumed) or None
+        if assumed != listed:
+            self.__dict__["rig"] = self.rig.model_copy(update={"assumed": assumed})
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Keys whose values nobody stated, as ``rig.assumed`` lists them in a file."""
+        return tuple(
+            key for axis in self.axis for key in assumed_of(axis.actuator, f"axis.{axis.name}.")
+        )
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the axes, in their order."""
@@ -1129,12 +1169,15 @@ class AxesRig(WholeFile):
         limits = {
             key: getattr(self.limits, key) if value is None else value for key, value in own.items()
         }
-        keys = set(AxesInfo.model_fields) - {"name", "elastic_stiffness"}
+        keys = set(AxesInfo.model_fields) - {"name", "elastic_stiffness", "assumed"}
         info = {key: getattr(self.rig, key) for key in keys}
         found = RigFile.model_construct(
             schema_=self.schema_,
             rig=RigInfo.model_construct(
-                **info, name=f"{self.rig.name[:38]}.{name}", elastic_stiffness_n_per_m=k
+                **info,
+                name=f"{self.rig.name[:38]}.{name}",
+                elastic_stiffness_n_per_m=k,
+                assumed=list(assumed_of(axis.actuator)) or None,
             ),
             # A plant has no actuators of its own: nothing simulates this one.
             actuator=axis.actuator or PureDelay(kind="pure-delay", delay_samples=0),

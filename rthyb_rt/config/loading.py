@@ -7,7 +7,7 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, Literal, TypeVar, get_args
 
@@ -25,7 +25,7 @@ from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
 from rthyb_rt.config.placing import SourceText
-from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, Link, RigFile, kinds
+from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, Link, RigFile, assumable, kinds
 from rthyb_rt.config.structures import FROM_FILE, WRITTEN_OUT, MatrixFile
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
 from rthyb_rt.errors import InputError, Problem
@@ -783,6 +783,41 @@ def read_text(path: str | Path, kind: str) -> str:
         ) from None
 
 
+def _table_at(raw: Any, path: KeyPath) -> Any:
+    """Return what a file has at a place; None: nothing."""
+    for part in path:
+        try:
+            raw = raw[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return raw
+
+
+def _state(raw: dict[str, Any], given: Collection[KeyPath]) -> None:
+    """Remove from the list of a rig's assumed values, in place, those that an override states.
+
+    Args:
+        raw: the file with all overrides.
+        given: places of the overrides.
+    """
+    rig = raw.get("rig")
+    listed = rig.get("assumed") if isinstance(rig, dict) else None
+    if not (isinstance(rig, dict) and isinstance(listed, list)) or ("rig", "assumed") in given:
+        return
+    stated = [_shown(raw, path) for path in given]
+    # Another kind of actuator has none of the former keys.
+    stated += [
+        _shown(raw, path[:-1])
+        for path in given
+        if path[-2:] == ("actuator", "kind") and not assumable(_table_at(raw, path[:-1]))
+    ]
+    rig["assumed"] = [
+        key
+        for key in listed
+        if not any(key == one or str(key).startswith(f"{one}.") for one in stated)
+    ]
+
+
 def _parse(
     model: type[_Model], schema: str, text: str, source: str, overrides: Mapping[str, str],
     raw: dict[str, Any] | None = None, wording: Wording = ON_COMMAND_LINE,
@@ -801,6 +836,7 @@ def _parse(
             problems.append(Problem(wording.place(key), complaint))
         else:
             given[path] = key
+    _state(raw, given)
     # Tables whose kind was changed, and those whose other keys do not match it.
     new_kinds: dict[KeyPath, int | str] = {
         key[:-1]: key[-1]

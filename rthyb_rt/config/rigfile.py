@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, PrivateAttr, StrictBool
@@ -17,12 +17,15 @@ from rthyb_rt.config.fields import (
     SOME_TEXT,
     Condition,
     Count,
+    Names,
     OneOf,
     Range,
     Sign,
     Table,
     Text,
     WholeFile,
+    nearest,
+    written,
 )
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.own import PythonClass
@@ -47,11 +50,15 @@ FrictionWidth = Annotated[
 ]
 
 
+ASSUMED: Final = Names("the keys that nobody stated", 128)
+
+
 class RigInfo(Table):
     """Conventions of the rig.
 
     ``command_hold``: the drive holds a command ("zoh") or interpolates to it ("foh").
     ``elastic_stiffness_n_per_m`` is the paper's k_e, the upper bound of the tangent stiffness.
+    ``assumed`` lists keys of the actuator whose values nobody stated: those of another rig.
     """
 
     name: Annotated[str, SLUG]
@@ -73,6 +80,7 @@ class RigInfo(Table):
         float, Range("s", -1, 1, "the delay of the measured row behind the command row")
     ] = 0.0
     seed: Annotated[int, Count(0, 2**32 - 1, "the seed of the sensor noise")] = 0
+    assumed: Annotated[list[str], ASSUMED] | None = None
 
 
 class PureDelay(Table):
@@ -167,8 +175,19 @@ class ServoHydraulic(Table):
 
     @property
     def omitted(self) -> tuple[str, ...]:
-        """Keys that the file omits, whose values are those of another rig."""
+        """Keys that the file omits or lists as assumed, whose values are those of another rig."""
         return tuple(key for key in type(self).model_fields if key not in self.model_fields_set)
+
+    def assuming(self, keys: Collection[str]) -> ServoHydraulic:
+        """Return the same actuator, which omits those of the keys that have their default value.
+
+        Another value has been stated by somebody since the file was written.
+        """
+        fields = type(self).model_fields
+        gone = {key for key in keys if getattr(self, key) == fields[key].default}
+        found = self.model_copy()
+        found.model_fields_set.difference_update(gone)
+        return found
 
 
 class ServoValve(Table):
@@ -197,6 +216,53 @@ class ServoValve(Table):
 
 
 Actuator = PureDelay | FirstOrder | SecondOrder | ServoHydraulic | ServoValve
+_ACTUATOR: Final = "actuator."
+
+
+def assumable(actuator: object, prefix: str = "") -> list[str]:
+    """Return the keys of an actuator, as a table of a file, whose values may be assumed."""
+    given = actuator.get("kind") if isinstance(actuator, dict) else getattr(actuator, "kind", "")
+    if given != "servo-hydraulic":
+        return []
+    keys = [key for key, info in ServoHydraulic.model_fields.items() if not info.is_required()]
+    return [f"{prefix}{_ACTUATOR}{key}" for key in keys]
+
+
+def assumed_of(actuator: Actuator | None, prefix: str = "") -> tuple[str, ...]:
+    """Return the keys of an actuator whose values nobody stated, after the name of its axis."""
+    omitted = actuator.omitted if isinstance(actuator, ServoHydraulic) else ()
+    return tuple(f"{prefix}{_ACTUATOR}{key}" for key in omitted)
+
+
+def with_assumed(actuator: Actuator, assumed: Collection[str] | None, prefix: str = "") -> Actuator:
+    """Return an actuator that omits the values which ``rig.assumed`` lists; see `assumed_of`."""
+    start = f"{prefix}{_ACTUATOR}"
+    keys = [key.removeprefix(start) for key in assumed or () if key.startswith(start)]
+    if not keys or not isinstance(actuator, ServoHydraulic):
+        return actuator
+    return actuator.assuming(keys)
+
+
+def assumed_faults(
+    rig: object, known: list[str], needs: tuple[str, ...]
+) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+    """Yield what is wrong with ``assumed`` in the table ``[rig]``.
+
+    Args:
+        rig: the table.
+        known: what it may list.
+        needs: tables on which that depends.
+    """
+    listed = rig.get("assumed") if isinstance(rig, dict) else getattr(rig, "assumed", None)
+    for name in listed if isinstance(listed, list) else ():
+        if not isinstance(name, str) or name in known:
+            continue
+        allowed = (
+            f"allowed here: {', '.join(known)}" if known else
+            "only values of a servo-hydraulic actuator are ever assumed, and this rig has none"
+        )  # fmt: skip
+        text = f"found {written(name)}{nearest(name, known)}; {allowed}: correct or remove it"
+        yield ("rig", "assumed"), text, ("rig.assumed", *needs)
 
 
 def _valve_moves_a_mass(actuator: Actuator, specimen: list[SpecimenElement]) -> str | None:
@@ -1137,6 +1203,26 @@ class RigFile(WholeFile):
     limits: Limits = Field(default_factory=Limits)
     _read_along: tuple[Any, ...] = PrivateAttr(default=())
     _matrix: list[list[float]] = PrivateAttr(default_factory=list)
+
+    @classmethod
+    def further_faults(
+        cls, keys: dict[str, Any]
+    ) -> Iterator[tuple[tuple[str, ...], str, tuple[str, ...]]]:
+        """Report names in ``rig.assumed`` that are no keys which the file may omit."""
+        known = assumable(keys.get("actuator"))
+        yield from assumed_faults(keys.get("rig"), known, ("actuator",))
+
+    def settle(self) -> None:
+        """Omit the values that are listed as assumed, and list all that are omitted."""
+        self.__dict__["actuator"] = with_assumed(self.actuator, self.rig.assumed)
+        assumed = list(self.assumed) or None
+        if assumed != self.rig.assumed:
+            self.__dict__["rig"] = self.rig.model_copy(update={"assumed": assumed})
+
+    @property
+    def assumed(self) -> tuple[str, ...]:
+        """Keys whose values nobody stated, as ``rig.assumed`` lists them in a file."""
+        return assumed_of(self.actuator)
 
     @property
     def read_along(self) -> tuple[ReadWithAxis, ...]:

@@ -14,9 +14,15 @@ from rthyb_rt.config.fields import Table
 def dump(table: Table) -> str:
     """Return a test or rig with every default written out, as TOML that reads back equal.
 
-    Absent keys are omitted. The text ends with a newline.
+    Absent keys are omitted. Values of a rig that nobody stated are written, and listed as
+    ``rig.assumed``, so that they stay known as such. The text ends with a newline.
     """
-    return dump_values(table.model_dump(by_alias=True))
+    values = table.model_dump(by_alias=True)
+    assumed = getattr(table, "assumed", None)
+    if assumed is not None:
+        # A changed copy of a rig still has the list of the file that it was read from.
+        values["rig"]["assumed"] = list(assumed) or None
+    return dump_values(values)
 
 
 def dump_given(table: Table) -> str:
@@ -31,6 +37,8 @@ def dump_given(table: Table) -> str:
 
 def remove_omitted(table: Table, values: dict[str, Any]) -> None:
     """Remove from the values of a rig file, in place, those that it took from another rig."""
+    if hasattr(table, "assumed"):
+        values["rig"].pop("assumed", None)
     axes = zip(getattr(table, "axis", ()), values.get("axis", ()), strict=True)
     for inner, own in [(table, values), *axes]:
         for key in getattr(getattr(inner, "actuator", None), "omitted", ()):

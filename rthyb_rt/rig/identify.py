@@ -358,7 +358,7 @@ def _result(
         rest_noise_n=noise_n,
         offset_m=offset_m + tare[0],
         offset_n=offset_n + tare[1],
-        # The rig file that is written has every value, so no later command would say so.
+        # The file that is written says it as well, but the result may be all that is printed.
         notes=(*omitted(rig), *_notes(tones, stiffness, alpha)),
         resonance_hz=_resonance(tones),
         sample_rate_hz=rate.hz,
