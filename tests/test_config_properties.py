@@ -152,7 +152,7 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
     if "frequency_hz" in data:
         size = draw(st.integers(0, 3))
         for key in ("frequency_hz", "amplitude", "delay_at_frequency_s"):
-            data[key] = [0.5] * size
+            data[key] = [0.5 + i for i in range(size)] if key == "frequency_hz" else [0.5] * size
         forces = size if draw(st.booleans()) else 0
         for key in ("force_in_phase_n_per_m", "force_in_quadrature_n_per_m"):
             data[key] = [draw(st.floats(-1e9, 1e9)) for _ in range(forces)]
