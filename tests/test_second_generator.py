@@ -259,6 +259,23 @@ def test_lag_and_pure_delay_and_what_a_lab_states_for_them() -> None:
         assert_allclose(motion.stated(a).lag_s, a.lag_s, rtol=1e-9)
 
 
+@pytest.mark.parametrize("kind", ["second", "first", "pure", "hydraulic"])
+def test_velocity_and_acceleration_of_an_actuator_are_rates_of_its_displacement(kind: str) -> None:
+    """Late by a quarter of a millisecond, damping passes for a mass and a time offset."""
+    dt, sub, f_hz = 1 / 512, 4, 6.0
+    h, w = dt / sub, 2 * math.pi * f_hz
+    u = 0.01 * np.sin(w * np.arange(2048) * dt)
+    x, v, a = motion.track(u, dt, sub, Actuator(kind, 0.004, 40.0, 0.7))
+    wave = np.exp(-1j * w * np.arange(x.size) * h)[2000:-2000] * np.hanning(x.size - 4000)
+    own = wave @ x[2000:-2000]
+    for rate, order in ((v, 1), (a, 2)):
+        if kind == "pure" and order == 2:  # joined straight: it has none
+            continue
+        ratio = (wave @ rate[2000:-2000]) / own / (1j * w) ** order
+        assert abs(ratio) == pytest.approx(1.0, rel=0.01)
+        assert abs(np.angle(ratio) / w) < 0.05 * h
+
+
 def test_a_delay_that_grows_with_velocity_and_a_limit_of_the_rate_on_a_ramp() -> None:
     t = np.arange(2048) * DT
     for on, corner in (("output", 0.0), ("smooth", 0.003)):

@@ -248,6 +248,12 @@ def track(command: np.ndarray, dt: float, sub: int, a: Actuator) -> np.ndarray:
     h = dt / sub
     u = np.ascontiguousarray(a.gain * command, float)
     fine = _track(*compiled(a, h), u, h, sub)
+    # A step of the fine grid gives the velocity of these two late by half of it, and the
+    # acceleration of all but the exact one late by as much or more.
+    if a.kind in ("pure", "hydraulic"):
+        fine[1] = np.gradient(fine[0], h)
+    if a.kind != "second":
+        fine[2] = np.gradient(fine[1], h)
     if a.kind == "pure":  # its velocity steps at rows: the mean over a row either way
         fine[1] = np.convolve(np.pad(fine[1], sub, mode="edge"), np.ones(2 * sub + 1), "valid")
         fine[1] /= 2 * sub + 1
