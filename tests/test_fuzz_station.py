@@ -65,7 +65,7 @@ def test_random_days_of_several_axes_break_no_rule_and_give_each_its_say(fuzz: F
     done = fuzz("ticks", TICKS, SEED, axes=True)
     assert done.returncode == 0, done.stdout
     rules = told(done.stdout)
-    assert len(rules) == 17
+    assert len(rules) == 21
     assert [rule for rule, (met, _) in rules.items() if not met] == []
     assert "nothing broken" in done.stdout
 
