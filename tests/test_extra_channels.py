@@ -309,6 +309,10 @@ def test_an_accelerometer_in_g_reads_in_g() -> None:
             ACCELEROMETER + "gain = 1\n",
             "found 1, with which the virtual sensor reads m/s^2, but",
         ),
+        (
+            ACCELEROMETER + "gain = 0\n",
+            "gain: found 0, with which the virtual sensor always reads 0",
+        ),
         (ACCELEROMETER.replace('"g"', '"mm"'), "gain: missing; the virtual sensor measures acc"),
         (ACCELEROMETER.replace('"g"', '"V"'), "give its reading in V for 1 m/s^2"),
         ('[[sensors.extra]]\nname = "a"\nunit = "g"\n' * 2, 'found the name "a" twice'),

@@ -707,6 +707,8 @@ def _gain_in_its_unit(gain: float | None, unit: str, measures: str) -> str | Non
             f"{measures}: give its reading in {unit} for 1 {si}, or a unit such as "
             f"{', '.join(_OTHER_UNITS[measures])}"
         )
+    if gain == 0.0:
+        return "found 0, with which the virtual sensor always reads 0; omit gain, or give another"
     if own is None or abs(abs(gain) / own - 1.0) <= _SAME_GAIN:
         return None
     for other in _OTHER_UNITS[measures]:
