@@ -429,11 +429,11 @@ def judge(setup: Setup) -> LoopVerdict | None:
     if model is None or config.motion.integrator == "prescribed":
         return None
     hold, h = response.hold_of(setup.rig), config.period_s
+    f_hz, z = above(model.swept_hz, h)
     found = []
     for law in laws(config.law, model, h, hold):
         loop = loop_of(config, model, law, hold)
         lead = law if config.lead_enabled else gain(1.0)
-        f_hz, z = above(model.swept_hz, h)
         fed_back = model.stiffness_n_per_m * lead.response(z)[:, 0]
         moved = np.abs(loop.without_rig(z) * fed_back)
         found.append(verdict(loop, setup.rate, model.swept_hz, (f_hz, moved)))

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -137,6 +138,20 @@ def resonance_hz(f_hz: Floats, g: Complexes, longest_s: float) -> float | None:
     light = (poles.imag > 0.0) & (-poles.real > 0.0) & (-poles.real < LIGHT_DAMPING * size)
     found_hz = size[swept & light] / (2.0 * np.pi)
     return float(found_hz.min()) if found_hz.size else None
+
+
+@lru_cache(maxsize=16)
+def resonance_of_sweep(
+    frequency_hz: tuple[float, ...], gain: tuple[float, ...], delay_s: tuple[float, ...]
+) -> float | None:
+    """Return the first resonance in the figures of a sweep, as `resonance_hz` does.
+
+    The fits take as long as a whole test in virtual time, and every run of a test on a rig asks
+    again: the results are kept in the process.
+    """
+    f_hz = np.array(frequency_hz, dtype=np.float64)
+    g = np.array(gain) * np.exp(-2j * np.pi * f_hz * np.array(delay_s))
+    return resonance_hz(f_hz, g, delay_s[0])
 
 
 def _hold(f: Floats, h: float, kind: str) -> Complexes:

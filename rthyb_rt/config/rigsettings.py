@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from rthyb_rt.config.lawtables import COEFFICIENTS, RESPONSE, coefficients_of
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
-from rthyb_rt.config.rigfile import Identified, RigFile
+from rthyb_rt.config.rigfile import RigFile
 from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -159,10 +159,14 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
     found = rig.identified
     swept = max(found.frequency_hz, default=0.0) if found is not None else 0.0
     kept = ", ".join(f"{key} = {controller.setting(key):g}" for key in left)
-    resonance = _resonance_hz(found)
-    if resonance is not None:
+    resonance = None
+    if found is not None and found.frequency_hz:
         from rthyb_rt.config import response
 
+        resonance = response.resonance_of_sweep(
+            tuple(found.frequency_hz), tuple(found.amplitude), tuple(found.delay_at_frequency_s)
+        )
+    if resonance is not None:
         notes.append(
             f'rig "{rig.rig.name}" has a resonance at {resonance:.4g} Hz but no {ROLL_OFF}, so the '
             f"lead is rolled off as before ({kept}), not below the resonance: identify the rig "
@@ -174,18 +178,6 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
         f'rig "{rig.rig.name}" has {why}, so the lead is rolled off as before ({kept}); '
         + (_SWEEP if swept < 40.0 else "no action is needed")
     )
-
-
-def _resonance_hz(found: Identified | None) -> float | None:
-    """Return the first resonance in the response that a rig file has; None if there is none."""
-    if found is None or not found.frequency_hz:
-        return None
-    import numpy as np
-
-    from rthyb_rt.config import response
-
-    f_hz = np.asarray(found.frequency_hz, dtype=np.float64)
-    return response.resonance_hz(f_hz, response.response(found), found.delay_at_frequency_s[0])
 
 
 def _said(controller: Controller, key: str) -> bool:

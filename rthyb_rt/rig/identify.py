@@ -360,16 +360,13 @@ def _result(
         offset_n=offset_n + tare[1],
         # The file that is written says it as well, but the result may be all that is printed.
         notes=(*omitted(rig), *_notes(tones, stiffness, alpha)),
-        resonance_hz=_resonance(tones),
+        resonance_hz=response.resonance_of_sweep(
+            tuple(tone.frequency_hz for tone in tones),
+            tuple(tone.gain for tone in tones),
+            tuple(tone.delay_s for tone in tones),
+        ),
         sample_rate_hz=rate.hz,
     )
-
-
-def _resonance(tones: list[Tone]) -> float | None:
-    f = np.array([tone.frequency_hz for tone in tones])
-    lag = np.array([tone.delay_s for tone in tones])
-    g = np.array([tone.gain for tone in tones]) * np.exp(-2j * np.pi * f * lag)
-    return response.resonance_hz(f, g, tones[0].delay_s)
 
 
 def identified_rig(rig: RigFile, result: IdentificationResult) -> RigFile:
