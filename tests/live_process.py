@@ -17,7 +17,7 @@ from rthyb_rt.lab import experiment
 from rthyb_rt.service import daemon
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon, record_of
-from rthyb_rt.service.engine import TURN_S
+from rthyb_rt.service.rig_engine import TURN_S
 
 LONG = {
     "test.duration_s": "60",

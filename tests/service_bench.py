@@ -24,8 +24,8 @@ from rthyb_rt.rig.links import opening
 from rthyb_rt.rig.links.opened import Opened
 from rthyb_rt.service.control import Client, ControlServer, Dispatcher
 from rthyb_rt.service.daemon import Daemon, Options
-from rthyb_rt.service.engine import Engine, Event, Loaded
 from rthyb_rt.service.peers import Peer, Rights
+from rthyb_rt.service.rig_engine import Engine, Event, Loaded
 
 LOOKERS, OPERATORS = 60001, 60002
 """Groups that do not exist on any test machine."""

@@ -20,7 +20,7 @@ import pytest
 import rthyb_rt as rt
 from rthyb_rt import config
 from rthyb_rt.api.diagnosing import diagnose
-from rthyb_rt.rig import identify as sweeping
+from rthyb_rt.rig import identification
 
 SHORT = {"ground_motion": {"duration_s": "2 s"}, "test": {"free_vibration_s": 0}}
 LAWS = {"controller.type": ["paper", "robust"]}
@@ -43,7 +43,7 @@ def rec(short: rt.Test) -> rt.Recording:
 def test_identification_is_that_of_the_command_line_and_fills_the_rig() -> None:
     found = rt.identify("delay-10-elastic", amplitude="1 mm", max_frequency=5.0)
     rig = config.load_rig(config.shipped_rig("delay-10-elastic"))
-    wanted = sweeping.identify(rig, sweeping.SweepPlan.up_to(5.0, 1e-3))
+    wanted = identification.identify(rig, identification.SweepPlan.up_to(5.0, 1e-3))
     assert found.measures["alpha"] == wanted.alpha
     assert [tone["frequency_hz"] for tone in found.tones] == [
         tone.frequency_hz for tone in wanted.tones

@@ -14,8 +14,7 @@ from test_several_axes import SHORT, conducted
 from rthyb_rt import config
 from rthyb_rt.analysis import several_axes
 from rthyb_rt.analysis.attention import RESPONSE_OFF, AxesJudge
-from rthyb_rt.lab import several as lab
-from rthyb_rt.lab import virtual_time
+from rthyb_rt.lab import axes_experiment, virtual_time
 from rthyb_rt.live.sources import PastSource
 from rthyb_rt.record.recording import Recording
 
@@ -104,7 +103,7 @@ def test_the_live_view_says_of_a_running_test_which_axis_does_not_follow(tmp_pat
 @pytest.mark.long
 def test_the_report_of_several_axes_begins_with_what_must_not_be_missed() -> None:
     pytest.importorskip("matplotlib")
-    from rthyb_rt.report.several import render
+    from rthyb_rt.report.axes_report import render
 
     page = render(bare())
     assert page.index("Axis left departed") < page.index('class="sentence"')
@@ -124,7 +123,7 @@ def test_the_shipped_frame_of_two_actuators_follows_its_reference() -> None:
     test = config.load_test(EXAMPLE, {})
     rig = config.load_any_rig(config.find_rig(test.rig))
     assert isinstance(rig, config.AxesRig)
-    s = several_axes.summarize(virtual_time.run(lab.prepare(test, rig)))
+    s = several_axes.summarize(virtual_time.run(axes_experiment.prepare(test, rig)))
     assert s.attention == ()
     assert s.flags["limited"] < 0.02 * s.rows
     assert [one.tracking_nrmse < 0.03 for one in s.axes] == [True, True]

@@ -19,7 +19,7 @@ from rthyb_rt.cli import connecting
 from rthyb_rt.config import AxesRig
 from rthyb_rt.core import loop, wire
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import realtime, several, virtual_time
+from rthyb_rt.lab import axes_experiment, realtime, virtual_time
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import recording
@@ -56,7 +56,9 @@ def linked(*channels: str, kind: str = "serial", further: str = "") -> AxesRig:
 
 
 def setup(given: AxesRig | None = None, test: str = SHORT) -> Setup:
-    return several.prepare(config.parse_test(test, "test.toml"), given or rig(), real_time=True)
+    return axes_experiment.prepare(
+        config.parse_test(test, "test.toml"), given or rig(), real_time=True
+    )
 
 
 @contextmanager
@@ -114,7 +116,7 @@ def test_a_test_over_two_serial_lines_completes_and_replays(tmp_path: Path) -> N
 def test_over_links_the_axes_go_where_they_go_in_virtual_time() -> None:
     """All that the wire adds is its resolution and the tick of its way back."""
     rec = faulty([])
-    plain = virtual_time.run(several.prepare(config.parse_test(SHORT, "test.toml"), rig()))
+    plain = virtual_time.run(axes_experiment.prepare(config.parse_test(SHORT, "test.toml"), rig()))
     for name in AXES:
         over, within = (
             one.axis(name)["x_meas_m"][one.samples["state"] == core.RUNNING] for one in (rec, plain)

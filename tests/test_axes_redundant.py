@@ -34,8 +34,8 @@ from rthyb_rt.core.library import STATUS
 from rthyb_rt.core.matrix_lead import MatrixLeadConfig
 from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import several, virtual_time
-from rthyb_rt.lab.realtime import replaying
+from rthyb_rt.lab import axes_experiment, virtual_time
+from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record import axis_export
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig import identify_axes
@@ -556,7 +556,7 @@ def test_the_matrix_law_is_refused_with_the_reason() -> None:
 
 @pytest.fixture(scope="module")
 def tested() -> Recording:
-    setup = several.prepare(config.parse_test(TEST, "test.toml"), read())
+    setup = axes_experiment.prepare(config.parse_test(TEST, "test.toml"), read())
     rec = virtual_time.run(setup)
     assert rec.meta["end_reason"] == "completed"
     return rec
@@ -585,9 +585,9 @@ def test_a_test_follows_its_reference_and_says_how_the_actuators_oppose_each_oth
 
 
 def test_its_recording_is_replayed_bit_for_bit(tested: Recording) -> None:
-    setup = several.prepare(config.parse_test(TEST, "test.toml"), read())
+    setup = axes_experiment.prepare(config.parse_test(TEST, "test.toml"), read())
     assert tested.interface_names == ("first", "second")
-    result = replaying.replay(tested)
+    result = station_replay.replay(tested)
     assert result.identical
     assert len(tested.samples) > 6 * 1024
     assert setup.group is not None
@@ -608,11 +608,11 @@ def test_the_resultant_of_the_load_cells_is_the_force_on_the_specimen(tested: Re
 
 
 NOT_SUPPORTED: dict[str, Callable[[AxesRig], object]] = {
-    "a test in real time": lambda floor: several.prepare(
+    "a test in real time": lambda floor: axes_experiment.prepare(
         config.parse_test(TEST, "test.toml"), floor, real_time=True
     ),
     "identification": identify_axes.identify_rig,
-    "real time": several.at_rest,
+    "real time": axes_experiment.at_rest,
     "the model of an axis by itself": lambda floor: axis_export.alone(floor, "left"),
 }
 
@@ -651,7 +651,7 @@ def test_two_actuators_in_parallel_move_one_storey() -> None:
     )
     text = TEST.replace("specimen = [1, 2]", "specimen = 1")
     text = text.replace('[[interface]]\nname = "second"\nstorey = 2\n', "")
-    rec = virtual_time.run(several.prepare(config.parse_test(text, "test.toml"), read(one)))
+    rec = virtual_time.run(axes_experiment.prepare(config.parse_test(text, "test.toml"), read(one)))
     assert rec.meta["end_reason"] == "completed"
     found = analysis.summarize(rec)
     (direction,) = found.directions
@@ -660,7 +660,7 @@ def test_two_actuators_in_parallel_move_one_storey() -> None:
     assert left == pytest.approx(right, rel=1e-9)
     assert left is not None
     assert left > 100.0
-    assert replaying.replay(rec).identical
+    assert station_replay.replay(rec).identical
 
 
 SWEPT_HZ = np.array([0.5, 1, 2, 3, 4, 6, 8, 10, 15, 20, 30, 40])
@@ -701,7 +701,7 @@ def test_motion_decays_as_the_largest_root_of_redundant_actuators_says(extra: st
     text = TEST.replace("ratio = 0.05", "ratio = 0.1").replace('"paper"', '"none"')
     text = text.replace('"0.1 g"', '"0.05 g"').replace('"6 s"', '"4 s"')
     text = text.replace('name = "redundant"', 'name = "redundant"\nfree_vibration_s = 20')
-    setup = several.prepare(config.parse_test(text, "test.toml"), rig)
+    setup = axes_experiment.prepare(config.parse_test(text, "test.toml"), rig)
     verdict = loop_stability.judge(setup)
     assert verdict is not None
     assert not verdict.unstable

@@ -22,7 +22,7 @@ from rthyb_rt.core.matrix_lead import MatrixInverse, MatrixLead, MatrixLeadConfi
 from rthyb_rt.core.numerical_parts import SparsePart
 from rthyb_rt.core.sparse import SparseConfig, Symmetric
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import several, virtual_time
+from rthyb_rt.lab import axes_experiment, virtual_time
 from rthyb_rt.lab.experiment import Setup
 
 H = 1.0 / 1024.0
@@ -45,7 +45,7 @@ def frame(tmp_path: Path, law: str, **more: str) -> Setup:
             text = re.sub(rf"{key} = .*", f"{key} = {value}", text)
     path = tmp_path / "frame.toml"
     path.write_text(text, "utf-8")
-    return several.prepare(
+    return axes_experiment.prepare(
         config.load_test(path), config.load_any_rig(config.shipped_rig("two-axis-frame"))
     )
 

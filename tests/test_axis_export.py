@@ -20,8 +20,8 @@ from rthyb_rt.diagnose import reading
 from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.diagnose.case import tare_rows
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import several, virtual_time
-from rthyb_rt.record import axis_export, export, recording
+from rthyb_rt.lab import axes_experiment, virtual_time
+from rthyb_rt.record import axis_export, mat_csv, recording
 from rthyb_rt.record.recording import Recording
 
 STIFFNESS = np.array([[8e6, -1e6], [-1e6, 6e6]])
@@ -36,7 +36,9 @@ LONG = SHORT.replace("duration_s = 3", "duration_s = 12").replace("pga_g = 0.05"
 
 
 def run(text: str = LIMITED, test: str = SHORT) -> Recording:
-    return virtual_time.run(several.prepare(config.parse_test(test, "test.toml"), pair_of(text)))
+    return virtual_time.run(
+        axes_experiment.prepare(config.parse_test(test, "test.toml"), pair_of(text))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +62,7 @@ def test_force_of_an_axis_is_that_of_its_own_motion(rec: Recording, axis: str) -
 @EITHER
 def test_other_signals_of_an_axis_are_as_recorded(rec: Recording, axis: str) -> None:
     found, rows = axis_export.axis_signals(rec, axis), rec.running()
-    assert list(found) == ["t", *export.INTERCHANGE]
+    assert list(found) == ["t", *mat_csv.INTERCHANGE]
     np.testing.assert_array_equal(found["x_meas"], rec.axis(axis)["x_meas_m"][rows])
     np.testing.assert_array_equal(found["x_cmd"], rec.axis(axis)["x_cmd_m"][rows])
     asked = np.column_stack([rec.samples["x_num_m"], rec.samples["x_num_m_1"]])[rows]
@@ -70,9 +72,9 @@ def test_other_signals_of_an_axis_are_as_recorded(rec: Recording, axis: str) -> 
 
 def test_a_file_without_an_axis_is_refused_with_their_names(rec: Recording, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"the axes left, right.*--axis left.*--full"):
-        export.to_csv(rec, tmp_path / "no.csv")
+        mat_csv.to_csv(rec, tmp_path / "no.csv")
     assert not (tmp_path / "no.csv").exists()
-    export.to_csv(rec, tmp_path / "full.csv", full=True)
+    mat_csv.to_csv(rec, tmp_path / "full.csv", full=True)
     with (tmp_path / "full.csv").open() as file:
         assert "x_meas_m.1" in next(csv.reader(file))
     with pytest.raises(InputError, match='no axis "middle"; axes are: left, right'):

@@ -18,9 +18,9 @@ from rthyb_rt.core import CHANNELS_MAX, Channel
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.lab import virtual_time as virtual
-from rthyb_rt.lab.realtime import replaying
+from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.live.sources import PastSource
-from rthyb_rt.record import export, recording, ring
+from rthyb_rt.record import mat_csv, recording, ring
 from rthyb_rt.record.recording import AXIS_FIELDS, Recording
 from rthyb_rt.report import render
 from rthyb_rt.service.growing import GrowingFile
@@ -97,7 +97,7 @@ def test_the_samples_without_a_pair_are_counted_in_the_record() -> None:
     rows = np.concatenate([station.tick(lost=one).records for one in lost])
     assert rows["missing"].tolist() == [0, 1, 2, 0, 0, 1, 2, 3]
     rec = recording.read(STORED / "version-2-faults.h5")
-    again, *_ = replaying._rerun(rec)
+    again, *_ = station_replay._rerun(rec)
     np.testing.assert_array_equal(rec.samples["missing"], again["missing"])
     assert rec.samples["missing"].max() >= 1
 
@@ -206,9 +206,9 @@ def test_a_row_has_room_for_64_channels() -> None:
 
 def test_channels_are_exported_in_their_unit(tmp_path: Path) -> None:
     rec = with_channels()
-    export.to_csv(rec, tmp_path / "full.csv", full=True)
+    mat_csv.to_csv(rec, tmp_path / "full.csv", full=True)
     table = np.genfromtxt(tmp_path / "full.csv", delimiter=",", names=True)
-    export.to_mat(rec, tmp_path / "recording.mat")
+    mat_csv.to_mat(rec, tmp_path / "recording.mat")
     mat = loadmat(tmp_path / "recording.mat", squeeze_me=True, simplify_cells=True)
     for found in (table, mat):
         np.testing.assert_array_equal(found["a_frame_mps2"], np.arange(256.0))

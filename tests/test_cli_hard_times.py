@@ -384,8 +384,8 @@ def test_every_sign_of_the_program_has_one_in_ascii() -> None:
     package = Path(cli.__file__).parents[1]
     sources = [
         *(package / "cli").glob("*.py"), *(package / "studies").glob("*.py"),
-        package / "analysis" / "summary.py", package / "rig" / "identify.py",
-        package / "lab" / "jitter.py",
+        package / "analysis" / "summary.py", package / "rig" / "identification.py",
+        package / "lab" / "punctuality.py",
     ]  # fmt: skip
     left = {
         sign

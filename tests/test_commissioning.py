@@ -21,7 +21,13 @@ from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import ring
 from rthyb_rt.rig.commissioning import guide, guided_motion, jogging, limit_checks, polarity, stops
 from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate
-from rthyb_rt.rig.identify import SineRows, SweepPlan, check_not_limited, identify, identify_live
+from rthyb_rt.rig.identification import (
+    SineRows,
+    SweepPlan,
+    check_not_limited,
+    identify,
+    identify_live,
+)
 
 pytestmark = pytest.mark.alone
 

@@ -19,7 +19,7 @@ from rthyb_rt.config.fields import Count, Names, OneOf, Range, Sign, Table, Text
 from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
-from rthyb_rt.config.own import Settings
+from rthyb_rt.config.own_tables import Settings
 from rthyb_rt.config.rigfile import BoucWen, Link, RigFile, Sensors, ServoHydraulic, assumable
 from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.config.testfile import AxisLaw, Controller, Numerical, TestFile

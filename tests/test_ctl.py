@@ -27,11 +27,11 @@ from rthyb_rt.core import STATES
 from rthyb_rt.lab import realtime
 from rthyb_rt.record import recording
 from rthyb_rt.rig.commissioning import certificate
-from rthyb_rt.service import disk, metrics, recorder
+from rthyb_rt.service import disk, metrics, ring_recorder
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import Daemon
 from rthyb_rt.service.peers import Peer
-from rthyb_rt.service.recorder import Status, read_index
+from rthyb_rt.service.ring_recorder import Status, read_index
 
 pytestmark = pytest.mark.alone
 
@@ -243,7 +243,7 @@ def test_room_for_what_a_law_reports_is_asked_for_before_a_test_is_armed(
             run_id = daemon.engine.run_id
             return Status(1, time.monotonic(), str(place / "runs"), free, run_id=run_id)
 
-        monkeypatch.setattr(recorder, "read_status", said)
+        monkeypatch.setattr(ring_recorder, "read_status", said)
         answer = rthyb("ctl", "arm")
         assert answer.code == answered, answer.err
         if answered:

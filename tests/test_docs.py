@@ -24,7 +24,7 @@ from rthyb_rt.core.laws import LAWS
 from rthyb_rt.diagnose import catalogue, effects
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_rig, experiment, virtual_time
-from rthyb_rt.rig import identify
+from rthyb_rt.rig import identification
 from rthyb_rt.studies.results import Study
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -159,7 +159,7 @@ def test_files_that_claim_a_schema_load_and_fit_a_rig(tmp_path: Path) -> None:
                 continue
             experiment.rig_config(rig)
             if page == "own-specimen.md" and rig.link is None:
-                found = identify.identified_rig(rig, identify.identify(rig))
+                found = identification.identified_rig(rig, identification.identify(rig))
                 rigs[IDENTIFIED].write_text(config.dump(found), encoding="utf-8")
         elif schema == config.campaignfile.CAMPAIGN_SCHEMA:
             assert config.parse_campaign(text, page).over
@@ -366,7 +366,7 @@ def test_check_table_is_that_of_the_specimen_of_the_guide(
     page = "own-specimen.md"
     rig, test, *_ = (text for name, text in blocks("toml") if name == page)
     rig_file = config.parse_rig(rig, page)
-    found = identify.identified_rig(rig_file, identify.identify(rig_file))
+    found = identification.identified_rig(rig_file, identification.identify(rig_file))
     (tmp_path / IDENTIFIED).write_text(config.dump(found), encoding="utf-8")
     (tmp_path / "my-test.toml").write_text(test, encoding="utf-8")
     assert cli.main(["check", str(tmp_path / "my-test.toml")]) == 0

@@ -17,12 +17,12 @@ from rthyb_rt import cli, config, core
 from rthyb_rt.core import CoreError, dbc, wire
 from rthyb_rt.diagnose import mapping, reading
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment, extras, realtime, virtual_time
+from rthyb_rt.lab import experiment, extra_frames, realtime, virtual_time
 from rthyb_rt.live.sources import LiveSource, PastSource
-from rthyb_rt.record import export, recording
+from rthyb_rt.record import mat_csv, recording
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import render
-from rthyb_rt.rig import identify, virtual_rig
+from rthyb_rt.rig import identification, virtual_rig
 from rthyb_rt.rig.links import opening
 
 SHORT = {"ground_motion.duration_s": "3", "test.free_vibration_s": "0.5"}
@@ -253,7 +253,7 @@ def test_a_signal_of_a_dbc_file_is_read_with_its_factor_and_the_rigs(
     dbc_rig: Any, signal: str, which: int, step: float
 ) -> None:
     rig = dbc_rig(signal)
-    codec = extras.codec_of(rig, dbc.load(rig.link.dbc))
+    codec = extra_frames.codec_of(rig, dbc.load(rig.link.dbc))
     frames = codec.encode_feedback(wire.Reading(0.01, 5.0, 1, 2, 0, (3.0,)))
     found = codec.decode_feedback(frames[which])[1].extra
     assert found[0] == pytest.approx(3.0, abs=step)
@@ -273,7 +273,7 @@ def test_a_signal_that_is_not_there_is_told_with_its_place(
 ) -> None:
     rig = dbc_rig(signal)
     with pytest.raises(InputError) as error:
-        extras.codec_of(rig, dbc.load(rig.link.dbc))
+        extra_frames.codec_of(rig, dbc.load(rig.link.dbc))
     assert says in str(error.value)
     assert "sensors.extra.0.signal" in str(error.value)
 
@@ -345,7 +345,7 @@ def test_the_name_of_a_value_of_the_control_law_is_refused() -> None:
 
 
 def test_no_extra_channel_replaces_time_or_reference(virtual: Recording, tmp_path: Path) -> None:
-    export.to_mat(virtual, tmp_path / "one.mat")
+    mat_csv.to_mat(virtual, tmp_path / "one.mat")
     own = {name for name, _, _ in scipy.io.whosmat(tmp_path / "one.mat")}
     beside = own - set(virtual.samples.dtype.names or ()) - {"ag_mps2"}
     beside |= set(rt.Recording(virtual).units) - set(virtual.samples.dtype.names or ())
@@ -397,7 +397,7 @@ def test_recordings_and_exports_have_them_with_their_units(
     recording.write(tmp_path / "r.h5", virtual)
     again = recording.read(tmp_path / "r.h5")
     assert again.channels == virtual.channels
-    export.to_csv(again, tmp_path / "r.csv", full=True)
+    mat_csv.to_csv(again, tmp_path / "r.csv", full=True)
     head = (tmp_path / "r.csv").read_text().splitlines()[0]
     assert "lvdt_2" in head
 
@@ -419,7 +419,7 @@ def test_an_export_without_them_says_so(
 def test_an_identification_records_them_too() -> None:
     setup = experiment.prescribed(rig_of(), "identify", np.zeros(64))
     assert [c.name for c in setup.channels] == ["table_acceleration", "lvdt_2"]
-    found = identify.identify(rig_of(), identify.SweepPlan((1.0, 2.0, 4.0)))
+    found = identification.identify(rig_of(), identification.SweepPlan((1.0, 2.0, 4.0)))
     assert found.alpha == pytest.approx(17, rel=0.05)
 
 

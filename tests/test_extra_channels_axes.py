@@ -22,9 +22,9 @@ from rthyb_rt.core.coupled_rig import CoupledRig, StateSpace
 from rthyb_rt.diagnose import mapping, reading
 from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import axes_rig, experiment, extras, realtime, several, virtual_time
+from rthyb_rt.lab import axes_experiment, axes_rig, experiment, extra_frames, realtime, virtual_time
 from rthyb_rt.live.sources import LiveSource, PastSource
-from rthyb_rt.record import export, recording
+from rthyb_rt.record import mat_csv, recording
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import render
 from rthyb_rt.rig import virtual_rig
@@ -68,7 +68,9 @@ def rig(**changed: str) -> AxesRig:
 
 
 def virtually(given: AxesRig, **what: bool) -> Recording:
-    return virtual_time.run(several.prepare(config.parse_test(SHORT, "test.toml"), given), **what)
+    return virtual_time.run(
+        axes_experiment.prepare(config.parse_test(SHORT, "test.toml"), given), **what
+    )
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +189,7 @@ def test_more_channels_than_a_row_holds_are_refused_with_their_number() -> None:
     four = given.model_copy(update={"axis": [*given.axis, *given.axis]})
     own = (core.Channel("a", ""),) * 35
     with pytest.raises(InputError, match=r"found 32 extra channels.*room for 29"):
-        several._extra_channels(four, own)
+        axes_experiment._extra_channels(four, own)
 
 
 def test_a_rig_with_extra_channels_of_its_axes_reads_back() -> None:
@@ -203,7 +205,7 @@ def test_recordings_exports_and_python_have_them_with_their_units(
     recording.write(tmp_path / "recording.h5", rec)
     again = recording.read(tmp_path / "recording.h5")
     assert again.extras_by_axis() == rec.extras_by_axis()
-    export.to_csv(again, tmp_path / "r.csv", full=True)
+    mat_csv.to_csv(again, tmp_path / "r.csv", full=True)
     head = (tmp_path / "r.csv").read_text().splitlines()[0]
     assert "left_lvdt" in head
     assert "right_strain" in head
@@ -336,13 +338,16 @@ def test_each_axis_finds_its_signals_in_its_own_dbc_file(tmp_path: Path) -> None
     }
     given = rig(**both)
     right = given.of_axis("right")
-    codec = extras.codec_of(right, dbc.load(right.link.dbc))  # type: ignore[union-attr, arg-type]
+    codec = extra_frames.codec_of(right, dbc.load(right.link.dbc))  # type: ignore[union-attr, arg-type]
     frames = codec.encode_feedback(wire.Reading(0.01, 5.0, 1, 2, 0, (3.0,)))
     assert codec.decode_feedback(frames[0])[1].extra == pytest.approx((3.0,), abs=0.005)
     left = given.of_axis("left")
     with pytest.raises(InputError, match="no signal of this name"):
-        extras.codec_of(left, dbc.load(left.link.dbc))  # type: ignore[union-attr, arg-type]
-    assert [c.name for c in several.at_rest(given).channels[:2]] == ["left_tilt", "right_tilt"]
+        extra_frames.codec_of(left, dbc.load(left.link.dbc))  # type: ignore[union-attr, arg-type]
+    assert [c.name for c in axes_experiment.at_rest(given).channels[:2]] == [
+        "left_tilt",
+        "right_tilt",
+    ]
 
 
 @pytest.mark.long

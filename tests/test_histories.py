@@ -14,10 +14,10 @@ import rthyb_rt as rt
 from rthyb_rt import cli, config, core
 from rthyb_rt.analysis import hysteresis, summary
 from rthyb_rt.checking.examined import examine
-from rthyb_rt.config.history import CyclesHistory, with_file
+from rthyb_rt.config.prescribed_history import CyclesHistory, with_file
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, histories, realtime, virtual_time
-from rthyb_rt.record import export, recording
+from rthyb_rt.record import mat_csv, recording
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
@@ -467,7 +467,7 @@ def test_a_mat_file_calls_a_history_what_it_is(tmp_path: Path) -> None:
     from scipy.io import loadmat
 
     rec = recorded(CYCLES, rig_of(SPRING))
-    export.to_mat(rec, tmp_path / "r.mat")
+    mat_csv.to_mat(rec, tmp_path / "r.mat")
     motion = loadmat(tmp_path / "r.mat", simplify_cells=True)["ground_motion"]
     assert "ag_mps2" not in motion
     assert np.abs(motion["history_m"]).max() == pytest.approx(0.008)

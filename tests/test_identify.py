@@ -13,7 +13,7 @@ from rthyb_rt import config, core
 from rthyb_rt.config import Rate, RigFile
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.rig.identify import (
+from rthyb_rt.rig.identification import (
     IdentificationResult,
     SweepPlan,
     identified_rig,

@@ -16,7 +16,7 @@ from rthyb_rt.config import AxesRig, matrix_response
 from rthyb_rt.config.axes_response import response_of_rig
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig import identify_axes
-from rthyb_rt.rig.identify import SweepPlan
+from rthyb_rt.rig.identification import SweepPlan
 
 H = 1.0 / 1024.0
 K = [[8e5, 2e4], [2e4, 6e4]]

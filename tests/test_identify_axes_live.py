@@ -19,7 +19,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import realtime
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.commissioning.guided_motion import AxesConnection, LimitError, StoppedError
-from rthyb_rt.rig.identify import SweepPlan, command_of
+from rthyb_rt.rig.identification import SweepPlan, command_of
 from rthyb_rt.rig.identify_axes import AxesResult, identified_rig, identify_rig
 from rthyb_rt.rig.identify_axes_live import identify_axes_live, setup_of
 from rthyb_rt.rig.links import opening

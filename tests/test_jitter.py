@@ -21,17 +21,17 @@ from rthyb_rt.cli.jitter import UNFIT
 from rthyb_rt.config import Rate
 from rthyb_rt.core.ticker import PRIVILEGES, JitterRun, Latency, Payload, TickCounts, Timing
 from rthyb_rt.errors import RthybError
-from rthyb_rt.lab import jitter
-from rthyb_rt.lab.jitter import CASES, JitterResult, KindOfRun
+from rthyb_rt.lab import punctuality
+from rthyb_rt.lab.punctuality import CASES, JitterResult, KindOfRun
 from rthyb_rt.record.ring import RingReader, Rows, default_folder
-from rthyb_rt.report import jitter as page
+from rthyb_rt.report import punctuality_page as page
 
 pytestmark = pytest.mark.alone
 
 ALL = tuple(PRIVILEGES)
 MS = 1_000_000
 
-LOAD = jitter.Load(
+LOAD = punctuality.Load(
     core.ControllerConfig(
         core.LawConfig("paper", {"alpha0": 10.0}, adapts=False),
         core.RfcConfig(k_e_n_per_m=1e6),
@@ -58,7 +58,7 @@ def assert_every_tick_is_accounted_for(timing: Timing, ticks: int) -> None:
 
 @pytest.mark.parametrize("payload", ["none", "sample", "exchange"])
 def test_every_tick_of_both_threads_is_accounted_for(payload: Payload) -> None:
-    result = jitter.measure(KindOfRun(payload, False), 300, LOAD)
+    result = punctuality.measure(KindOfRun(payload, False), 300, LOAD)
     measured, reference = result.measured, result.reference
     assert_every_tick_is_accounted_for(measured, 300)
     assert_every_tick_is_accounted_for(reference, 300)
@@ -70,7 +70,7 @@ def test_every_tick_of_both_threads_is_accounted_for(payload: Payload) -> None:
 
 
 def test_a_tick_waits_for_the_clock_alone_and_reads_no_page_from_disk() -> None:
-    measured = jitter.measure(KindOfRun("exchange", False), 300, LOAD).measured
+    measured = punctuality.measure(KindOfRun("exchange", False), 300, LOAD).measured
     assert measured.blocked == 0
     assert measured.major_faults == 0 or "memory_locked" not in measured.privileges
 
@@ -88,7 +88,9 @@ def test_telemetry_reader_finds_the_record_of_every_tick_that_was_executed(
     monkeypatch.setattr(RingReader, "read", keep)
     folder = default_folder()
     before = set(folder.glob("jitter-*"))
-    measured = jitter.measure(KindOfRun("exchange", False, telemetry=True), 1024, LOAD).measured
+    measured = punctuality.measure(
+        KindOfRun("exchange", False, telemetry=True), 1024, LOAD
+    ).measured
     ticks = np.concatenate([part["tick"] for part in parts])
     np.testing.assert_array_equal(ticks, np.arange(measured.counts.executed))
     assert sum(part.size > 0 for part in parts) > 1
@@ -109,7 +111,7 @@ def test_a_run_ends_early_when_it_is_told_to() -> None:
         told.append(done)
         run.stop()
 
-    jitter._follow(run, 1024 * 3600, stop_soon)
+    punctuality._follow(run, 1024 * 3600, stop_soon)
     counts = run.measured.counts
     assert told
     assert counts.executed + counts.skipped == counts.elapsed < 1024 * 3600
@@ -117,11 +119,11 @@ def test_a_run_ends_early_when_it_is_told_to() -> None:
 
 @pytest.mark.parametrize("rate_hz", [512.0, 2048.0])
 def test_a_run_at_the_rate_of_a_drive_takes_that_long(rate_hz: float) -> None:
-    load = jitter.Load.built_in(Rate(rate_hz))
+    load = punctuality.Load.built_in(Rate(rate_hz))
     assert load.controller.period_s == 1.0 / rate_hz
-    jitter.measure(KindOfRun("exchange", False, telemetry=True), 200, load)
+    punctuality.measure(KindOfRun("exchange", False, telemetry=True), 200, load)
     began_ns = time.monotonic_ns()
-    result = jitter.measure(KindOfRun("sample", False), round(0.25 * rate_hz), load)
+    result = punctuality.measure(KindOfRun("sample", False), round(0.25 * rate_hz), load)
     assert time.monotonic_ns() - began_ns >= 0.24e9 * result.attempts
     assert result.rate.hz == rate_hz
     assert result.measured.counts.elapsed == round(0.25 * rate_hz)
@@ -131,10 +133,10 @@ def test_the_verdict_is_of_the_rate_and_of_its_quarter_of_a_tick() -> None:
     """A command that is sent after 130 us is in time at 1024 Hz, and too late at 2048 Hz."""
     slow = timing(*(122_000,) * 2000)
     for rate, fit, allowed in ((Rate(), True, "244"), (Rate(2048.0), False, "122")):
-        verdict = jitter.judge([replace(one, rate=rate) for one in results(slow)], GOOD_PC)
+        verdict = punctuality.judge([replace(one, rate=rate) for one in results(slow)], GOOD_PC)
         assert verdict.fit == fit
         assert f"fit for {rate.hz:g} Hz" in verdict.sentence
-        assert f"{allowed} µs" in jitter.criterion(rate)
+        assert f"{allowed} µs" in punctuality.criterion(rate)
     assert "only within 1" in verdict.sentence
     assert "(required: 122 µs)" in verdict.sentence
 
@@ -142,9 +144,9 @@ def test_the_verdict_is_of_the_rate_and_of_its_quarter_of_a_tick() -> None:
 @pytest.mark.speed
 @pytest.mark.parametrize("case", [*CASES, KindOfRun("none", False)], ids=lambda case: case.title)
 def test_wake_up_is_as_punctual_as_that_of_a_bare_thread(case: KindOfRun) -> None:
-    cpu = jitter.choose_cpu(jitter.machine_facts())
+    cpu = punctuality.choose_cpu(punctuality.machine_facts())
     for _ in range(3):  # a stall that only one of two threads met says nothing about them
-        result = jitter.measure(case, 1024, LOAD, cpu)
+        result = punctuality.measure(case, 1024, LOAD, cpu)
         if "fifo" not in result.measured.privileges:
             pytest.skip("without real-time priority nothing is promised, and none is granted here")
         measured, reference = (
@@ -214,14 +216,14 @@ def test_a_run_whose_reference_thread_was_over_10_ms_late_is_repeated_twice_at_m
     stalls_ns: list[int], attempts: int, disturbed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fake = FakeRun([timing(stall) for stall in [*stalls_ns, 1]])
-    monkeypatch.setattr(jitter, "_run_once", fake)
-    result = jitter.measure(CASES[0], 10, None)
+    monkeypatch.setattr(punctuality, "_run_once", fake)
+    result = punctuality.measure(CASES[0], 10, None)
     assert (result.attempts, result.disturbed) == (attempts, disturbed)
     assert result.reference.wake.max_ns == stalls_ns[-1]
 
 
 def test_a_punctual_pc_is_fit_and_nothing_is_to_be_changed() -> None:
-    verdict = jitter.judge(results(), GOOD_PC)
+    verdict = punctuality.judge(results(), GOOD_PC)
     assert verdict.fit
     assert verdict.remedies == ()
     assert verdict.sentence.startswith("This PC is fit")
@@ -240,15 +242,15 @@ def test_a_punctual_pc_is_fit_and_nothing_is_to_be_changed() -> None:
 )
 def test_each_fault_makes_a_pc_unfit(measured: Timing, fault: str) -> None:
     one_bad = [*results()[:-1], results(measured)[-1]]
-    verdict = jitter.judge(results(measured), GOOD_PC)
+    verdict = punctuality.judge(results(measured), GOOD_PC)
     assert not verdict.fit
     assert fault in verdict.sentence
     assert verdict.sentence.count(". ") == 0  # one sentence
-    assert not jitter.judge(one_bad, GOOD_PC).fit
+    assert not punctuality.judge(one_bad, GOOD_PC).fit
 
 
 def test_one_late_tick_in_four_thousand_is_forgiven_if_none_was_skipped() -> None:
-    assert jitter.judge(results(timing(*(10_000,) * 3999, 900_000)), GOOD_PC).fit
+    assert punctuality.judge(results(timing(*(10_000,) * 3999, 900_000)), GOOD_PC).fit
 
 
 @pytest.mark.parametrize(
@@ -265,16 +267,16 @@ def test_one_late_tick_in_four_thousand_is_forgiven_if_none_was_skipped() -> Non
 )
 def test_the_remedy_is_named_for_what_the_machine_lacks(facts: dict[str, Any], remedy: str) -> None:
     skipping = results(timing(*(10_000,) * 100, skipped=1))
-    unhelped = jitter.judge(skipping, GOOD_PC).sentence
+    unhelped = punctuality.judge(skipping, GOOD_PC).sentence
     assert remedy not in unhelped
     assert "the other programs that run" in unhelped
-    verdict = jitter.judge(skipping, {**GOOD_PC, **facts})
+    verdict = punctuality.judge(skipping, {**GOOD_PC, **facts})
     assert remedy in verdict.sentence
     assert [what for what, how in verdict.remedies if remedy in what and len(how) > 10]
 
 
 def test_missing_rights_are_remedied_by_limits() -> None:
-    verdict = jitter.judge(results(replace(GOOD, privileges=())), GOOD_PC)
+    verdict = punctuality.judge(results(replace(GOOD, privileges=())), GOOD_PC)
     words = dict(verdict.remedies)
     assert "LimitRTPRIO" in words["rtprio and memlock limits"]
     assert "cpu_dma_latency" in words["processor sleep"]
@@ -292,7 +294,7 @@ def system(root: Path, **files: str) -> Path:
 
 
 def test_facts_of_a_tuned_pc(tmp_path: Path) -> None:
-    facts = jitter.machine_facts(
+    facts = punctuality.machine_facts(
         system(
             tmp_path,
             sys__kernel__realtime="1",
@@ -310,11 +312,11 @@ def test_facts_of_a_tuned_pc(tmp_path: Path) -> None:
     assert facts["governor"] == "performance"
     assert facts["cpu"] == "Some CPU @ 3 GHz"
     assert facts["virtual_machine"] is False
-    assert jitter.choose_cpu({**facts, "cpus_allowed": [0, 1, 2, 3]}) == 3
+    assert punctuality.choose_cpu({**facts, "cpus_allowed": [0, 1, 2, 3]}) == 3
 
 
 def test_facts_of_a_virtual_machine_with_nothing_set(tmp_path: Path) -> None:
-    facts = jitter.machine_facts(
+    facts = punctuality.machine_facts(
         system(
             tmp_path,
             proc__version="Linux version 6.18 (gcc) #1 SMP PREEMPT_DYNAMIC @0",
@@ -328,12 +330,12 @@ def test_facts_of_a_virtual_machine_with_nothing_set(tmp_path: Path) -> None:
     assert facts["isolated_cpus"] == facts["nohz_full_cpus"] == []
     assert facts["virtual_machine"] is True
     assert facts["governor"] is facts["irq_affinity"] is None
-    assert jitter.choose_cpu({**facts, "cpus_allowed": [0, 1]}) == 1
-    assert jitter.choose_cpu({**facts, "cpus_allowed": [0]}) == -1
+    assert punctuality.choose_cpu({**facts, "cpus_allowed": [0, 1]}) == 1
+    assert punctuality.choose_cpu({**facts, "cpus_allowed": [0]}) == -1
 
 
 def test_facts_of_a_system_that_says_nothing(tmp_path: Path) -> None:
-    facts = jitter.machine_facts(tmp_path)
+    facts = punctuality.machine_facts(tmp_path)
     assert facts["preemption"] == "none"
     assert facts["rt_runtime_us"] is None
     json.dumps(facts)
@@ -378,14 +380,14 @@ def unfit(monkeypatch: pytest.MonkeyPatch) -> None:
     def measure(case: KindOfRun, *_: Any) -> JitterResult:
         return JitterResult(case, skipping, GOOD, 3 if case == CASES[0] else 1, False)
 
-    monkeypatch.setattr(jitter, "measure", measure)
+    monkeypatch.setattr(punctuality, "measure", measure)
 
 
 def test_timing_of_this_pc_is_measured_shown_and_written(rthyb: Rthyb, tmp_path: Path) -> None:
     code, out, _ = rthyb("jitter", "--seconds", 0.2, "--out", "pc", "--json")
     assert code == 0
     found = json.loads(out)
-    assert found["schema"] == jitter.SCHEMA
+    assert found["schema"] == punctuality.SCHEMA
     assert found["fit"] == found["verdict"].startswith("This PC is fit")
     assert [
         (run["payload"], run["telemetry"], run["busy_python"]) for run in found["runs"]

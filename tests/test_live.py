@@ -39,8 +39,8 @@ from rthyb_rt.live import server as live_server
 from rthyb_rt.live.app import make_app
 from rthyb_rt.live.frames import ANEW, HEADER, MORE, OUTLINE, Framer, view_of
 from rthyb_rt.live.guard import Tokens
-from rthyb_rt.live.history import CHANNELS, History, Tally, channels, columns, loop_points
 from rthyb_rt.live.server import LiveServer
+from rthyb_rt.live.shown_rows import CHANNELS, History, Tally, channels, columns, loop_points
 from rthyb_rt.live.sources import LiveSource, PastSource, open_source
 from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording

@@ -19,7 +19,7 @@ from rthyb_rt import config, core
 from rthyb_rt.core import loop
 from rthyb_rt.lab import experiment
 from rthyb_rt.live.frames import Framer, view_of
-from rthyb_rt.live.history import CHANNELS, History, channels
+from rthyb_rt.live.shown_rows import CHANNELS, History, channels
 from rthyb_rt.live.sources import LiveSource, PastSource
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.record.ring import Ring

@@ -27,7 +27,7 @@ from rthyb_rt.core.numerical_parts import Part, SparsePart
 from rthyb_rt.core.own_fmu import FmuConfig
 from rthyb_rt.core.own_library import tried
 from rthyb_rt.core.sparse import SparseConfig, Symmetric
-from rthyb_rt.lab import experiment, several
+from rthyb_rt.lab import axes_experiment, experiment
 
 fmpy = pytest.importorskip("fmpy", reason="has the headers that the tests' FMU is built with")
 SOURCE = Path(__file__).parent / "fmu" / "oscillator.c"
@@ -340,7 +340,7 @@ def test_an_fmu_with_two_interfaces_runs_on_two_axes_and_is_replayed(
     assert rt.replay(rec).identical
     rig = files.file_of_rig(test.rig)
     assert isinstance(rig, AxesRig)
-    setup = several.prepare(files.file_of_test(test), rig, real_time=True)
+    setup = axes_experiment.prepare(files.file_of_test(test), rig, real_time=True)
     assert setup.controller.interface_count == 2
 
 

@@ -25,7 +25,7 @@ from rthyb_rt.core.numerical_parts import Part
 from rthyb_rt.core.own import PythonPartConfig
 from rthyb_rt.core.own_library import LibraryConfig, tried
 from rthyb_rt.core.own_parts import of_plain
-from rthyb_rt.lab import several
+from rthyb_rt.lab import axes_experiment
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN = ROOT / "examples" / "own_parts"
@@ -164,7 +164,7 @@ def test_a_class_in_python_does_so_too(in_python: str, corner: str, tmp_path: Pa
 def test_the_reference_has_the_specimens_masses_as_forces(corner: str, tmp_path: Path) -> None:
     """Matrices hold the specimen in the step; a library meets it as a force, one step later."""
     one, other = (
-        several.prepare(files.file_of_test(test), rig_of(test))
+        axes_experiment.prepare(files.file_of_test(test), rig_of(test))
         for test in (by_library(tmp_path, corner), by_matrices(tmp_path))
     )
     assert one.group is not None
@@ -288,7 +288,7 @@ def test_the_trial_meets_the_whole_matrix_of_the_specimen(tmp_path: Path, corner
 
 def test_it_may_run_in_real_time_and_its_step_is_timed(corner: str, tmp_path: Path) -> None:
     test = by_library(tmp_path, corner)
-    setup = several.prepare(files.file_of_test(test), rig_of(test), real_time=True)
+    setup = axes_experiment.prepare(files.file_of_test(test), rig_of(test), real_time=True)
     assert setup.controller.numerical is not None
     source = (OWN / "corner.c").read_text("utf-8")
     source = source.replace(
@@ -298,7 +298,7 @@ def test_it_may_run_in_real_time_and_its_step_is_timed(corner: str, tmp_path: Pa
     )
     greedy = by_library(tmp_path, compiled(tmp_path, source, "greedy"))
     with pytest.raises(rt.InputError, match="allocates or frees memory"):
-        several.prepare(files.file_of_test(greedy), rig_of(greedy), real_time=True)
+        axes_experiment.prepare(files.file_of_test(greedy), rig_of(greedy), real_time=True)
 
 
 def test_an_old_library_with_one_interface_goes_on_working(tmp_path: Path) -> None:
@@ -336,7 +336,7 @@ int32_t rthyb_part_answer(void *at, double ag, const double *force, double *x)
 
 def refusal(test: rt.Test) -> str:
     with pytest.raises(rt.InputError) as caught:
-        several.prepare(files.file_of_test(test), rig_of(test))
+        axes_experiment.prepare(files.file_of_test(test), rig_of(test))
     return str(caught.value)
 
 

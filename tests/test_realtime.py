@@ -35,7 +35,7 @@ from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import end_reasons, experiment, realtime, virtual_time
 from rthyb_rt.lab.realtime import collector
 from rthyb_rt.lab.realtime.collector import Collector
-from rthyb_rt.record import export, recording, ring
+from rthyb_rt.record import mat_csv, recording, ring
 from rthyb_rt.report import render
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
@@ -159,9 +159,9 @@ def test_recording_of_a_test_in_real_time_serves_everything(tmp_path: Path) -> N
     assert labels[-2:] == ["Samples", "Link"]
     assert [notice.text for notice in summary.notices(found) if notice.level == "alarm"] == []
     assert "Punctuality" not in render(back)
-    export.to_csv(back, tmp_path / "test.csv")
+    mat_csv.to_csv(back, tmp_path / "test.csv")
     assert len((tmp_path / "test.csv").read_text().splitlines()) == ROWS + 1
-    export.to_mat(back, tmp_path / "test.mat")
+    mat_csv.to_mat(back, tmp_path / "test.mat")
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.lab.end_reasons import TimingError
 from rthyb_rt.record import recording
-from rthyb_rt.rig import identify, virtual_rig
+from rthyb_rt.rig import identification, virtual_rig
 from rthyb_rt.rig.commissioning import certificate, guide, jogging, stops
 from rthyb_rt.rig.links import opening
 from rthyb_rt.rig.virtual_rig import parse_faults
@@ -273,14 +273,16 @@ def config_json(document: dict[str, Any]) -> str:
 def test_a_sweep_over_the_link_at_the_drives_rate_finds_what_it_finds_at_1024_hz(
     rate_hz: int,
 ) -> None:
-    sweep = identify.SweepPlan((1.0, 4.0), 0.5e-3)
+    sweep = identification.SweepPlan((1.0, 4.0), 0.5e-3)
     with at(rig_at(rate_hz)) as there:
-        found = identify.identify_live(there.connection, sweep)
-    known = identify.identify(rig_at(1024), sweep)
+        found = identification.identify_live(there.connection, sweep)
+    known = identification.identify(rig_at(1024), sweep)
     assert found.recording is not None
     assert found.recording.fs_hz == rate_hz
     assert found.link_delay_samples == 0.0
-    before, now = (identify.identified_rig(rig_at(1024), one).identified for one in (known, found))
+    before, now = (
+        identification.identified_rig(rig_at(1024), one).identified for one in (known, found)
+    )
     assert before is not None
     assert now is not None
     assert now.delay_at_frequency_s == pytest.approx(before.delay_at_frequency_s, abs=6e-5)
@@ -291,8 +293,8 @@ def test_a_sweep_over_the_link_at_the_drives_rate_finds_what_it_finds_at_1024_hz
 
 
 def test_a_sweep_in_virtual_time_is_that_of_1024_hz_whatever_the_drives_rate() -> None:
-    sweep = identify.SweepPlan((1.0, 2.0), 1e-3)
-    one, other = (identify.identify(rig_at(hz), sweep) for hz in (1024, 2048))
+    sweep = identification.SweepPlan((1.0, 2.0), 1e-3)
+    one, other = (identification.identify(rig_at(hz), sweep) for hz in (1024, 2048))
     assert one.delay_s == other.delay_s
 
 

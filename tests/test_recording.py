@@ -19,7 +19,7 @@ from rthyb_rt import core
 from rthyb_rt.analysis.summary import OUT_OF_RANGE
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.record import export
+from rthyb_rt.record import mat_csv
 from rthyb_rt.record.recording import (
     SCHEMA,
     UNITS,
@@ -295,18 +295,18 @@ def test_csv_has_the_interchange_columns_and_reads_back_exactly(
 ) -> None:
     short.samples["state"][:10] = STATES.index("RAMP_IN")
     short.samples["x_meas_m"][20] = np.nan
-    export.to_csv(short, tmp_path / "recording.csv")
+    mat_csv.to_csv(short, tmp_path / "recording.csv")
     with (tmp_path / "recording.csv").open() as file:
         assert next(csv.reader(file)) == ["t", "ag", "x_num", "x_cmd", "x_meas", "f_meas"]
     table = np.genfromtxt(tmp_path / "recording.csv", delimiter=",", names=True)
     run = short.samples[10:]
     np.testing.assert_array_equal(table["t"], np.arange(run.size) / FS_HZ)
-    for column, field in export.INTERCHANGE.items():
+    for column, field in mat_csv.INTERCHANGE.items():
         np.testing.assert_array_equal(table[column], run[field])
 
 
 def test_full_csv_has_every_field_of_every_row(tmp_path: Path, short: Recording) -> None:
-    export.to_csv(short, tmp_path / "full.csv", full=True)
+    mat_csv.to_csv(short, tmp_path / "full.csv", full=True)
     table = np.genfromtxt(tmp_path / "full.csv", delimiter=",", names=True)
     assert table.dtype.names == ("t_s", *(RECORD_DTYPE.names or ()))
     for field in RECORD_DTYPE.names or ():
@@ -315,7 +315,7 @@ def test_full_csv_has_every_field_of_every_row(tmp_path: Path, short: Recording)
 
 def test_mat_file_opens_with_every_field(tmp_path: Path, short: Recording) -> None:
     short.ground_motion["pga_g"] = None
-    export.to_mat(short, tmp_path / "recording.mat")
+    mat_csv.to_mat(short, tmp_path / "recording.mat")
     mat = loadmat(tmp_path / "recording.mat", squeeze_me=True)
     np.testing.assert_array_equal(mat["t_s"], short.time_s())
     for field in RECORD_DTYPE.names or ():
@@ -334,5 +334,5 @@ def test_mat_without_scipy_names_the_remedy(
 ) -> None:
     monkeypatch.setitem(sys.modules, "scipy.io", None)
     with pytest.raises(InputError, match=r"pip install 'rthyb-rt\[fit\]'"):
-        export.to_mat(short, tmp_path / "recording.mat")
+        mat_csv.to_mat(short, tmp_path / "recording.mat")
     assert list(tmp_path.iterdir()) == []

@@ -22,7 +22,7 @@ from rthyb_rt.analysis import summary
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.live.sources import PastSource
-from rthyb_rt.record import export, recording
+from rthyb_rt.record import mat_csv, recording
 from rthyb_rt.record.recording import (
     UNITS,
     VERSION,
@@ -96,9 +96,9 @@ def test_a_recording_of_version_1_is_reported_and_shown(path: Path) -> None:
 @of_version_1
 def test_a_recording_of_version_1_is_exported(path: Path, tmp_path: Path) -> None:
     rec, rows = read(path), stored(path)
-    export.to_csv(rec, tmp_path / "full.csv", full=True)
+    mat_csv.to_csv(rec, tmp_path / "full.csv", full=True)
     table = np.genfromtxt(tmp_path / "full.csv", delimiter=",", names=True)
-    export.to_mat(rec, tmp_path / "recording.mat")
+    mat_csv.to_mat(rec, tmp_path / "recording.mat")
     mat = loadmat(tmp_path / "recording.mat", squeeze_me=True)
     for found in (table, mat):
         np.testing.assert_array_equal(found["f_meas_n"], rows["f_meas_n"])
@@ -297,5 +297,5 @@ def test_a_field_that_nobody_knows_is_kept_and_does_no_harm(tmp_path: Path) -> N
     back = read(tmp_path / "recording.h5")
     assert set(back.samples["temperature_k"]) == {293.0}
     assert summary.summarize(back).as_json() == summary.summarize(rec).as_json()
-    export.to_csv(back, tmp_path / "full.csv", full=True)
+    mat_csv.to_csv(back, tmp_path / "full.csv", full=True)
     assert re.match(r"t_s,temperature_k,tick,", (tmp_path / "full.csv").read_text())

@@ -38,7 +38,7 @@ from rthyb_rt.numbers import number, percent, quantity
 from rthyb_rt.record.recording import UNITS, Recording
 from rthyb_rt.report import render, write_report, zoom
 from rthyb_rt.report.decimate import envelope, robust_limit, trace
-from rthyb_rt.report.files import escaped, write_files
+from rthyb_rt.report.publication import escaped, write_files
 
 pytest.importorskip("matplotlib")
 

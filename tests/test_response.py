@@ -19,7 +19,7 @@ from rthyb_rt.config.rigfile import Identified
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.rig.identify import FREQUENCIES_HZ, SweepPlan, identified_rig, identify
+from rthyb_rt.rig.identification import FREQUENCIES_HZ, SweepPlan, identified_rig, identify
 
 TEST = """schema = "rthyb-test/1"
 test = {{ name = "t", sample_rate_hz = {rate} }}

@@ -20,7 +20,7 @@ from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.diagnose import reading
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import braking, experiment, realtime, virtual_time
-from rthyb_rt.record import export, recording
+from rthyb_rt.record import mat_csv, recording
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.report import render
 
@@ -441,7 +441,7 @@ def test_a_recording_at_4096_hz_replays_and_is_reported(fast: Recording, tmp_pat
     assert given.window_samples == 205
     assert found.fei_delay_s == pytest.approx(0.0, abs=5e-4)
     assert "4096 Hz" in render(rec)
-    export.to_csv(rec, tmp_path / "rows.csv")
+    mat_csv.to_csv(rec, tmp_path / "rows.csv")
     table = np.genfromtxt(tmp_path / "rows.csv", delimiter=",", names=True)
     steps = np.diff(table[table.dtype.names[0]])
     np.testing.assert_allclose(steps, 1 / 4096, rtol=1e-6)

@@ -29,13 +29,13 @@ from rthyb_rt.config import AxesRig
 from rthyb_rt.core import dbc, loop, wire
 from rthyb_rt.core.library import STATUS
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import experiment, extras, realtime, sensor_wires, several
-from rthyb_rt.lab.realtime import RefusedError, replaying
+from rthyb_rt.lab import axes_experiment, experiment, extra_frames, realtime, sensor_wires
+from rthyb_rt.lab.realtime import RefusedError, station_replay
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig import identify_axes, virtual_rig
 from rthyb_rt.rig.commissioning import certificate, guide
 from rthyb_rt.rig.commissioning.guided_motion import Reach
-from rthyb_rt.rig.identify import SweepPlan
+from rthyb_rt.rig.identification import SweepPlan
 from rthyb_rt.rig.identify_axes_live import identify_axes_live
 from rthyb_rt.rig.links import opening
 
@@ -59,7 +59,7 @@ DEFAULTS = LINKED.replace('stuck_s = 0.2\njump_n = "20 kN"\n', "").replace(
 
 
 def setup(text: str = DEFAULTS, test: str = SHORT) -> experiment.Setup:
-    return several.prepare(files.parse_test(test, "test.toml"), read(text), real_time=True)
+    return axes_experiment.prepare(files.parse_test(test, "test.toml"), read(text), real_time=True)
 
 
 # ---- frames that something changes on their way -------------------------------------------------
@@ -155,7 +155,7 @@ def through(
 
 
 def assert_replays(rec: Recording) -> None:
-    again = replaying.replay(rec)
+    again = station_replay.replay(rec)
     assert again.identical, (again.first_row, again.field)
     assert again.rows == rec.samples.size
 
@@ -416,7 +416,7 @@ def test_over_serial_lines_the_end_of_the_packet_is_off_scale_too(held: bool) ->
             )
         )
         opened = owned.enter_context(opening.open_axes(given, "controller"))
-        one = several.prepare(files.parse_test(SHORT, "test.toml"), given, real_time=True)
+        one = axes_experiment.prepare(files.parse_test(SHORT, "test.toml"), given, real_time=True)
         assert [at.kind for at in opened.all] == ["stream", "stream"]
         if held:
             with pytest.raises(RthybError, match="sensor column"):
@@ -475,7 +475,7 @@ def over_dbc(text: str, raw: Callable[[int], int | None]) -> Recording:
             return frame[:16] + other.to_bytes(2, "little", signed=True) + frame[18:]
 
         way = Between(drives, ends, NAMES.index("left"), whole=changed)  # type: ignore[arg-type]
-        one = several.prepare(files.parse_test(FREE, "test.toml"), given, real_time=True)
+        one = axes_experiment.prepare(files.parse_test(FREE, "test.toml"), given, real_time=True)
         return realtime.run(one, first[0], clock="stepped", before_tick=way.tick, hold_s=0.5)
 
 
@@ -628,7 +628,7 @@ def test_a_value_beyond_the_range_of_its_signal_is_off_scale_not_missing(tmp_pat
 )
 def test_a_range_that_the_frame_does_not_carry_is_refused(old: str, new: str, said: str) -> None:
     text = DEFAULTS.replace(old, new, 1)
-    for attempt in (setup, lambda given: several.at_rest(read(given))):
+    for attempt in (setup, lambda given: axes_experiment.at_rest(read(given))):
         with pytest.raises(InputError) as caught:
             attempt(text)
         problems = " ".join(str(one) for one in caught.value.problems)
@@ -680,7 +680,7 @@ def test_a_loop_refuses_a_channel_that_does_not_carry_the_range_at_the_start_and
             link = loop.Link(at.kind, at.fd)
             owned.callback(link.close)
             ways.append(
-                loop.LoopAxis(wire.Wire(extras.codec_of(rig.of_axis(name), at.codec)), link)
+                loop.LoopAxis(wire.Wire(extra_frames.codec_of(rig.of_axis(name), at.codec)), link)
             )
         places = [(1, 0), (0, 0)]
 
@@ -737,7 +737,7 @@ def test_a_sensor_that_could_not_be_relied_on_is_refused(old: str, new: str, sai
 def watches(text: str, *, real: bool = True) -> dict[str, Any]:
     one = setup(text)
     assert one.group is not None
-    found = several.station_config(one, one.group, real=real)
+    found = axes_experiment.station_config(one, one.group, real=real)
     return {each.name: each for each in found.sensors}
 
 

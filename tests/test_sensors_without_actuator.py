@@ -28,9 +28,9 @@ from rthyb_rt.core.group import SensorWatches
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.core.library import STATUS
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import several, virtual_time, zeroing
-from rthyb_rt.lab.realtime import replaying
-from rthyb_rt.record import export
+from rthyb_rt.lab import axes_experiment, virtual_time, zeroing
+from rthyb_rt.lab.realtime import station_replay
+from rthyb_rt.record import mat_csv
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.rig import identify_axes, virtual_rig
 from rthyb_rt.rig.links import opening
@@ -782,34 +782,34 @@ stiffness = {(6e6 * eye).tolist()}
     test = test.replace(
         "[1, 2]\n[numerical.damping]", f"{[*range(1, axes + 1)]}\n[numerical.damping]"
     )
-    setup = several.prepare(files.parse_test(test, "test.toml"), read(text))
+    setup = axes_experiment.prepare(files.parse_test(test, "test.toml"), read(text))
     names = [one.name for one in setup.channels]
     assert len(names) == 5 * (axes - 1) + 16 + 2 * (axes + 1)  # and drifts and shears
     done = virtual_time.run(setup)
     assert done.meta["end_reason"] == "completed"
     for name in ("wire0_read", "wire3", "column0", "column3_read"):
         assert np.ptp(done.samples[name][done.running()]) > 0
-    assert replaying.replay(done).identical
+    assert station_replay.replay(done).identical
 
 
 @pytest.mark.parametrize("name", ["x_true_m_1", "x_num_m_1", "state"])
 def test_a_name_that_a_recording_has_already_is_refused(name: str) -> None:
     test = files.parse_test(TEST, "test.toml")
     with pytest.raises(InputError, match=f'found "{name}", but a recording of this test already'):
-        several.prepare(test, read(WITH_WIRE.replace('"wire"', f'"{name}"')))
+        axes_experiment.prepare(test, read(WITH_WIRE.replace('"wire"', f'"{name}"')))
 
 
 def test_the_name_of_a_variable_of_exported_files_is_refused(
     bare: Recording, tmp_path: Path
 ) -> None:
-    export.to_mat(bare, tmp_path / "bare.mat")
+    mat_csv.to_mat(bare, tmp_path / "bare.mat")
     own = {name for name, _, _ in scipy.io.whosmat(tmp_path / "bare.mat")}
     beside = own - set(bare.samples.dtype.names or ()) - {"ag_mps2"}
     assert beside >= {"x_ref_m", "t_s", "meta"}
     test = files.parse_test(TEST, "test.toml")
     for name in beside:
         with pytest.raises(InputError, match=f'exported files have a variable "{name}"'):
-            several.prepare(test, read(WITH_WIRE.replace('"wire"', f'"{name}"')))
+            axes_experiment.prepare(test, read(WITH_WIRE.replace('"wire"', f'"{name}"')))
 
 
 @pytest.mark.parametrize("name", ["wire", "wire_read"])
@@ -818,7 +818,7 @@ def test_the_name_of_an_extra_sensor_is_refused_where_the_sensor_has_it(name: st
         "sensors = { ", f'sensors = {{ extra = [{{ name = "{name}", unit = "m" }}], ', 1
     )
     with pytest.raises(InputError) as caught:
-        several.prepare(files.parse_test(TEST, "test.toml"), read(text))
+        axes_experiment.prepare(files.parse_test(TEST, "test.toml"), read(text))
     (said,) = (str(one) for one in caught.value.problems)
     assert f'found "wire", but axis left has an extra sensor "{name}"' in said
     assert said.split(": ")[1].startswith("sensor.")
@@ -828,9 +828,9 @@ def test_the_name_of_an_extra_sensor_is_refused_where_the_sensor_has_it(name: st
 
 
 def watches_of(text: str, test: str = TEST) -> dict[str, SensorWatches]:
-    setup = several.prepare(files.parse_test(test, "test.toml"), read(text))
+    setup = axes_experiment.prepare(files.parse_test(test, "test.toml"), read(text))
     assert setup.group is not None
-    return {one.name: one for one in several.station_config(setup, setup.group).sensors}
+    return {one.name: one for one in axes_experiment.station_config(setup, setup.group).sensors}
 
 
 def test_a_tare_may_be_what_the_limits_of_the_axes_give_a_sensor() -> None:
@@ -882,9 +882,9 @@ def test_a_test_that_cannot_be_zeroed_names_the_sensor(old: str, new: str, said:
 
 
 def test_a_sensor_that_moves_during_the_tare_is_named() -> None:
-    setup = several.prepare(files.parse_test(TEST, "test.toml"), read(WITH_BOTH))
+    setup = axes_experiment.prepare(files.parse_test(TEST, "test.toml"), read(WITH_BOTH))
     assert setup.group is not None
-    found = several.station_config(setup, setup.group)
+    found = axes_experiment.station_config(setup, setup.group)
     # Its noise has a span of some 13 um.
     sensors = tuple(replace(one, rest_spread=one.rest_spread / 20) for one in found.sensors)
     one = virtual_time.Bench(setup, config=replace(found, sensors=sensors))
@@ -898,7 +898,9 @@ def test_a_sensor_that_moves_during_the_tare_is_named() -> None:
 
 def test_a_sensor_without_readings_is_named_among_what_is_silent() -> None:
     text = WITH_BOTH.replace("noise_std_n = 10\n", "bias_n = -8e4\n")
-    one = virtual_time.Bench(several.prepare(files.parse_test(TEST, "test.toml"), read(text)))
+    one = virtual_time.Bench(
+        axes_experiment.prepare(files.parse_test(TEST, "test.toml"), read(text))
+    )
     assert not zeroing.silent_sensors(one.run)
     one.advance(25)
     assert zeroing.silent_sensors(one.run) == (
@@ -909,7 +911,7 @@ def test_a_sensor_without_readings_is_named_among_what_is_silent() -> None:
 
 def test_the_tares_of_the_sensors_are_told_by_name() -> None:
     text = quiet(WITH_BOTH).replace("range_m", "bias_m = 2e-3\nrange_m")
-    setup = several.prepare(
+    setup = axes_experiment.prepare(
         files.parse_test(TEST, "test.toml"), read(text.replace("range_n", "bias_n = -5e3\nrange_n"))
     )
     one = virtual_time.Bench(setup)
@@ -923,7 +925,7 @@ def test_the_tares_of_the_sensors_are_told_by_name() -> None:
     assert said.startswith("left tare ")
     assert said.endswith("wire tare 2.000 mm; column tare -5.000 kN")
     assert "sensors" not in zeroing.tares(virtual_time.Bench(
-        several.prepare(files.parse_test(TEST, "test.toml"), read(RIG))
+        axes_experiment.prepare(files.parse_test(TEST, "test.toml"), read(RIG))
     ).run)  # fmt: skip
 
 
@@ -931,7 +933,7 @@ def test_the_tares_of_the_sensors_are_told_by_name() -> None:
 
 
 def completed(text: str, test: str = TEST) -> Recording:
-    rec = virtual_time.run(several.prepare(files.parse_test(test, "test.toml"), read(text)))
+    rec = virtual_time.run(axes_experiment.prepare(files.parse_test(test, "test.toml"), read(text)))
     assert rec.meta["end_reason"] == "completed"
     return rec
 
@@ -1030,7 +1032,7 @@ def test_the_energies_of_the_structure_add_up(
 @pytest.mark.parametrize("which", ["celled", "wired"])
 def test_the_recording_is_replayed_bit_for_bit(which: str, request: pytest.FixtureRequest) -> None:
     rec = request.getfixturevalue(which)
-    result = replaying.replay(rec)
+    result = station_replay.replay(rec)
     assert result.identical
     assert result.rows > 6 * 1024
 
@@ -1056,7 +1058,7 @@ def test_a_rig_without_sensors_is_recorded_as_before(bare: Recording) -> None:
     assert "sensor = " not in bare.rig_toml
     station = bare.replay.parameters[0]["values"]["station"]
     assert not {"sensors", "lone_channel", "lone_channel_count"} & set(station)
-    assert replaying.replay(bare).identical
+    assert station_replay.replay(bare).identical
 
 
 # ---- over links ---------------------------------------------------------------------------------
@@ -1086,7 +1088,7 @@ LINKED = LINKED.replace('unit = "N"\n', 'unit = "N"\nwire_step = 1e-3\n').replac
 
 
 def over_links(text: str, faults: Any = (), test: str = TEST) -> Recording:
-    setup = several.prepare(files.parse_test(test, "test.toml"), read(text))
+    setup = axes_experiment.prepare(files.parse_test(test, "test.toml"), read(text))
     mishaps = virtual_rig.parse_mishaps(faults, NAMES) if faults else ()
     return virtual_rig.run_faulty(setup, mishaps)
 
@@ -1103,7 +1105,7 @@ def test_sensors_are_read_from_the_extra_channels_of_the_links() -> None:
         np.testing.assert_array_equal(a[f"{name}_read"], a[other])
         np.testing.assert_allclose(a[other] / step, np.rint(a[other] / step), atol=1e-5)
     assert np.ptp(a["wire"]) > 5e-3
-    result = replaying.replay(one)
+    result = station_replay.replay(one)
     assert result.identical
 
 
@@ -1117,13 +1119,13 @@ def test_lost_frames_leave_their_sensors_without_a_reading() -> None:
     np.testing.assert_array_equal(np.isnan(rows["column_read"]), lost)
     assert not np.isnan(rows["wire_read"]).any()
     assert np.isfinite(rows["column"]).all()
-    assert replaying.replay(one).identical
+    assert station_replay.replay(one).identical
 
 
 def test_silence_of_a_link_trips_and_is_replayed() -> None:
     one = over_links(LINKED, ["right.silence:from=2"])
     assert one.meta["end_reason"] == "tripped: link lost of axis right"
-    assert replaying.replay(one).identical
+    assert station_replay.replay(one).identical
 
 
 @pytest.mark.parametrize(
@@ -1196,15 +1198,15 @@ def test_the_service_holds_the_rig_and_names_the_sensor_that_ended_a_test(tmp_pa
     recordings = service_bench.left(tmp_path / "rings")
     assert len(recordings) == 2
     for rec in recordings:
-        assert replaying.replay(rec).identical
+        assert station_replay.replay(rec).identical
     assert np.nanmax(np.abs(recordings[0].samples["column"])) > 500
 
 
 NOT_SUPPORTED: dict[str, Callable[[AxesRig], object]] = {
-    "a test in real time": lambda floor: several.prepare(
+    "a test in real time": lambda floor: axes_experiment.prepare(
         files.parse_test(TEST, "test.toml"), floor, real_time=True
     ),
-    "real time": several.at_rest,
+    "real time": axes_experiment.at_rest,
 }
 
 

@@ -21,13 +21,13 @@ from rthyb_rt import config
 from rthyb_rt.config import AxesRig, TestFile
 from rthyb_rt.core import RUNNING, STATES, loop
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment, realtime, several
+from rthyb_rt.lab import axes_experiment, experiment, realtime
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import recording
 from rthyb_rt.service import any_rig
 from rthyb_rt.service.control import Client, Refusal
-from rthyb_rt.service.engine import StateError
-from rthyb_rt.service.recorder import read_index
+from rthyb_rt.service.rig_engine import StateError
+from rthyb_rt.service.ring_recorder import read_index
 
 pytestmark = pytest.mark.alone
 
@@ -361,7 +361,7 @@ def test_watched_status_of_several_axes_is_one_line(place: Path) -> None:
 
 def test_at_rest_the_service_has_the_limits_of_every_axis() -> None:
     """Its structure is never asked for anything: forces and positions of the rig alone count."""
-    setup = several.at_rest(pair_of())
+    setup = axes_experiment.at_rest(pair_of())
     station = experiment.station_config(setup, real=True)
     left_axis, right_axis = station.controller.axes
     assert left_axis.watches is not None

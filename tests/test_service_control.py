@@ -39,7 +39,7 @@ from service_bench import (
 
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment
-from rthyb_rt.service import control, daemon, engine, peers
+from rthyb_rt.service import control, daemon, peers, rig_engine
 from rthyb_rt.service.control import (
     INTERFACE,
     LOAD_BYTES,
@@ -361,7 +361,7 @@ def test_long_request_is_not_taken_apart_where_a_test_has_begun_meanwhile(place:
     def may_begin() -> None:
         asked.append(True)
         if len(asked) > 1:
-            raise engine.StateError("load", "a test can be loaded only in IDLE", "RUNNING")
+            raise rig_engine.StateError("load", "a test can be loaded only in IDLE", "RUNNING")
 
     with (
         listening(place / "s", echoing(may_begin)),
@@ -432,7 +432,7 @@ def test_long_request_is_refused_before_it_is_read_where_no_test_may_be_loaded(
     place: Path,
 ) -> None:
     def refuse() -> None:
-        raise engine.StateError("load", "a test can be loaded only in IDLE", "RUNNING")
+        raise rig_engine.StateError("load", "a test can be loaded only in IDLE", "RUNNING")
 
     with listening(place / "s", echoing(refuse)):
         reply = raw(place / "s", b"x" * (2 * REQUEST_BYTES))

@@ -47,8 +47,8 @@ from rthyb_rt.service import daemon as daemons
 from rthyb_rt.service import installing, systemd
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import Daemon, record_of
-from rthyb_rt.service.engine import Engine, StateError
-from rthyb_rt.service.recorder import read_index, read_status
+from rthyb_rt.service.rig_engine import Engine, StateError
+from rthyb_rt.service.ring_recorder import read_index, read_status
 
 pytestmark = pytest.mark.alone
 

@@ -21,7 +21,7 @@ from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.record import ring
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
-from rthyb_rt.service.engine import COMMANDS, Engine, Event, StateError, allowed_states
+from rthyb_rt.service.rig_engine import COMMANDS, Engine, Event, StateError, allowed_states
 
 pytestmark = pytest.mark.alone
 

@@ -34,7 +34,7 @@ from rthyb_rt.record import recording
 from rthyb_rt.record.recording import FILE_NAME, Recording
 from rthyb_rt.service.control import Client, Refusal, UnreachableError
 from rthyb_rt.service.growing import PART_NAME
-from rthyb_rt.service.recorder import read_status
+from rthyb_rt.service.ring_recorder import read_status
 
 pytestmark = pytest.mark.alone
 
@@ -137,7 +137,7 @@ def compare(rec: Recording, log: np.ndarray, tally: Tally) -> None:
 _NURSERY = """
 import json, os, signal, sys
 import h5py, numpy
-import rthyb_rt.service.recorder, rthyb_rt.service.growing, rthyb_rt.service.daemon
+import rthyb_rt.service.ring_recorder, rthyb_rt.service.growing, rthyb_rt.service.daemon
 import rthyb_rt.cli.recorder, rthyb_rt.cli.serve, rthyb_rt.rig.links.opening, rthyb_rt.report
 from rthyb_rt.cli import main
 signal.signal(signal.SIGCHLD, signal.SIG_IGN)

@@ -32,10 +32,10 @@ from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME
 from rthyb_rt.record.ring import Ring
 from rthyb_rt.service import disk, growing
-from rthyb_rt.service import recorder as recorders
+from rthyb_rt.service import ring_recorder as recorders
 from rthyb_rt.service.growing import PART_NAME
 from rthyb_rt.service.ordered import OrderedFile
-from rthyb_rt.service.recorder import Recorder, read_index, read_status
+from rthyb_rt.service.ring_recorder import Recorder, read_index, read_status
 
 pytestmark = pytest.mark.alone
 

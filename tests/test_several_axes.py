@@ -20,7 +20,7 @@ from rthyb_rt.config.axes_reference import joint_model, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
 from rthyb_rt.core import RUNNING
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import realtime, several, virtual_time
+from rthyb_rt.lab import axes_experiment, realtime, virtual_time
 from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
 
@@ -36,7 +36,9 @@ def rig(text: str = RIG) -> AxesRig:
 
 
 def conducted(test: str = SHORT, given: str = RIG) -> Recording:
-    return virtual_time.run(several.prepare(config.parse_test(test, "test.toml"), rig(given)))
+    return virtual_time.run(
+        axes_experiment.prepare(config.parse_test(test, "test.toml"), rig(given))
+    )
 
 
 def test_the_reference_is_the_joined_structure_by_scipy() -> None:
@@ -174,7 +176,7 @@ def frame(**overrides: str) -> Recording:
     )
     found = config.load_any_rig(config.shipped_rig("two-axis-frame"))
     assert isinstance(found, AxesRig)
-    return virtual_time.run(several.prepare(test, found))
+    return virtual_time.run(axes_experiment.prepare(test, found))
 
 
 @pytest.mark.long
@@ -210,10 +212,10 @@ def test_what_several_axes_cannot_do_is_refused(change: dict[str, Any], said: st
     test = config.parse_test(SHORT, "test.toml", change)
     if said:
         with pytest.raises(InputError, match=said):
-            several.prepare(test, rig())
+            axes_experiment.prepare(test, rig())
         return
     rec = virtual_time.run(
-        several.prepare(
+        axes_experiment.prepare(
             test,
             rig(
                 RIG.replace(
@@ -229,7 +231,7 @@ def test_what_several_axes_cannot_do_is_refused(change: dict[str, Any], said: st
 
 def test_a_sensor_too_short_for_the_reference_is_noted() -> None:
     short = RIG.replace("noise_std_m = 2e-6", "noise_std_m = 2e-6, range_m = 0.002")
-    notes = several.prepare(config.parse_test(SHORT, "test.toml"), rig(short)).notes
+    notes = axes_experiment.prepare(config.parse_test(SHORT, "test.toml"), rig(short)).notes
     assert any("axis left: sensors.displacement.range_m = 2 mm" in note for note in notes)
 
 
@@ -267,7 +269,7 @@ def test_two_runs_are_the_same_bit_by_bit() -> None:
     one, other = conducted(), conducted()
     assert one.samples.tobytes() == other.samples.tobytes()
     seeded = rig(RIG.replace('name = "two-storeys"', 'name = "two-storeys"\nseed = 5'))
-    third = virtual_time.run(several.prepare(config.parse_test(SHORT, "test.toml"), seeded))
+    third = virtual_time.run(axes_experiment.prepare(config.parse_test(SHORT, "test.toml"), seeded))
     assert third.samples.tobytes() != one.samples.tobytes()
     assert replace(one, samples=one.samples[:3]).axis("right").size == 3
 

@@ -16,7 +16,7 @@ from rthyb_rt import config
 from rthyb_rt.analysis import loop_roots, summary
 from rthyb_rt.config.rigfile import SecondOrder, ServoHydraulic
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.rig import identify
+from rthyb_rt.rig import identification
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 BULK_MODULUS_PA = 1e9
@@ -74,7 +74,7 @@ def test_the_electric_cylinder_is_two_loops_in_series() -> None:
 def test_what_a_shipped_rig_says_of_itself_is_what_an_identification_finds(name: str) -> None:
     rig = shipped(name)
     said = rig.identified
-    found = identify.identify(rig, identify.SweepPlan.up_to(10.0))
+    found = identification.identify(rig, identification.SweepPlan.up_to(10.0))
     assert found.alpha == pytest.approx(said.alpha, rel=0.01)
     assert found.delay_s == pytest.approx(said.delay_s, rel=0.01)
     assert found.k_e_n_per_m == pytest.approx(rig.rig.elastic_stiffness_n_per_m, rel=0.01)
@@ -89,7 +89,7 @@ def test_the_sweep_of_every_shipped_rig_is_what_an_identification_finds(name: st
     assert f'identify {name} --max-frequency "{top_hz:g} Hz"`' in config.shipped_rig(
         name
     ).read_text(encoding="utf-8")
-    tones = identify.identify(rig, identify.SweepPlan.up_to(top_hz)).tones
+    tones = identification.identify(rig, identification.SweepPlan.up_to(top_hz)).tones
     assert [t.frequency_hz for t in tones] == said.frequency_hz
     assert np.allclose([t.amplitude_m for t in tones], said.command_amplitude_m, rtol=0.01)
     assert np.allclose([t.gain for t in tones], said.amplitude, rtol=0.01)

@@ -25,7 +25,7 @@ from rthyb_rt.core import CoreError, sparse
 from rthyb_rt.core.numerical_parts import SparsePart
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.lab.realtime import replaying
+from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record import recording
 from rthyb_rt.report import figures
 
@@ -137,7 +137,7 @@ def test_a_recording_of_ten_storeys_replays_bit_for_bit(
     ten: tuple[experiment.Setup, Any], tmp_path: Path
 ) -> None:
     recording.write(tmp_path / "ten.h5", ten[1])
-    found = replaying.replay(recording.read(tmp_path / "ten.h5"))
+    found = station_replay.replay(recording.read(tmp_path / "ten.h5"))
     assert found.identical
 
 

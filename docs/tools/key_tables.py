@@ -30,9 +30,9 @@ from rthyb_rt.config import (
     testfile,
 )
 from rthyb_rt.config.fields import Count, Names, OneOf, Range, Sign, Table, Text
-from rthyb_rt.config.history import Amplitudes, CycleCounts
 from rthyb_rt.config.numerical import Labels, Numbers, Place, Square
-from rthyb_rt.config.own import NamedParameters, Settings
+from rthyb_rt.config.own_tables import NamedParameters, Settings
+from rthyb_rt.config.prescribed_history import Amplitudes, CycleCounts
 from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.core.laws import LAWS, parameters
 from rthyb_rt.record import recording

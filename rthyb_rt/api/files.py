@@ -12,7 +12,7 @@ import numpy as np
 from rthyb_rt import config
 from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.config.fields import Table, nearest, with_extension, written
-from rthyb_rt.config.own import PYTHON
+from rthyb_rt.config.own_tables import PYTHON
 from rthyb_rt.documents import flat
 from rthyb_rt.errors import InputError, Problem
 

@@ -18,8 +18,7 @@ from rthyb_rt.api.recordings import Plot, Recording, plot_of
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.fields import Range
 from rthyb_rt.errors import InputError
-from rthyb_rt.rig import identify as sweeping
-from rthyb_rt.rig import identify_axes
+from rthyb_rt.rig import identification, identify_axes
 
 Progress = Callable[[int, int], None]
 """Called with the number of samples done and the total number."""
@@ -36,7 +35,7 @@ class Identification:
         rig: the rig with the identified values filled in, to be used in tests.
     """
 
-    def __init__(self, found: sweeping.IdentificationResult, rig: Rig) -> None:
+    def __init__(self, found: identification.IdentificationResult, rig: Rig) -> None:
         self._found, self.rig = found, rig
 
     @property
@@ -195,7 +194,7 @@ def _identified(
     on: Rig, amplitude: float | str, max_frequency: float | str, progress: Progress | None
 ) -> Identification | AxesIdentification:
     require_progress(progress, "identify")
-    sweep = sweeping.SweepPlan.up_to(
+    sweep = identification.SweepPlan.up_to(
         _read(max_frequency, "max_frequency", _FREQUENCY), _read(amplitude, "amplitude", _AMPLITUDE)
     )
     file, called = files.file_of_rig(on), f"identified {on.name}"
@@ -203,8 +202,8 @@ def _identified(
         of_all = identify_axes.identify_rig(file, sweep, progress)
         known = identify_axes.identified_rig(file, of_all)
         return AxesIdentification(of_all, Rig.from_toml(config.dump(known), called))
-    result = sweeping.identify(file, sweep, progress)
-    filled = sweeping.identified_rig(file, result)
+    result = identification.identify(file, sweep, progress)
+    filled = identification.identified_rig(file, result)
     return Identification(result, Rig.from_toml(config.dump(filled), called))
 
 

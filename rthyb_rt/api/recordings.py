@@ -274,7 +274,7 @@ class Plots:
         from rthyb_rt.report.html import extra_needed
 
         with extra_needed("a figure"):
-            from rthyb_rt.report.several import draw_balance
+            from rthyb_rt.report.axes_report import draw_balance
         return plot_of(draw_balance(self._of.raw, self._of._of_axes))
 
     def spectra(self) -> Plot:
@@ -730,7 +730,7 @@ class Recording(Mapping[str, NDArray[Any]]):
             InputError: the folder is named like a file, or matplotlib is not installed.
             RthybError: a file cannot be written.
         """
-        from rthyb_rt.report.files import write_files
+        from rthyb_rt.report.publication import write_files
 
         target = path_of(folder, "report_files", "the folder to write to")
         if target.suffix in (".html", ".htm", ".pdf", ".svg", ".csv", ".tex"):
@@ -771,7 +771,7 @@ class Recording(Mapping[str, NDArray[Any]]):
                 was requested and scipy is not installed.
             RthybError: the file cannot be written.
         """
-        from rthyb_rt.record import axis_export, export
+        from rthyb_rt.record import axis_export, mat_csv
 
         require_flag(whole, "export: whole")
         path = path_of(path, "export", "the file to write, signals.csv")
@@ -791,12 +791,12 @@ class Recording(Mapping[str, NDArray[Any]]):
             if axis is not None:
                 axis_export.to_csv(self._raw, path, axis)
             elif path.suffix == ".mat":
-                export.to_mat(self._raw, path)
+                mat_csv.to_mat(self._raw, path)
             else:
-                export.to_csv(self._raw, path, full=whole)
+                mat_csv.to_csv(self._raw, path, full=whole)
         except InputError as error:
             raise in_python(error, _EXPORT_WORDS) from None
-        note = "" if whole or path.suffix == ".mat" else export.without_extras(self._raw)
+        note = "" if whole or path.suffix == ".mat" else mat_csv.without_extras(self._raw)
         if note:
             warnings.warn(f"{path}: {note}; whole=True writes all signals", stacklevel=2)
         return path

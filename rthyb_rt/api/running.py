@@ -14,7 +14,7 @@ from rthyb_rt.api.messages import require_flag, require_progress
 from rthyb_rt.api.recordings import Recording
 from rthyb_rt.core.pending import OwnCodeError
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import experiment, several, storing, virtual_time
+from rthyb_rt.lab import axes_experiment, experiment, storing, virtual_time
 
 Progress = Callable[[int, int], None]
 """Called with the number of samples done and the total number."""
@@ -24,7 +24,7 @@ def prepared(test: Test | Place | None, rig: Rig | Place | None) -> experiment.S
     """Return a test prepared for running; arguments and errors as for `run`."""
     found = files.as_test(test)
     on = found.rig if rig is None else files.as_rig(rig)
-    return several.prepare_any(files.file_of_test(found), files.file_of_rig(on))
+    return axes_experiment.prepare_any(files.file_of_test(found), files.file_of_rig(on))
 
 
 def run(

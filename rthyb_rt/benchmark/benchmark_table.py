@@ -15,7 +15,7 @@ import numpy as np
 from rthyb_rt import __version__, core
 from rthyb_rt.benchmark import cases, criteria
 from rthyb_rt.benchmark.benchmark_runs import NOMINAL, RunOutcome
-from rthyb_rt.lab import jitter
+from rthyb_rt.lab import punctuality
 
 WITH_WORST: Final = ("J2", "J4", "J6", "J8", "true")
 """Figures for which a table shows the worst plant beside the mean."""
@@ -127,7 +127,7 @@ def facts() -> dict[str, Any]:
         **core.build_facts(),
         "python": platform.python_version(),
         "numpy": np.__version__,
-        "processor": jitter.processor(),
+        "processor": punctuality.processor(),
         "processors": os.cpu_count(),
         "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
     }

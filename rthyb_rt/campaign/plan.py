@@ -27,8 +27,7 @@ from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.loading import load_any_both
 from rthyb_rt.documents import flat
 from rthyb_rt.errors import InputError, Problem
-from rthyb_rt.lab import several as lab_several
-from rthyb_rt.lab import virtual_time
+from rthyb_rt.lab import axes_experiment, virtual_time
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording
 
@@ -127,7 +126,7 @@ class PlannedRun:
         Raises:
             InputError: with the errors in its files and settings.
         """
-        return lab_several.prepare_any(*self._files())
+        return axes_experiment.prepare_any(*self._files())
 
     def _files(self) -> tuple[config.TestFile, RigFile | AxesRig]:
         test = Path(self.test) if self.test else None

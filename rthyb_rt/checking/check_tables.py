@@ -12,7 +12,7 @@ from rthyb_rt.analysis.loop_roots import MOST_GAIN, LoopVerdict
 from rthyb_rt.checking.check_figures import Figures, most_delay
 from rthyb_rt.config import STANDARD_HZ
 from rthyb_rt.config.numerical import Matrices
-from rthyb_rt.config.own import FmuFile, LibraryFile
+from rthyb_rt.config.own_tables import FmuFile, LibraryFile
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.numbers import number, percent, quantity

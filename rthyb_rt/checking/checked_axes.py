@@ -15,7 +15,7 @@ from rthyb_rt.config import AxesRig, Limit, TestFile
 from rthyb_rt.config.deriving_axes import law_of_axis
 from rthyb_rt.config.own_structure import OwnStructure
 from rthyb_rt.config.testfile import MATRIX
-from rthyb_rt.lab import several
+from rthyb_rt.lab import axes_experiment
 from rthyb_rt.lab.experiment import Group, Setup
 from rthyb_rt.numbers import number, percent, quantity
 
@@ -185,7 +185,7 @@ def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:
     Raises:
         InputError: with all errors in the files, or inconsistencies between them.
     """
-    setup = several.prepare(test, rig)
+    setup = axes_experiment.prepare(test, rig)
     assert setup.group is not None
     loop = loop_stability.judge(setup)
     warnings = _limits_in_reach(setup, setup.group)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rthyb_rt.config.history import CyclicHistory
+from rthyb_rt.config.prescribed_history import CyclicHistory
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.numbers import number, quantity
 

@@ -60,7 +60,7 @@ def export(
     if axis is not None and (full or mat):
         raise typer.BadParameter("applies only to --csv without --full", param_hint="--axis")
     from rthyb_rt.record import axis_export
-    from rthyb_rt.record.export import to_csv, to_mat
+    from rthyb_rt.record.mat_csv import to_csv, to_mat
     from rthyb_rt.record.recording import open_run
 
     rec = open_run(recording)
@@ -84,7 +84,7 @@ def export(
 
 
 def _note_extras(rec: Recording) -> None:
-    from rthyb_rt.record.export import without_extras
+    from rthyb_rt.record.mat_csv import without_extras
 
     note = without_extras(rec)
     if note:

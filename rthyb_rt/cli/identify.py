@@ -17,7 +17,7 @@ from rthyb_rt.cli.quantities import Allowed
 
 if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig, Rate, RigFile
-    from rthyb_rt.rig.identify import IdentificationResult, SweepPlan
+    from rthyb_rt.rig.identification import IdentificationResult, SweepPlan
     from rthyb_rt.rig.identify_axes import AxesResult
 
 SCHEMA = "rthyb-identify/1"
@@ -85,8 +85,8 @@ def identify(
       rthyb identify my-rig.toml --realtime --amplitude "0.5 mm" --out my-rig-identified.toml
     """
     from rthyb_rt.config import STANDARD
-    from rthyb_rt.rig.identify import SweepPlan, identified_rig, identify_live
-    from rthyb_rt.rig.identify import identify as sweep_rig
+    from rthyb_rt.rig.identification import SweepPlan, identified_rig, identify_live
+    from rthyb_rt.rig.identification import identify as sweep_rig
 
     sweep = SweepPlan.up_to(
         quantities.read(max_frequency, "--max-frequency", FREQUENCY),
@@ -164,7 +164,7 @@ def _sweep_kept(
     try:
         from rthyb_rt.config import Rate
         from rthyb_rt.report.bode import bode
-        from rthyb_rt.report.files import save
+        from rthyb_rt.report.publication import save
     except ImportError:
         return paths  # without matplotlib
     paths["bode"] = folder / f"{before}bode.svg"

@@ -17,7 +17,7 @@ from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import Rate
-    from rthyb_rt.lab.jitter import JitterResult, PunctualityVerdict
+    from rthyb_rt.lab.punctuality import JitterResult, PunctualityVerdict
 
 UNFIT = 7
 PAGE, RESULTS = "jitter.html", "jitter.json"
@@ -62,7 +62,7 @@ def jitter(
       rthyb jitter --rate 2048
     """
     from rthyb_rt.config import Rate
-    from rthyb_rt.lab import jitter as timing
+    from rthyb_rt.lab import punctuality
 
     if not 1.0 / rate <= seconds <= LONGEST_S:
         raise typer.BadParameter(
@@ -71,12 +71,12 @@ def jitter(
         )
     refuse_taken(out)
     started = datetime.datetime.now(datetime.UTC)
-    facts = timing.machine_facts()
-    results = _measure_all(seconds, Rate(float(rate)), timing.choose_cpu(facts))
-    verdict = timing.judge(results, facts)
+    facts = punctuality.machine_facts()
+    results = _measure_all(seconds, Rate(float(rate)), punctuality.choose_cpu(facts))
+    verdict = punctuality.judge(results, facts)
     document = {
         "created_utc": started.isoformat(timespec="seconds"),
-        **timing.document(results, facts, verdict),
+        **punctuality.document(results, facts, verdict),
     }
     target = out or Path("runs") / f"jitter-{started:%Y%m%dT%H%M%SZ}"
     with staged(target) as stage:
@@ -97,18 +97,18 @@ def jitter(
 
 
 def _measure_all(seconds: float, rate: Rate, cpu: int) -> list[JitterResult]:
-    from rthyb_rt.lab import jitter as timing
+    from rthyb_rt.lab import punctuality
 
-    load, ticks = timing.Load.built_in(rate), round(seconds * rate.hz)
+    load, ticks = punctuality.Load.built_in(rate), round(seconds * rate.hz)
     results: list[JitterResult] = []
-    total = ticks * len(timing.CASES)
+    total = ticks * len(punctuality.CASES)
     with terminal.progress("Timing", total, rate.hz) as progress:
-        for case in timing.CASES:
+        for case in punctuality.CASES:
 
             def follow(done: int, _: int, before: int = ticks * len(results)) -> None:
                 progress(before + min(done, ticks), total)
 
-            results.append(timing.measure(case, ticks, load, cpu, follow))
+            results.append(punctuality.measure(case, ticks, load, cpu, follow))
     return results
 
 
@@ -120,7 +120,7 @@ def _write(
     verdict: PunctualityVerdict,
 ) -> bool:
     """Write the results, then the page; False if the packages that it needs are missing."""
-    from rthyb_rt.report.jitter import write_page
+    from rthyb_rt.report.punctuality_page import write_page
 
     text = json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / RESULTS).write_text(text + "\n", encoding="utf-8")
@@ -142,8 +142,8 @@ def _print_result(
     file: IO[str],
 ) -> None:
 
-    from rthyb_rt.lab.jitter import criterion
-    from rthyb_rt.report.jitter import fact_rows, figure_row, obtained
+    from rthyb_rt.lab.punctuality import criterion
+    from rthyb_rt.report.punctuality_page import fact_rows, figure_row, obtained
 
     shown = ("kernel", "preemption", "cpu", "virtual machine", "governor", "isolated cpus")
     rows = [row for row in fact_rows(facts) if row[0] in shown]

@@ -12,7 +12,7 @@ import typer
 from rthyb_rt.cli import interrupts
 
 if TYPE_CHECKING:
-    from rthyb_rt.service.recorder import Recorder
+    from rthyb_rt.service.ring_recorder import Recorder
 
 
 def recorder(
@@ -42,8 +42,7 @@ def recorder(
       rthyb recorder --runs /var/lib/rthyb
     """
     from rthyb_rt.record import ring
-    from rthyb_rt.service import recorder as recording
-    from rthyb_rt.service import systemd
+    from rthyb_rt.service import ring_recorder, systemd
 
     stops: list[bool] = []
     ready: list[bool] = []
@@ -56,7 +55,7 @@ def recorder(
         return parent and not working.busy and _orphaned()
 
     with systemd.logging_to_stderr(), interrupts.on_interrupt(lambda: stops.append(True)):
-        recording.run(rings or ring.default_folder(), runs, done)
+        ring_recorder.run(rings or ring.default_folder(), runs, done)
 
 
 def _orphaned() -> bool:

@@ -50,7 +50,7 @@ def report(
         )
     rec = open_run(recording)
     if files is not None:
-        from rthyb_rt.report.files import write_files
+        from rthyb_rt.report.publication import write_files
 
         interrupts.wrote(files)
         for path in write_files(rec, files):

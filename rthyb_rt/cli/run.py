@@ -104,7 +104,7 @@ def run(
     """
     from rthyb_rt import config
     from rthyb_rt.analysis import summary
-    from rthyb_rt.lab import experiment, several, storing, virtual_time
+    from rthyb_rt.lab import axes_experiment, experiment, storing, virtual_time
     from rthyb_rt.record import recording
 
     if clock is not None and not realtime:
@@ -120,7 +120,7 @@ def run(
     axes = rig_file.names if isinstance(rig_file, config.AxesRig) else ()
     mishaps = _mishaps(fault, axes, config.Rate(test_file.test.sample_rate_hz)) if fault else ()
     if isinstance(rig_file, config.AxesRig):
-        of_all = several.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
+        of_all = axes_experiment.prepare(test_file, rig_file, real_time=realtime or bool(mishaps))
         _tell_notes(of_all, realtime=realtime)
         facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
 

@@ -229,9 +229,9 @@ def simulation(path: Path, axis: str | None = None) -> Course:
         InputError: with the errors of test and rig, or because no axis is named.
     """
     from rthyb_rt.config import load_any_both
-    from rthyb_rt.lab import several
+    from rthyb_rt.lab import axes_experiment
 
-    return simulation_of(several.prepare_any(*load_any_both(path, None, ())), axis)
+    return simulation_of(axes_experiment.prepare_any(*load_any_both(path, None, ())), axis)
 
 
 def simulation_of(setup: Setup, axis: str | None = None) -> Course:

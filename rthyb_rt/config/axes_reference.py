@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.config.axesfile import AxesRig
-from rthyb_rt.config.own import core_element
+from rthyb_rt.config.own_tables import core_element
 from rthyb_rt.config.rigfile import ServoHydraulic
 from rthyb_rt.config.sparse_structure import (
     JointModel,

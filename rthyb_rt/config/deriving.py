@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rthyb_rt.config import limits as limits_file
 from rthyb_rt.config import rigsettings, timescale
 from rthyb_rt.config.numerical import Matrices
-from rthyb_rt.config.own import PythonClass
+from rthyb_rt.config.own_tables import PythonClass
 from rthyb_rt.config.placing import placing
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import (

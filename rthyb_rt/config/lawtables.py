@@ -12,7 +12,7 @@ from pydantic import AfterValidator, Field, create_model
 from pydantic_core import PydanticCustomError
 
 from rthyb_rt.config.fields import Range, Table
-from rthyb_rt.config.own import PYTHON
+from rthyb_rt.config.own_tables import PYTHON
 from rthyb_rt.config.rate import STANDARD
 from rthyb_rt.core.laws import LAWS, LawDescription, Parameter, parameters
 

@@ -20,11 +20,11 @@ from rthyb_rt.config.baselinefile import BASELINE_SCHEMA, BaselineFile
 from rthyb_rt.config.campaignfile import CAMPAIGN_SCHEMA, CampaignFile
 from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
 from rthyb_rt.config.fields import Alternatives, Table, WholeFile, nearest, written
-from rthyb_rt.config.history import CyclesHistory, History, RandomHistory, with_file
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
 from rthyb_rt.config.placing import SourceText
+from rthyb_rt.config.prescribed_history import CyclesHistory, History, RandomHistory, with_file
 from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, Link, RigFile, assumable, kinds
 from rthyb_rt.config.structures import FROM_FILE, WRITTEN_OUT, MatrixFile
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile

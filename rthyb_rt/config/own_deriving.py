@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rthyb_rt.config.own import PythonClass
 from rthyb_rt.config.own_structure import OwnStructure, Rows, build, period_note
+from rthyb_rt.config.own_tables import PythonClass
 from rthyb_rt.config.rigfile import RigFile
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.core import CoreError, own

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rthyb_rt import core
 from rthyb_rt.config.numerical_structure import Mode
-from rthyb_rt.config.own import FmuFile, LibraryFile, PythonClass
+from rthyb_rt.config.own_tables import FmuFile, LibraryFile, PythonClass
 from rthyb_rt.config.sparse_structure import JointModel
 from rthyb_rt.config.structures import Interface
 from rthyb_rt.core import CoreError, ElementConfig

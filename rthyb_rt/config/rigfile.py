@@ -28,7 +28,7 @@ from rthyb_rt.config.fields import (
     written,
 )
 from rthyb_rt.config.limits import Limits
-from rthyb_rt.config.own import PythonClass
+from rthyb_rt.config.own_tables import PythonClass
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.core.sizes import ELEMENTS_MAX
 

@@ -16,7 +16,7 @@ from rthyb_rt import core
 from rthyb_rt.config import matrixfile, timescale
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.numerical_structure import Mode, linear_and_others
-from rthyb_rt.config.own import core_element
+from rthyb_rt.config.own_tables import core_element
 from rthyb_rt.config.structures import (
     Damping,
     Interface,

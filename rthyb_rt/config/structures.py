@@ -26,7 +26,7 @@ from rthyb_rt.config.fields import (
 )
 from rthyb_rt.config.limits import ForceLimit, Limit
 from rthyb_rt.config.numerical import TakenOut
-from rthyb_rt.config.own import INTERFACES
+from rthyb_rt.config.own_tables import INTERFACES
 from rthyb_rt.config.rigfile import SpecimenElement
 
 MOST_STOREYS: Final = 500

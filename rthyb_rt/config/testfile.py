@@ -29,10 +29,10 @@ from rthyb_rt.config.fields import (
     WholeFile,
     written,
 )
-from rthyb_rt.config.history import History
 from rthyb_rt.config.limits import Limits
 from rthyb_rt.config.numerical import Matrices
-from rthyb_rt.config.own import INTERFACES, PYTHON, FmuFile, LibraryFile, PythonClass
+from rthyb_rt.config.own_tables import INTERFACES, PYTHON, FmuFile, LibraryFile, PythonClass
+from rthyb_rt.config.prescribed_history import History
 from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD_HZ
 from rthyb_rt.config.structures import (
     FROM_FILE,

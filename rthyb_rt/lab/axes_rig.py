@@ -8,7 +8,7 @@ from rthyb_rt import core
 from rthyb_rt.config import AxesRig, Rate
 from rthyb_rt.config.axesfile import Plant
 from rthyb_rt.config.lonesensors import LoneForce, LoneSensor
-from rthyb_rt.config.own import core_element
+from rthyb_rt.config.own_tables import core_element
 from rthyb_rt.core.coupled_rig import CoupledRig, CoupledRigConfig, StateSpace
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment

@@ -21,7 +21,7 @@ from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.axes_reference import AxesReference
 from rthyb_rt.config.deriving_axes import AxesDerived
 from rthyb_rt.config.limits import VelocityLimit
-from rthyb_rt.config.own import PythonClass, core_element
+from rthyb_rt.config.own_tables import PythonClass, core_element
 from rthyb_rt.config.placing import placing
 from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
 from rthyb_rt.core.coupled_rig import CoupledRigConfig
@@ -770,9 +770,9 @@ def station_config(setup: Setup, *, real: bool = False) -> core.StationConfig:
     """
     if setup.group is not None:
         # Imported here, because that module depends on this one.
-        from rthyb_rt.lab import several
+        from rthyb_rt.lab import axes_experiment
 
-        return several.station_config(setup, setup.group, real=real)
+        return axes_experiment.station_config(setup, setup.group, real=real)
     return axis_station_config(setup, real=real)
 
 

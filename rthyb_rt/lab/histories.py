@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.config.history import (
+from rthyb_rt.config.prescribed_history import (
     CyclicHistory,
     History,
     RandomHistory,

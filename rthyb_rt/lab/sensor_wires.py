@@ -16,7 +16,7 @@ from rthyb_rt.config.lonesensors import LoneForce, LoneSensor
 from rthyb_rt.config.rigfile import ExtraSensor, Link
 from rthyb_rt.core import dbc, wire
 from rthyb_rt.errors import InputError, Problem
-from rthyb_rt.lab import extras
+from rthyb_rt.lab import extra_frames
 
 WIRE_MOST: Final = 2**31 - 1
 """Largest number in the 32-bit field of an extra channel of the program's own frames."""
@@ -103,7 +103,7 @@ def _axes(rig: AxesRig) -> list[str]:
 
 
 def _codec(rig: RigFile) -> wire.Codec:
-    return extras.codec_of(rig, _of_link(rig.link))
+    return extra_frames.codec_of(rig, _of_link(rig.link))
 
 
 def _of_link(link: Link | None) -> wire.Codec:

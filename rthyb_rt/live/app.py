@@ -21,7 +21,7 @@ from rthyb_rt.documents import finite
 from rthyb_rt.errors import RthybError
 from rthyb_rt.live.frames import Framer
 from rthyb_rt.live.guard import Guard, Pass, Tokens
-from rthyb_rt.live.history import CHANNELS, Tally
+from rthyb_rt.live.shown_rows import CHANNELS, Tally
 from rthyb_rt.service.control import Client
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.config.axesfile import AXES_MAX
-from rthyb_rt.live.history import CHANNELS, Floats, History, Positions, columns, loop_points
+from rthyb_rt.live.shown_rows import CHANNELS, Floats, History, Positions, columns, loop_points
 
 MORE, ANEW, OUTLINE = 0, 1, 2
 NO_STATE: Final = 255

@@ -23,7 +23,7 @@ from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import realtime
 from rthyb_rt.lab.end_reasons import in_words, shown_of
-from rthyb_rt.live.history import CHANNELS, History, Tally, channels
+from rthyb_rt.live.shown_rows import CHANNELS, History, Tally, channels
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import Recording, open_run
 from rthyb_rt.service.control import SOCKET, Client, Refusal, UnreachableError

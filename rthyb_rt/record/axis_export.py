@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from rthyb_rt import config, core
 from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.axesfile import Rows
-from rthyb_rt.config.own import core_element
+from rthyb_rt.config.own_tables import core_element
 from rthyb_rt.config.rigfile import InertiaElement, StiffnessElement, ViscousElement
 from rthyb_rt.errors import InputError
-from rthyb_rt.record.export import write_columns
+from rthyb_rt.record.mat_csv import write_columns
 from rthyb_rt.record.recording import Recording, replacing
 
 Floats = NDArray[np.float64]

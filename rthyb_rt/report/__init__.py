@@ -17,7 +17,7 @@ from rthyb_rt.analysis.summary import (
 from rthyb_rt.numbers import percent, quantity
 from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.report import several
+from rthyb_rt.report import axes_report
 from rthyb_rt.report.html import environment, extra_needed, sheets, write_page
 
 _MOTION_NAMES = {"name": "Record", "source": "Source", "pga_g": "Peak, g", "scale": "Scale factor"}
@@ -48,7 +48,7 @@ def write_report(rec: Recording, path: str | Path) -> None:
             installed.
         RthybError: the file cannot be written.
     """
-    of_rig = render if len(rec.axis_names) < 2 else several.render
+    of_rig = render if len(rec.axis_names) < 2 else axes_report.render
     write_page(path, lambda: of_rig(rec))
 
 

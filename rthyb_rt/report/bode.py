@@ -17,7 +17,7 @@ from rthyb_rt.report import drawing as draw
 
 
 class ToneLike(Protocol):
-    """The result for one sine wave, like `rig.identify.Tone`."""
+    """The result for one sine wave, like `rig.identification.Tone`."""
 
     @property
     def frequency_hz(self) -> float:

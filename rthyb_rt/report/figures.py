@@ -20,7 +20,7 @@ from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.laws import law_value
 from rthyb_rt.numbers import delay, number, quantity
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.report import cyclic, extras, frequency
+from rthyb_rt.report import cyclic, extra_figures, frequency
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report import energy as of_energy
 from rthyb_rt.report import structure as of_structure
@@ -55,7 +55,7 @@ def draw_all(rec: Recording, summary: Summary) -> list[draw.Plate]:
             None if history else figures.stiffness(),
         ]
         plates += cyclic.plates(rec, summary.loops)
-        plates += extras.plates(rec)
+        plates += extra_figures.plates(rec)
         structure = recorded_structure(rec)
         if structure is not None:
             plates += of_structure.plates(rec, structure)

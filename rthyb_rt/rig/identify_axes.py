@@ -17,7 +17,7 @@ from rthyb_rt.config.axesfile import JointIdentified
 from rthyb_rt.config.matrix_response import MatrixResponse
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_rig
-from rthyb_rt.rig.identify import (
+from rthyb_rt.rig.identification import (
     LOW_FREQUENCY_HZ,
     IdentificationResult,
     Progress,

@@ -17,10 +17,10 @@ from rthyb_rt import core
 from rthyb_rt.config import AxesRig, Limit
 from rthyb_rt.core.sparse import SparseConfig, Symmetric
 from rthyb_rt.errors import InputError, Problem, RthybError
-from rthyb_rt.lab import realtime, several
+from rthyb_rt.lab import axes_experiment, realtime
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.rig.commissioning.guided_motion import AxesConnection, LimitError, StoppedError
-from rthyb_rt.rig.identify import (
+from rthyb_rt.rig.identification import (
     Progress,
     SineRows,
     SweepPlan,
@@ -118,7 +118,7 @@ def setup_of(rig: AxesRig, axis: int, command_m: Floats) -> Setup:
     Raises:
         InputError: the values of the rig file are inconsistent.
     """
-    rest = several.at_rest(rig)
+    rest = axes_experiment.at_rest(rig)
     assert rest.group is not None
     n, h = len(rig.names), rest.rate.period_s
     # The motion of that axis alone: exact for a matrix, to second order for pins.
@@ -126,7 +126,7 @@ def setup_of(rig: AxesRig, axis: int, command_m: Floats) -> Setup:
     moved, wanted = np.zeros((command_m.size, n)), np.append(command_m, 0.0)
     moved[:, axis] = command_m
     pushed = moved @ np.array(rig.along_axes())
-    derived = several.following(rig, rest.group.derived, moved, pushed)
+    derived = axes_experiment.following(rig, rest.group.derived, moved, pushed)
     part = SparseConfig(
         Symmetric.of(_HEAVY_KG * np.eye(n)),
         Symmetric.zero(n),

@@ -9,7 +9,7 @@ import numpy as np
 from rthyb_rt.analysis import loop_stability
 from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import experiment, several
+from rthyb_rt.lab import axes_experiment, experiment
 from rthyb_rt.lab.experiment import Setup
 
 
@@ -24,7 +24,7 @@ def prepare(test: TestFile, rig: RigFile | AxesRig, record: GroundMotion) -> Set
         InputError: everything that is wrong in the files, in the record, or between them.
     """
     if isinstance(rig, AxesRig):
-        setup = several.prepare(test, rig, real_time=True, record=record)
+        setup = axes_experiment.prepare(test, rig, real_time=True, record=record)
     else:
         setup = experiment.prepare(test, rig, real_time=True, record=record)
     remark = loop_stability.demand(setup)
@@ -38,5 +38,5 @@ def at_rest(rig: RigFile | AxesRig) -> Setup:
         InputError: the values of the rig file are inconsistent.
     """
     if isinstance(rig, AxesRig):
-        return several.at_rest(rig)
+        return axes_experiment.at_rest(rig)
     return experiment.prescribed(rig, "at-rest", np.zeros(1))

@@ -10,7 +10,7 @@ from rthyb_rt.config import AxesRig
 from rthyb_rt.core import STOPPED_BIT
 
 if TYPE_CHECKING:
-    from rthyb_rt.service.engine import Engine
+    from rthyb_rt.service.rig_engine import Engine
 
 _FIELDS: Final = ("x_cmd_m", "x_meas_m", "f_meas_n")
 """Fields of a row, followed by a point and the number of the axis."""

@@ -26,8 +26,8 @@ from rthyb_rt import __version__
 from rthyb_rt.documents import finite
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab.realtime import RefusedError
-from rthyb_rt.service.engine import StateError
 from rthyb_rt.service.peers import GROUP_OF, Peer, Rights, Role, peer_of
+from rthyb_rt.service.rig_engine import StateError
 
 INTERFACE: Final = "org.rthyb.Control"
 SERVICE: Final = "org.varlink.service"

@@ -35,7 +35,7 @@ from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import replacing
-from rthyb_rt.service import axes_status, disk, metrics, recorder, reloading, systemd
+from rthyb_rt.service import axes_status, disk, metrics, reloading, ring_recorder, systemd
 from rthyb_rt.service.control import (
     ClientLimits,
     ControlServer,
@@ -43,14 +43,14 @@ from rthyb_rt.service.control import (
     Method,
     ReplyError,
 )
-from rthyb_rt.service.engine import (
+from rthyb_rt.service.peers import Peer, Rights, Role
+from rthyb_rt.service.rig_engine import (
     TURN_S,
     Engine,
     Event,
     Loaded,
     StateError,
 )
-from rthyb_rt.service.peers import Peer, Rights, Role
 
 if TYPE_CHECKING:
     from rthyb_rt.core.loop import Clock
@@ -162,7 +162,7 @@ class Daemon:
         self._busy = asyncio.Lock()
         self._child: subprocess.Popen[bytes] | None = None
         self._child_s = 0.0
-        self._recorder: recorder.Status | None = None
+        self._recorder: ring_recorder.Status | None = None
         self._reported_fault = ""
         self._said: dict[str, float] = {}
         self._ticks_seen = 0
@@ -339,7 +339,7 @@ class Daemon:
             child.wait(_RECORDER_READY_S)
 
     def _recorder_alive(self) -> bool:
-        self._recorder = recorder.read_status(self.options.rings)
+        self._recorder = ring_recorder.read_status(self.options.rings)
         return self._recorder is not None and self._recorder.alive
 
     def _look_after_recorder(self) -> None:

@@ -19,16 +19,16 @@ from proof.parties import Plan, Run, repeated
 
 from rthyb_rt import core
 from rthyb_rt.core import ticker
-from rthyb_rt.lab import jitter
+from rthyb_rt.lab import punctuality
 
 SECONDS = 5.0
 TICKS = round(SECONDS * core.FS_HZ)
 
 
-def in_core() -> list[jitter.JitterResult]:
+def in_core() -> list[punctuality.JitterResult]:
     """Return the runs of `rthyb jitter`."""
-    load, cpu = jitter.Load.built_in(), jitter.choose_cpu(jitter.machine_facts())
-    return [jitter.measure(case, TICKS, load, cpu) for case in jitter.CASES]
+    load, cpu = punctuality.Load.built_in(), punctuality.choose_cpu(punctuality.machine_facts())
+    return [punctuality.measure(case, TICKS, load, cpu) for case in punctuality.CASES]
 
 
 def in_loop() -> tuple[Run, int]:
@@ -42,24 +42,24 @@ def in_loop() -> tuple[Run, int]:
 
 def in_python() -> dict[str, ticker.Ticker]:
     """Return the clock of each Python loop after its run."""
-    load = jitter.Load.built_in()
+    load = punctuality.Load.built_in()
     return {
         "Python loop": _timed(load, busy=False),
         "Python loop, beside busy Python": _timed(load, busy=True),
     }
 
 
-def _timed(load: jitter.Load, *, busy: bool) -> ticker.Ticker:
+def _timed(load: punctuality.Load, *, busy: bool) -> ticker.Ticker:
     clocks: list[ticker.Ticker] = []
     thread = threading.Thread(target=lambda: clocks.append(_loop(load)))
-    with jitter.busy_python() if busy else contextlib.nullcontext():
+    with punctuality.busy_python() if busy else contextlib.nullcontext():
         thread.start()
         thread.join()
     ticker.unlock_memory()
     return clocks[0]
 
 
-def _loop(load: jitter.Load) -> ticker.Ticker:
+def _loop(load: punctuality.Load) -> ticker.Ticker:
     controller, rig = core.Controller(load.controller), core.Rig(load.rig)
     excitation = load.excitation.tolist()
     ticker.become_real_time()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from proof.parties import ROOT
 
-from rthyb_rt.lab import jitter
+from rthyb_rt.lab import punctuality
 
 FIGURES: list[dict[str, Any]] = []
 OUTCOMES: dict[str, str] = {}
@@ -52,7 +52,7 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     document = {
         "schema": "rthyb-proof/1",
         "created_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "machine": jitter.machine_facts(),
+        "machine": punctuality.machine_facts(),
         "proofs": OUTCOMES,
         "figures": FIGURES,
     }

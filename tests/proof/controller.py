@@ -26,7 +26,7 @@ from proof import structure
 
 from rthyb_rt import core
 from rthyb_rt.core import loop, ticker, wire
-from rthyb_rt.lab import jitter
+from rthyb_rt.lab import punctuality
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.record.ring import Ring, RingReader, default_folder
 
@@ -156,7 +156,7 @@ def main(spec: dict[str, Any]) -> None:
         print(running.began_ns, flush=True)
         follower = Follower(running, reader)
         sys.stdin.readline()  # the drive is ready
-        with jitter.busy_python() if spec["burner"] else nullcontext():
+        with punctuality.busy_python() if spec["burner"] else nullcontext():
             operate(running, seconds)
             running.stop()
         tick_allocations = allocations.count

@@ -19,13 +19,13 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.core import ticker
-from rthyb_rt.lab import jitter
+from rthyb_rt.lab import punctuality
 
 HERE: Final = Path(__file__).resolve().parent
 ROOT: Final = HERE.parents[1]
 BUILD: Final = ROOT / "build" / "proof"
 HALF_NS: Final = round(ticker.PERIOD_NS / 2)
-REPEAT_ABOVE_NS: Final = jitter.REPEAT_ABOVE_NS
+REPEAT_ABOVE_NS: Final = punctuality.REPEAT_ABOVE_NS
 ATTEMPTS: Final = 3
 PATIENCE_S: Final = 60.0
 FLAGS: Final = {name: 1 << bit for bit, name in enumerate(core.FLAG_NAMES)}

@@ -30,13 +30,13 @@ from service_bench import short_test
 
 from rthyb_rt import config, core
 from rthyb_rt.core import ticker
-from rthyb_rt.lab import experiment, jitter
+from rthyb_rt.lab import experiment, punctuality
 from rthyb_rt.record import recording
 from rthyb_rt.record.ring import RingReader
 from rthyb_rt.service import disk
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import record_of
-from rthyb_rt.service.recorder import read_index
+from rthyb_rt.service.ring_recorder import read_index
 
 SECONDS = 11.0
 RATIO, MORE_NS = 1.25, 20_000
@@ -187,7 +187,7 @@ def beside_a_bare_thread(
     """Measure both at the same time, half a tick apart; return the first four fields of `Found`."""
     begin = t0_ns + math.ceil((ticker.now_ns() - t0_ns) / 1e9 + 1.0) * 10**9
     program = compiled("reference", "ticker.c", "latency.c", "thread.c")
-    cpu = jitter.choose_cpu(jitter.machine_facts())
+    cpu = punctuality.choose_cpu(punctuality.machine_facts())
     ticks = round(SECONDS * core.FS_HZ)
     with process(program, *map(str, (begin + HALF_NS, ticks, ticker.PRIORITY, cpu))) as reference:
         time.sleep(max((begin - ticker.now_ns()) / 1e9, 0.0))

@@ -38,7 +38,7 @@ from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import record_of
-from rthyb_rt.service.recorder import read_index
+from rthyb_rt.service.ring_recorder import read_index
 
 LOOK_S = 0.5
 TEST_S = 10.0

@@ -13,8 +13,8 @@ from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S
 from rthyb_rt.lab.realtime.conducting import run
 from rthyb_rt.lab.realtime.conductor import FEEDBACK_S, NEEDED, Conductor, link_delay
 from rthyb_rt.lab.realtime.live_run import LiveRun
-from rthyb_rt.lab.realtime.replaying import first_cause, first_cause_in_words, replay
 from rthyb_rt.lab.realtime.session import Session
+from rthyb_rt.lab.realtime.station_replay import first_cause, first_cause_in_words, replay
 from rthyb_rt.lab.sequence import Operator
 
 __all__ = [

@@ -1,8 +1,8 @@
 """Control of a rig: its link, the tick thread, and the run whose station is active.
 
 A process that runs a single test (`rthyb_rt.lab.realtime.Session`) and a service that runs many
-(`rthyb_rt.service.engine.Engine`) start, wait, command, publish and end in the same way, with the
-class in this module.
+(`rthyb_rt.service.rig_engine.Engine`) start, wait, command, publish and end in the same way, with
+the class in this module.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rthyb_rt.core import FLAGS, ticker
 from rthyb_rt.core.loop import Clock, Link, Loop, LoopAxis
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import experiment, extras, jitter, zeroing
+from rthyb_rt.lab import experiment, extra_frames, punctuality, zeroing
 from rthyb_rt.lab.end_reasons import REMEDIES, RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
 from rthyb_rt.lab.runs import AT_REST
@@ -117,7 +117,7 @@ class Conductor:
             owned = undo.enter_context(ExitStack())
             ways, channel = [], 0
             for own, at in zip(rigs, opened.all, strict=True):
-                wire = Wire(extras.codec_of(own, at.codec))
+                wire = Wire(extra_frames.codec_of(own, at.codec))
                 # A row begins with the extra channels, those of the first axis first.
                 wire.struct.extra_channel = channel
                 channel += len(own.sensors.extra)
@@ -164,7 +164,9 @@ class Conductor:
             self.loop.drop_old()
             return
         awake = self._owned.enter_context(ticker.AwakeProcessors())
-        self.loop.start(cpu=jitter.choose_cpu(jitter.machine_facts()), latency_fd=awake.fd)
+        self.loop.start(
+            cpu=punctuality.choose_cpu(punctuality.machine_facts()), latency_fd=awake.fd
+        )
         self._owned.callback(ticker.unlock_memory)
 
     def check_privileges(self, warn: Callable[[str], None], *, required: bool, hint: str) -> None:

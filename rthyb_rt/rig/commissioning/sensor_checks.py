@@ -14,7 +14,7 @@ import numpy as np
 from rthyb_rt.config import RigFile
 from rthyb_rt.config.lonesensors import LoneForce, ReadWithAxis
 from rthyb_rt.config.rigfile import ExtraSensor
-from rthyb_rt.lab import extras
+from rthyb_rt.lab import extra_frames
 from rthyb_rt.numbers import quantity
 from rthyb_rt.rig.commissioning.guided_motion import (
     Connection,
@@ -84,7 +84,7 @@ def by_motion(connection: Connection, moved: MotionResult) -> tuple[dict[str, An
     """
     figures, faults = {}, []
     rig = connection.rig
-    codec = extras.codec_of(rig, connection.opened.codec)
+    codec = extra_frames.codec_of(rig, connection.opened.codec)
     for one in rig.read_along:
         of_force = isinstance(one.sensor, LoneForce)
         expected = one.per_n * moved.change_n if of_force else one.per_m * moved.moved_m

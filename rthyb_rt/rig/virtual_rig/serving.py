@@ -20,7 +20,7 @@ from rthyb_rt.config import STANDARD, AxesRig, Rate, RigFile
 from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import axes_rig, experiment, extras, sensor_wires
+from rthyb_rt.lab import axes_rig, experiment, extra_frames, sensor_wires
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.rig.links.opened import Opened
 from rthyb_rt.rig.virtual_rig.rig_plan import NO_PLAN, RigPlan
@@ -133,7 +133,7 @@ def drives_of(
         drives.append(
             loop.Drive(
                 plant,
-                extras.codec_of(own, codec),
+                extra_frames.codec_of(own, codec),
                 link,
                 stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(own),
                 log_ticks=plan.log_ticks,
@@ -166,7 +166,7 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: RigPlan) ->
     seed = rig.rig.seed if plan.seed is None else plan.seed
     drive = loop.Drive(
         core.Rig(dataclasses.replace(experiment.rig_config(rig, rate_of(rig, plan).hz), seed=seed)),
-        extras.codec_of(rig, codec),
+        extra_frames.codec_of(rig, codec),
         link,
         stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(rig),
         log_ticks=plan.log_ticks,

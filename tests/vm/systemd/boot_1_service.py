@@ -53,7 +53,7 @@ from rthyb_rt.core import loop, ticker
 from rthyb_rt.lab import realtime
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.growing import PART_NAME
-from rthyb_rt.service.recorder import read_status
+from rthyb_rt.service.ring_recorder import read_status
 
 COMMANDS = {
     "Load": {"test_toml": "", "record": {}},

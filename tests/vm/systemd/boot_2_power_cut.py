@@ -14,7 +14,7 @@ from vm.systemd.lab import RECORDER, RUNS, SERVICE, Lab, shown
 from rthyb_rt import core
 from rthyb_rt.record import recording
 from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME
-from rthyb_rt.service.recorder import read_index
+from rthyb_rt.service.ring_recorder import read_index
 
 
 def test_service_is_back_by_itself_in_idle() -> None:

@@ -10,7 +10,7 @@ from vm.systemd.lab import RUNS, SERVICE, shown
 
 from rthyb_rt.lab import realtime
 from rthyb_rt.record import recording
-from rthyb_rt.service.recorder import read_index
+from rthyb_rt.service.ring_recorder import read_index
 
 
 def test_shutdown_has_brought_the_specimen_to_rest_and_its_recording_is_whole() -> None:

@@ -51,7 +51,7 @@ def draw_all(rec: Recording, s: AxesSummary) -> list[Plate]:
     from matplotlib import rc_context
 
     from rthyb_rt.report import drawing as draw
-    from rthyb_rt.report import extras
+    from rthyb_rt.report import extra_figures
     from rthyb_rt.report import structure as of_structure
 
     plates = []
@@ -61,7 +61,11 @@ def draw_all(rec: Recording, s: AxesSummary) -> list[Plate]:
         for i, axis in enumerate(s.axes):
             plates += [_command(s, i), _tracking(s, i), _loop(s, i)]
             plates[-2] = _titled(plates[-2], axis.tracking_nrmse)
-        plates += [balance(rec, s), *extras.plates(rec), *of_structure.plates(rec, s.structure)]
+        plates += [
+            balance(rec, s),
+            *extra_figures.plates(rec),
+            *of_structure.plates(rec, s.structure),
+        ]
     return plates
 
 

@@ -47,13 +47,12 @@ def write_files(rec: Recording, folder: Path) -> list[Path]:
         RthybError: a file cannot be written.
     """
     with extra_needed("a figure"):
-        from rthyb_rt.report import figures
-        from rthyb_rt.report import several as of_several
+        from rthyb_rt.report import axes_report, figures
     paths, found = list[Path](), several_axes.summarize_any(rec)
     if isinstance(found, of.Summary):
         plates, table = figures.draw_all(rec, found), of.table(found)
     else:
-        plates, table = of_several.draw_all(rec, found), several_axes.table(found)
+        plates, table = axes_report.draw_all(rec, found), several_axes.table(found)
     for plate in plates:
         for kind in KINDS if plate.figure is not None else ():
             paths.append(folder / f"{plate.key}.{kind}")

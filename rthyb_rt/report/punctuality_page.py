@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt import __version__
 from rthyb_rt.core.ticker import PRIVILEGES, Latency
-from rthyb_rt.lab.jitter import JitterResult, PunctualityVerdict, criterion, privileges_of_all
+from rthyb_rt.lab.punctuality import JitterResult, PunctualityVerdict, criterion, privileges_of_all
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
