@@ -23,6 +23,7 @@ from realtime_bench import ATTEMPTS, SHORT, STALLED, Process
 
 from rthyb_rt import config, core, report
 from rthyb_rt.cli import connecting
+from rthyb_rt.core import mapped_ring
 from rthyb_rt.record import recording
 from rthyb_rt.rig.commissioning import certificate, guide, guided_motion
 
@@ -461,7 +462,7 @@ def wait_until_it_runs(lab: Lab, jog: Process) -> None:
                 with ring.RingReader(path) as reader:
                     if reader.about["pid"] != jog.process.pid:
                         continue
-                    rows = reader.read(ring.CAPACITY).samples
+                    rows = reader.read(mapped_ring.CAPACITY).samples
             except InputError:
                 continue
             if (abs(rows["x_cmd_m"]) > 0.3e-3).any():

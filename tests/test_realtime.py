@@ -28,7 +28,7 @@ from realtime_bench import (
 
 from rthyb_rt import core
 from rthyb_rt.analysis import summary
-from rthyb_rt.core import dbc, loop, wire
+from rthyb_rt.core import dbc, loop, mapped_ring, wire
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.wire import NOTICES
 from rthyb_rt.errors import InputError, RthybError
@@ -369,7 +369,7 @@ def test_operator_who_stops_twice_trips() -> None:
     rec = bench.run()
     assert rec.meta["end_reason"] == "tripped: the operator"
     assert rec.samples["state"][-1] == STATE["TRIPPED"]
-    assert np.count_nonzero(rec.samples["state"] == STATE["TRIPPED"]) == ring.AFTER_TRIP
+    assert np.count_nonzero(rec.samples["state"] == STATE["TRIPPED"]) == mapped_ring.AFTER_TRIP
     log = bench.log
     told = (log["state"] == STATE["TRIPPED"]) & (log["frames"] > 0)
     assert np.count_nonzero(told) == 3
@@ -398,7 +398,7 @@ def test_limit_trips_and_the_second_after_is_kept() -> None:
     rec = bench.run()
     assert rec.meta["end_reason"] == "tripped: position limit"
     assert rec.meta["real_time"]["cause"] == "position"
-    assert np.count_nonzero(rec.samples["state"] == STATE["TRIPPED"]) == ring.AFTER_TRIP
+    assert np.count_nonzero(rec.samples["state"] == STATE["TRIPPED"]) == mapped_ring.AFTER_TRIP
     assert summary.notices(summary.summarize(rec))[0].text.startswith(
         "The test did not complete: tripped: position limit, command"
     )

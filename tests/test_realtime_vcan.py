@@ -49,10 +49,9 @@ from realtime_lab import (
 from stalls import Stalled
 
 from rthyb_rt import config, core
-from rthyb_rt.core import FLAGS, loop
+from rthyb_rt.core import FLAGS, loop, mapped_ring
 from rthyb_rt.lab import realtime
 from rthyb_rt.lab.realtime import conducting
-from rthyb_rt.record import ring
 from rthyb_rt.record.recording import Recording
 
 pytestmark = pytest.mark.skipif(
@@ -298,7 +297,7 @@ def assert_tripped(found: Ended, cause: str, trip_frames: int | None = 3) -> Non
     assert found.rec.meta["end_reason"] == realtime.end_reason("TRIPPED", cause)
     tripped = rows["state"] == STATE["TRIPPED"]
     assert tripped[np.flatnonzero(tripped)[0] :].all()
-    assert np.count_nonzero(tripped) == ring.AFTER_TRIP
+    assert np.count_nonzero(tripped) == mapped_ring.AFTER_TRIP
     assert np.isfinite(rows["x_meas_m"]).all()
     assert_stop_is_in_time(found.log)
     if trip_frames is None:
@@ -555,7 +554,7 @@ def test_interface_that_is_deleted_trips_and_the_drive_stops_by_itself(
         assert not trip_heard(found.log).any()
         begins = stop_begins(found.log)
         assert found.log["silent"][begins] == loop.WATCHDOG_TICKS
-        late = found.rows["flags"][-ring.AFTER_TRIP // 2 :]
+        late = found.rows["flags"][-mapped_ring.AFTER_TRIP // 2 :]
         assert (late & (FLAGS["down"] | FLAGS["blind"])).all()
 
     repeated(attempt)

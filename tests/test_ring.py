@@ -31,11 +31,12 @@ from ring_rows import CYCLE, rows
 from rthyb_rt import cli, config, core, report
 from rthyb_rt.analysis import summary
 from rthyb_rt.core import STATES, RecordArray
+from rthyb_rt.core.mapped_ring import AFTER_TRIP, CAPACITY
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, realtime, virtual_time
 from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import AFTER_TRIP, CAPACITY, Ring, RingReader
+from rthyb_rt.record.ring import Ring, RingReader
 
 pytestmark = pytest.mark.alone
 

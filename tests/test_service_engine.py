@@ -15,7 +15,7 @@ from realtime_bench import ROWS, STATE
 from service_bench import Bench, bench, left, rig_file, short_test
 
 from rthyb_rt import core
-from rthyb_rt.core import STATES, loop, ticker
+from rthyb_rt.core import STATES, loop, mapped_ring, ticker
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.record import ring
@@ -436,7 +436,7 @@ def test_trip_is_recorded_at_once_and_stays_until_it_is_reset(rings: Path) -> No
         made.finish()
     tripped, good = left(rings)
     assert tripped.meta["real_time"]["cause"] == "position"
-    assert np.count_nonzero(tripped.samples["state"] == STATE["TRIPPED"]) == ring.AFTER_TRIP
+    assert np.count_nonzero(tripped.samples["state"] == STATE["TRIPPED"]) == mapped_ring.AFTER_TRIP
     assert realtime.replay(tripped).identical
     assert good.meta["real_time"]["cause"] == "completed"
     assert realtime.replay(good).identical

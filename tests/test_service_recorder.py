@@ -26,6 +26,7 @@ from realtime_bench import PROGRAM, STATE, until
 from recording_data import recording as made_up
 
 from rthyb_rt import core
+from rthyb_rt.core import mapped_ring
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import experiment
 from rthyb_rt.record import recording, ring
@@ -67,7 +68,9 @@ def truth(count: int, seed: int = 1) -> core.RecordArray:
 class Producer:
     """A test of the service, as the recorder sees it."""
 
-    def __init__(self, place: Path, name: str = "test", capacity: int = ring.CAPACITY) -> None:
+    def __init__(
+        self, place: Path, name: str = "test", capacity: int = mapped_ring.CAPACITY
+    ) -> None:
         session = made_up()
         session.meta |= {
             "test_name": name,

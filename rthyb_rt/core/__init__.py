@@ -1,8 +1,8 @@
 """Python interface of the C core: ndarrays and dataclasses in, ndarrays out.
 
-Only this package and `rthyb_rt.record.ring` use cffi. SI units throughout. The names that most of
-the program needs are collected here; ticker, loop, wire, signal tables and the numerical parts are
-modules of their own.
+Only this package uses cffi. SI units throughout. The names that most of the program needs are
+collected here; ticker, loop, ring, wire, signal tables and the numerical parts are modules of their
+own.
 """
 
 from __future__ import annotations

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rthyb_rt import core
 from rthyb_rt.core import FLAGS, Channel
 from rthyb_rt.core.coupled_rig import CoupledRig
+from rthyb_rt.core.mapped_ring import AFTER_TRIP
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import experiment, zeroing
 from rthyb_rt.lab.end_reasons import RefusedError
@@ -18,7 +19,6 @@ from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.runs import Run
 from rthyb_rt.lab.sequence import REST_TICKS, STEP_TICKS, Sequence
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import AFTER_TRIP
 
 WAY_OUT_S: Final = 120.0
 """Time for which a ramp-out is followed: after divergence without limits it would take hours."""

@@ -18,7 +18,7 @@ from rthyb_rt.analysis import several_axes, summary
 from rthyb_rt.analysis.attention import WINDOW_S, AxesJudge, Judge
 from rthyb_rt.analysis.notices import attention_in_words, axis_attention_in_words
 from rthyb_rt.config import AxesRig
-from rthyb_rt.core import RUNNING, STATES, Channel
+from rthyb_rt.core import RUNNING, STATES, Channel, mapped_ring
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import realtime
@@ -29,7 +29,7 @@ from rthyb_rt.record.recording import Recording, open_run
 from rthyb_rt.service.control import SOCKET, Client, Refusal, UnreachableError
 from rthyb_rt.service.peers import Peer, Rights, Role
 
-KEPT_ROWS: Final = 2 * ring.CAPACITY
+KEPT_ROWS: Final = 2 * mapped_ring.CAPACITY
 """128 s: a test that has just ended remains visible."""
 
 _CHUNK: Final = 2048

@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__
-from rthyb_rt._core import ffi, lib
 from rthyb_rt.core import (
     FLAGS,
     RUNNING,
@@ -40,15 +39,19 @@ from rthyb_rt.core import (
     as_records,
     row_dtype,
 )
+from rthyb_rt.core.mapped_ring import (
+    CAPACITY,
+    HEADER_BYTES,
+    LAYOUT,
+    RingConsumer,
+    RingProducer,
+    header_of,
+    ring_bytes,
+)
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.record import recording
 from rthyb_rt.record.recording import Recording
 
-CAPACITY: Final[int] = lib.RTHYB_RING_CAPACITY
-AFTER_TRIP: Final[int] = lib.RTHYB_RING_AFTER_TRIP
-LAYOUT: Final[int] = lib.RTHYB_RING_LAYOUT
-
-_HEADER_BYTES: Final[int] = ffi.sizeof("rthyb_ring_header")
 _MODE = 0o640
 _SESSION = ".session.h5"
 _PRIVATE = 0o700
@@ -62,13 +65,14 @@ class OtherVersionError(InputError):
     """A ring that was written by another version of the program."""
 
 
-_REFUSED: Final[dict[int, str]] = {
-    lib.RTHYB_RING_FOREIGN: "not a telemetry ring; give a file ring.* of a real-time test",
-    lib.RTHYB_RING_UNFINISHED: "the ring was not completely set up, so no tick was ever recorded",
-    lib.RTHYB_RING_OTHER_RECORD: f"the records have a different size; {_OTHER_VERSION}",
-    lib.RTHYB_RING_TRUNCATED: "the file is truncated; copy it again",
-    lib.RTHYB_RING_DAMAGED: "the header is damaged: its sizes are inconsistent; copy the ring "
-    "again",
+_OTHER_LAYOUT: Final = "other_layout"
+_OTHER_RECORD: Final = "other_record"
+_REFUSED: Final = {
+    "foreign": "not a telemetry ring; give a file ring.* of a real-time test",
+    "unfinished": "the ring was not completely set up, so no tick was ever recorded",
+    _OTHER_RECORD: f"the records have a different size; {_OTHER_VERSION}",
+    "truncated": "the file is truncated; copy it again",
+    "damaged": "the header is damaged: its sizes are inconsistent; copy the ring again",
 }
 
 
@@ -191,15 +195,14 @@ class Ring:
     """
 
     def __init__(
-        self, path: Path, owned: ExitStack, core: Any, facts: int, dtype: np.dtype[np.void]
+        self, path: Path, owned: ExitStack, producer: RingProducer, dtype: np.dtype[np.void]
     ) -> None:
         """Take over what `create` made."""
         self.dtype = dtype
         self.path = path
-        self.locked = bool(facts & lib.RTHYB_RING_LOCKED)
-        self.in_memory = bool(facts & lib.RTHYB_RING_IN_MEMORY)
+        self.locked, self.in_memory = producer.locked, producer.in_memory
         self._owned = owned
-        self._c = core
+        self._producer: RingProducer | None = producer
 
     @classmethod
     def create(cls, folder: Path, session: Recording, capacity: int = CAPACITY) -> Ring:
@@ -220,7 +223,7 @@ class Ring:
         dtype = row_dtype(session.channels, session.axis_count)
         about = json.dumps(_description(session)).encode()
         count = len(session.channels)
-        size = int(lib.rthyb_ring_bytes(capacity, len(about), session.axis_count, count))
+        size = ring_bytes(capacity, len(about), session.axis_count, count)
         with ExitStack() as undo:
             path, fd = _reserve(folder)
             undo.callback(path.unlink, missing_ok=True)
@@ -228,17 +231,12 @@ class Ring:
             owned.callback(os.close, fd)
             memory = _take_memory(fd, path, size)
             owned.callback(memory.close)
-            view = ffi.from_buffer(memory, require_writable=True)
-            owned.callback(ffi.release, view)
-            facts = lib.rthyb_ring_settle(fd, view, size)
-            start = lib.rthyb_ring_about_at()
-            memory[start : start + len(about)] = about
-            core = ffi.new("rthyb_ring *")
-            lib.rthyb_ring_init(core, view, capacity, len(about), session.axis_count, count)
+            producer = RingProducer(memory, fd, about, capacity, session.axis_count, count)
+            owned.callback(producer.release)
             undo.callback(session_path(path).unlink, missing_ok=True)
             # Written last: a process that finds a session finds a ring beside it.
             _write_session(path, session)
-            ring = cls(path, owned.pop_all(), core, facts, dtype)
+            ring = cls(path, owned.pop_all(), producer, dtype)
             undo.pop_all()
         return ring
 
@@ -249,21 +247,24 @@ class Ring:
         Raises:
             RthybError: the ring is closed.
         """
-        if self._c is None:
+        return self._writing.pointer
+
+    @property
+    def _writing(self) -> RingProducer:
+        if self._producer is None:
             raise RthybError(f"{self.path}: the ring is closed")
-        return self._c
+        return self._producer
 
     def push(self, records: RecordArray) -> None:
         """Write rows of ``dtype``, or only their records, (n,), as the tick thread does in C.
 
         For exchange threads in Python; only one thread may call it at a time.
         """
-        source, values = as_records(records), ffi.NULL
+        source, channels = as_records(records), None
         names = (self.dtype.names or ())[len(as_records(records[:0]).dtype.names or ()) :]
         if names and records.dtype == self.dtype:
             channels = np.stack([records[name] for name in names], axis=-1)
-            values = ffi.from_buffer("double[]", np.ascontiguousarray(channels, np.float64))
-        lib.rthyb_ring_push_run(self.pointer, _records(source), source.size, values)
+        self._writing.push(source, channels)
 
     def renew_session(self, session: Recording) -> None:
         """Replace the session file atomically, with new tares, commands and parameters.
@@ -278,9 +279,9 @@ class Ring:
 
         The tick thread must have ended.
         """
-        if self._c is not None:
-            lib.rthyb_ring_close(self._c)
-            self._c = None
+        if self._producer is not None:
+            self._producer.close()
+            self._producer = None
             self._owned.close()
 
     def remove(self) -> None:
@@ -362,10 +363,6 @@ def _write_session(ring: Path, session: Recording) -> None:
     session_path(ring).chmod(_MODE)
 
 
-def _records(array: RecordArray) -> Any:
-    return ffi.cast("rthyb_record *", ffi.from_buffer(array))
-
-
 # ---- readers ------------------------------------------------------------------------------------
 
 
@@ -400,18 +397,16 @@ class RingReader:
         with ExitStack() as owned:
             self._fd = _open(self.path)
             owned.callback(os.close, self._fd)
-            if os.fstat(self._fd).st_size < _HEADER_BYTES:
+            if os.fstat(self._fd).st_size < HEADER_BYTES:
                 raise InputError(
                     "too short for a telemetry ring; give a file ring.* of a real-time test",
                     str(path),
                 )
             memory = mmap.mmap(self._fd, 0, access=mmap.ACCESS_READ)
             owned.callback(memory.close)
-            view = ffi.from_buffer(memory)
-            owned.callback(ffi.release, view)
-            self._c = ffi.new("rthyb_ring_reader *")
-            refused = lib.rthyb_ring_attach(self._c, view, len(memory))
-            self.about, self.dtype = _about(memory, self.path, refused)
+            self._rows = RingConsumer(memory)
+            owned.callback(self._rows.release)
+            self.about, self.dtype = _about(memory, self.path, self._rows.refusal)
             self._owned = owned.pop_all()
 
     def __enter__(self) -> RingReader:
@@ -429,27 +424,27 @@ class RingReader:
     @property
     def next(self) -> int:
         """Number of the next record to be read."""
-        return int(self._c.next)
+        return self._rows.next
 
     @property
     def lost(self) -> int:
         """Number of records that were overwritten before they were read, or were incomplete."""
-        return int(self._c.lost)
+        return self._rows.lost
 
     @property
     def pushed(self) -> int:
         """Number of records written to the ring so far."""
-        return int(lib.rthyb_ring_pushed(self._c))
+        return self._rows.pushed
 
     @property
     def frozen(self) -> bool:
         """Whether the ring is frozen after a TRIP."""
-        return bool(lib.rthyb_ring_phase(self._c) & lib.RTHYB_RING_FROZEN)
+        return self._rows.frozen
 
     @property
     def closed(self) -> bool:
         """Whether the producer ended in good order."""
-        return bool(lib.rthyb_ring_phase(self._c) & lib.RTHYB_RING_CLOSED)
+        return self._rows.closed
 
     @property
     def alive(self) -> bool:
@@ -468,13 +463,13 @@ class RingReader:
         the previous ``next``. An empty result means that there is nothing new.
         """
         buffer = np.empty(most, dtype=self.dtype)
-        count = int(lib.rthyb_ring_read(self._c, ffi.from_buffer(buffer), most))
+        count = self._rows.read_into(buffer)
         return Rows(self.next - count, buffer[:count])
 
     def newest(self) -> np.void | None:
         """Return the record of the last tick, even of a frozen ring, or None before the first."""
         buffer = np.empty(1, dtype=self.dtype)
-        return buffer[0] if lib.rthyb_ring_newest(self._c, ffi.from_buffer(buffer)) else None
+        return buffer[0] if self._rows.newest_into(buffer) else None
 
 
 def _open(path: Path) -> int:
@@ -496,10 +491,10 @@ def _open(path: Path) -> int:
         ) from error
 
 
-def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any], np.dtype[np.void]]:
+def _about(memory: mmap.mmap, path: Path, refused: str) -> tuple[dict[str, Any], np.dtype[np.void]]:
     """Return the description and the type of a row, or refuse the ring with the reason."""
-    if refused and refused != lib.RTHYB_RING_OTHER_LAYOUT:
-        other = refused == lib.RTHYB_RING_OTHER_RECORD
+    if refused and refused != _OTHER_LAYOUT:
+        other = refused == _OTHER_RECORD
         raise (OtherVersionError if other else InputError)(_REFUSED[refused], str(path))
     layout, about = _description_in(memory)
     version = about.get("rthyb_version")
@@ -512,9 +507,7 @@ def _about(memory: mmap.mmap, path: Path, refused: int) -> tuple[dict[str, Any],
         )
     if not about:
         raise InputError(f"the description in the ring is damaged; {_OTHER_VERSION}", str(path))
-    header = ffi.from_buffer("rthyb_ring_header *", memory)
-    row_bytes = int(header.record_bytes)
-    ffi.release(header)
+    row_bytes = header_of(memory).row_bytes
     with suppress(KeyError, TypeError, ValueError):
         channels = tuple(Channel(**one) for one in about.get("channels", ()))
         axis_count = _axes_of(about)
@@ -531,13 +524,11 @@ def _axes_of(about: Mapping[str, Any]) -> int:
 
 def _description_in(memory: mmap.mmap) -> tuple[int, dict[str, Any]]:
     """Return layout and description of a ring of any layout; empty if it cannot be read."""
-    header = ffi.from_buffer("rthyb_ring_header *", memory)
-    layout, start, size = int(header.layout), int(header.about_at), int(header.about_bytes)
-    ffi.release(header)
+    header = header_of(memory)
     with suppress(ValueError):
-        about = json.loads(memory[start : start + size].decode())
-        return layout, about if isinstance(about, dict) else {}
-    return layout, {}
+        about = json.loads(memory[header.about_at : header.about_at + header.about_bytes].decode())
+        return header.layout, about if isinstance(about, dict) else {}
+    return header.layout, {}
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from rthyb_rt.analysis import summary
 from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.core import STATES
 from rthyb_rt.core.loop import Clock
+from rthyb_rt.core.mapped_ring import AFTER_TRIP
 from rthyb_rt.errors import RthybError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import experiment
@@ -34,7 +35,6 @@ from rthyb_rt.lab.end_reasons import shown
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import Conductor, LiveRun, RefusedError
 from rthyb_rt.lab.sequence import REST_TICKS, TARE_MARGIN_S
-from rthyb_rt.record.ring import AFTER_TRIP
 from rthyb_rt.service import any_rig, reloading
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from rthyb_rt import core
 from rthyb_rt.core.loop import Clock
+from rthyb_rt.core.mapped_ring import AFTER_TRIP
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S, Collector
@@ -16,7 +17,6 @@ from rthyb_rt.lab.realtime.conductor import Conductor
 from rthyb_rt.lab.realtime.live_run import LiveRun
 from rthyb_rt.lab.sequence import REST_TICKS
 from rthyb_rt.record.recording import Recording
-from rthyb_rt.record.ring import AFTER_TRIP
 
 if TYPE_CHECKING:
     from rthyb_rt.rig.links.opened import Opened
