@@ -366,8 +366,8 @@ static void resist(rig_t *r, const double *q, const double *v, const double *a, 
 
 /* Load cells: at the actuator's end they measure the force of the oil column, otherwise the load of
  * the specimen on the axis; where they are not in line with the axes, forces with the resultant of
- * the specimen's, to which opposing actuators add nothing. dt = 0, because the substeps have already advanced the elements to
- * t_n. */
+ * the specimen's, to which opposing actuators add nothing. dt = 0, because the substeps have
+ * already advanced the elements to t_n. */
 static void latch_forces(rig_t *r)
 {
     const int n = r->cfg.size, m = directions_of(r);

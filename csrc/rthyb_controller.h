@@ -92,8 +92,8 @@ typedef struct {
     /* Of the following, only the entries in use, and the parts that were configured, are ever accessed. */
     rthyb_controller_axis axis[RTHYB_COUPLED_MAX];
     rthyb_controller_interface interface[RTHYB_COUPLED_MAX];
-    /* Of the sensors without an actuator, displacements, then forces: reading of the last sample, measured or predicted,
-     * and consecutive samples without an accepted reading. */
+    /* Of the sensors without an actuator, displacements, then forces: reading of the last sample, measured or
+     * predicted, and consecutive samples without an accepted reading. */
     double sensor[RTHYB_SENSORS_ALL];
     uint32_t sensor_missing[RTHYB_SENSORS_ALL];
     rthyb_kinematics kinematics;

@@ -1,5 +1,6 @@
 /* Extra channels: quantities measured in addition to displacement and force. They are recorded under their names, and
- * used in the test only as readings of sensors without an actuator (rthyb_lone.h). Frames contain their values (codec.c); the virtual rig has sensors for them (rig.c). */
+ * used in the test only as readings of sensors without an actuator (rthyb_lone.h). Frames contain their values
+ * (codec.c); the virtual rig has sensors for them (rig.c). */
 #ifndef RTHYB_PART_EXTRA_H
 #define RTHYB_PART_EXTRA_H
 

@@ -43,14 +43,14 @@ typedef struct {
     int32_t directions;                  /* interface coordinates; 0: as many as axes */
     int32_t given;                       /* enum rthyb_kinematics_given, bits; 0 with pins */
     double matrix[RTHYB_COUPLED_SQUARE]; /* size rows of `directions` values */
-    /* `directions` rows, with one value for each axis and then one for each sensor without an actuator. forces: interface
-     * forces = forces times load cells; displacements: pose = displacements times displacement sensors, so that
+    /* `directions` rows, with one value for each axis and then one for each sensor without an actuator. forces:
+     * interface forces = forces times load cells; displacements: pose = displacements times displacement sensors, so that
      * displacements times (matrix, then reads) must be the identity. */
     double forces[RTHYB_MEASURED_MAX], displacements[RTHYB_MEASURED_MAX];
     int32_t displacement_sensors,
         force_sensors; /* without an actuator: 0 to RTHYB_SENSORS_MAX each */
-    /* A row of `directions` values for each: reading of such a displacement sensor for a pose, and of such a load cell for
-     * the interface forces. The load cells of the axes are then in line with them: forces times (the forces of the axes
+    /* A row of `directions` values for each: reading of such a displacement sensor for a pose, and of such a load cell
+     * for the interface forces. The load cells of the axes are then in line with them: forces times (the forces of the axes
      * with a given resultant, then carries) must be the identity. */
     double reads[RTHYB_COUPLED_SQUARE], carries[RTHYB_COUPLED_SQUARE];
     /* The rest applies to pins only. Coordinates that are not listed remain 0. */
@@ -98,8 +98,8 @@ int rthyb_kinematics_find(rthyb_kinematics *s, const double *axis_m, double *pos
  * coordinates, by the transposed Jacobian at the last pose found, or by the given matrix; with load cells without an
  * actuator always by the former. */
 int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *force);
-/* Pose and interface forces as measured, from the readings of the axes and of the sensors without an actuator: first all
- * displacements, then all forces. Without such sensors the same as _pose and _forces. */
+/* Pose and interface forces as measured, from the readings of the axes and of the sensors without an actuator: first
+ * all displacements, then all forces. Without such sensors the same as _pose and _forces. */
 int rthyb_kinematics_measured_pose(rthyb_kinematics *s, const double *axis_m, const double *sensor,
                                    double *pose);
 int rthyb_kinematics_measured_forces(rthyb_kinematics *s, const double *axis_n,

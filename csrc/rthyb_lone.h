@@ -25,8 +25,8 @@ typedef struct {
     double reading;              /* as received in this tick; NaN if nothing was */
     double seen; /* last reading of a tick in which every axis and every sensor had one */
     rthyb_leaps leaps;
-    /* repeated reading, for how many ticks it has been repeated, and the commands along the interface when the repetition
-     * began */
+    /* repeated reading, for how many ticks it has been repeated, and the commands along the interface when the
+     * repetition began */
     double still, still_at[RTHYB_COUPLED_MAX];
     uint64_t still_ticks;
     int32_t lost, has_reading, off_scale; /* in this tick */

@@ -114,9 +114,9 @@ typedef struct rthyb_loop rthyb_loop;
 size_t rthyb_loop_size(void); /* bytes that the caller provides, aligned for a double */
 
 /* The loop runs at the period of the station. Returns 0; RTHYB_E_KINEMATICS if no axis has the extra channel of a
- * sensor without an actuator, the sensor has no range, or the channel cannot carry it (rthyb_extra_reach); RTHYB_E_PERIOD if no ticker supports the period
- * (rthyb_ticker_rate_hz), the clock is unknown, or the link clock rejects the lead; RTHYB_E_LIMIT for an invalid
- * calibration, or for a ring with a different number of axes. */
+ * sensor without an actuator, the sensor has no range, or the channel cannot carry it (rthyb_extra_reach);
+ * RTHYB_E_PERIOD if no ticker supports the period (rthyb_ticker_rate_hz), the clock is unknown, or the link clock
+ * rejects the lead; RTHYB_E_LIMIT for an invalid calibration, or for a ring with a different number of axes. */
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);
 /* These may be read while the loop runs; the ticker may also be used to grant ticks, to skip them, and to stop. */
 void rthyb_loop_look(const rthyb_loop *loop, rthyb_loop_view *view);
@@ -136,8 +136,8 @@ uint32_t rthyb_loop_ended(const rthyb_loop *loop, rthyb_usage *usage);
  * from there. Otherwise, and if x_m is NaN, they start at the readings, as without this call. Call before the
  * start. */
 void rthyb_loop_continue_from(rthyb_loop *loop, const rthyb_last_command *last);
-/* After the end of a loop: what to pass to rthyb_loop_continue_from of the next one. Returns 0 if nothing was ever sent, or
- * if the loop did not end at rest. */
+/* After the end of a loop: what to pass to rthyb_loop_continue_from of the next one. Returns 0 if nothing was ever
+ * sent, or if the loop did not end at rest. */
 int rthyb_loop_last(const rthyb_loop *loop, rthyb_last_command *last);
 /* Discards up to RTHYB_OLD_PIECES_MAX chunks of received data that are waiting in each link, because they are old or
  * were meant for another program. With the stepped clock, call it before the first tick; with the other clocks this

@@ -95,8 +95,8 @@ enum rthyb_flag {
     /* From here on: inputs of the station in this tick, only in the last record of the tick, never in a
      * blind one. Together with the readings, they are all that a replay needs. */
     RTHYB_F_SLIP = 1 << 6, /* the drive's count slipped relative to the tick, 192 ticks ago */
-    /* no new pair arrived; PREDICTED without this flag: the station rejected the pair that arrived, or a sensor without an
-     * actuator had no reading */
+    /* no new pair arrived; PREDICTED without this flag: the station rejected the pair that arrived, or a sensor without
+     * an actuator had no reading */
     RTHYB_F_LOST = 1 << 7,
     RTHYB_F_DOWN = 1 << 8,    /* the link reported a failure */
     RTHYB_F_STOPPED = 1 << 9, /* the drive last reported that it has stopped on its own */
@@ -116,8 +116,8 @@ enum rthyb_flag {
 };
 
 /* With several axes, rthyb_record.cause contains the cause in its lowest byte; the bits above it contain the axis,
- * interface or sensor of the cause, which links are down, which drive's count has diverged, and which sensors without an
- * actuator gave no reading. */
+ * interface or sensor of the cause, which links are down, which drive's count has diverged, and which sensors without
+ * an actuator gave no reading. */
 enum rthyb_cause_place {
     RTHYB_PLACE_BIT = 8,             /* three bits: 1 + index of axis or interface; 0: neither */
     RTHYB_PLACE_INTERFACE = 1 << 11, /* the index is that of an interface */

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 from rthyb_rt.analysis import axes_roots, loop_roots
 from rthyb_rt.analysis.loop_roots import LoopVerdict
+from rthyb_rt.config import response
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,7 +46,8 @@ def _advice(setup: Setup, found: LoopVerdict | None) -> str:
         and (value > p.low or _CALMER_KEYS[last] == "raise")
     ]
     if law.parameter("w1") is not None and not law.as_printed:
-        ways.append("remove controller.w1 and w2 if the rig was identified up to 80 Hz")
+        swept = f"{response.TOP_HZ:g} Hz"
+        ways.append(f"remove controller.w1 and w2 if the rig was identified up to {swept}")
     cutoff_hz = config.rfc.cutoff_hz
     if config.rfc.enabled and found is not None and not 0.0 < cutoff_hz <= found.frequency_hz:
         # A low-pass below the resonance has done what it can.

@@ -48,9 +48,9 @@ FLOOR: Final = 0.01
 TOP_HZ: Final = 80.0
 """End of a complete sweep: the first resonance of actuator and specimen is usually below it; in the
 field's benchmark it is at 67 Hz."""
-REMEDY: Final = (
-    f'run `rthyb identify RIG --max-frequency "{TOP_HZ:g} Hz"` and use the rig file it writes'
-)
+SWEEP: Final = f'`rthyb identify RIG --max-frequency "{TOP_HZ:g} Hz"`'
+"""The command for a complete sweep."""
+REMEDY: Final = f"run {SWEEP} and use the rig file it writes"
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ ROLL_OFF: Final = "identified.roll_off_hz"
 _WEIGHTS: Final = ("w1", "w2")
 _PAIR: Final = "delay_estimator.cutoff_hz"
 _CURVATURE: Final = "beta0"
-_SWEEP: Final = '`rthyb identify RIG --max-frequency "80 Hz"` looks for a resonance'
 
 
 def roll_off_hz(rig: RigFile) -> float | None:
@@ -159,10 +158,10 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
     found = rig.identified
     swept = max(found.frequency_hz, default=0.0) if found is not None else 0.0
     kept = ", ".join(f"{key} = {controller.setting(key):g}" for key in left)
+    from rthyb_rt.config import response
+
     resonance = None
     if found is not None and found.frequency_hz:
-        from rthyb_rt.config import response
-
         resonance = response.resonance_of_sweep(
             tuple(found.frequency_hz), tuple(found.amplitude), tuple(found.delay_at_frequency_s)
         )
@@ -174,9 +173,10 @@ def note_defaults(test: TestFile, rig: RigFile, notes: list[str]) -> None:
         )
         return
     why = f"no resonance up to {swept:g} Hz" if swept else "no identified response"
+    short = swept < response.LEAST_TOP_HZ
     notes.append(
         f'rig "{rig.rig.name}" has {why}, so the lead is rolled off as before ({kept}); '
-        + (_SWEEP if swept < 40.0 else "no action is needed")
+        + (f"{response.SWEEP} looks for a resonance" if short else "no action is needed")
     )
 
 
