@@ -5,7 +5,8 @@
 #include "numerical.h"
 
 #define EXCITATION_MAX 1e4
-#define RESPONSE_MAX 1e300
+/* Its square, as in an rms, is finite. */
+#define RESPONSE_MAX 1e150
 
 typedef const rthyb_library_config config;
 
@@ -141,17 +142,19 @@ static void look(const rthyb_numerical *part, rthyb_interface *at)
         };
 }
 
+/* NaN: not written, no number, or too large. A recorded 0 would look like a value of the part. */
 static size_t report(const rthyb_numerical *part, double *values, size_t most)
 {
     config *c = part->cfg;
-    double all[RTHYB_RESPONSES_MAX] = {0.0};
-    int code = RTHYB_OK;
+    double all[RTHYB_RESPONSES_MAX];
     if (!c->calls.report || c->responses == 0)
         return 0;
+    for (int i = 0; i < c->responses; i++)
+        all[i] = (double)NAN;
     c->calls.report(state_of(part), all);
     const size_t count = (size_t)c->responses < most ? (size_t)c->responses : most;
     for (size_t i = 0; i < count; i++)
-        values[i] = accept(all[i], RESPONSE_MAX, 0.0, &code);
+        values[i] = fabs(all[i]) <= RESPONSE_MAX ? all[i] : (double)NAN;
     return count;
 }
 

@@ -74,7 +74,8 @@ int32_t rthyb_part_advance(void *state);
 /* Called instead of answer and advance while a ramp or a hold moves the actuator: the part's time must not
  * advance. */
 void rthyb_part_freeze(void *state, const double *force_n);
-/* Values of the responses listed by rthyb_part_names; called after answer and before advance. */
+/* Values of the responses listed by rthyb_part_names; called after answer and before advance. A value that is not
+ * written, is not a number, or is beyond 1e150 is recorded as NaN. */
 void rthyb_part_report(const void *state, double *values);
 /* Called before the bytes of the state are copied, and after they were restored: for data kept outside the state. */
 void rthyb_part_save(void *state);

@@ -257,6 +257,19 @@ class Unreported(Silly):
         super().__init__(mass_kg, "0")
 
 
+class Unasked(rt.NumericalPart):
+    """Names its responses in the object only, where nobody looks."""
+
+    def __init__(self) -> None:
+        self.responses = {"roof": "m"}  # type: ignore[misc]
+
+    def answer(self, ag_mps2: float, force_n: float) -> float:
+        return 0.0
+
+    def report(self) -> list[float]:
+        return [0.0]
+
+
 class OneResponse(Oscillator):
     """Reports a number instead of a list."""
 

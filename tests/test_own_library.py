@@ -3,6 +3,7 @@ what a library does that no test may wait for, and what is refused before it is 
 
 from __future__ import annotations
 
+import math
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -368,6 +369,49 @@ def test_names_that_no_recording_can_have_are_refused(build: Build) -> None:
     assert 'the response "Roof[m]"' in problem.message
     (problem,) = refused(of_test(naming("unreported", "roof[m]")))
     assert "has no function rthyb_part_report" in problem.message
+
+
+def test_report_without_names_is_refused_because_nobody_would_call_it(build: Build) -> None:
+    report = "void rthyb_part_report(const void *at, double *v) { *v = ((const state *)at)->x; }"
+    named = "void rthyb_part_names(int32_t of, char *text) { (void)of; *text = 0; }"
+    for name, more in (("nameless", report), ("empty", report + named)):
+        (problem,) = refused(of_test(build(name, MORE=more)))
+        assert (
+            "has a function rthyb_part_report, but rthyb_part_names returns no" in problem.message
+        )
+        assert 'names with units, such as "roof[m]"' in problem.message
+
+
+# What a report gives after a while, and what is recorded for it.
+REPORTED = {
+    "0.25": 0.25, "-1e150": -1e150, "2e150": math.nan, "1e300": math.nan, "-1e300": math.nan,
+    "NAN": math.nan, "INFINITY": math.nan, "-INFINITY": math.nan, "not written": math.nan,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", REPORTED)
+def test_what_a_library_cannot_report_is_recorded_as_nan_and_the_test_goes_on(
+    build: Build, what: str
+) -> None:
+    """A recorded 0 would look like a value; the other response is not affected."""
+    late = "(void)0" if what == "not written" else f"v[1] = {what}"
+    file = build(
+        MORE="""
+        void rthyb_part_names(int32_t of, char *text)
+        { strcpy(text, of == RTHYB_PART_RESPONSES ? "steps[1] late[m]" : ""); }
+        void rthyb_part_report(const void *at, double *v)
+        { const state *s = at; v[0] = (double)s->n; if (s->n < 100) v[1] = 0.5; else LATE; }
+        """.replace("LATE", late)
+    )
+    rec = rt.run(of_test(file))
+    steps, late_m = rec["steps"], rec["late"]
+    assert rec.completed
+    assert np.isfinite(steps).all()
+    before = (steps > 0) & (steps < 100)
+    assert before.sum() == 99
+    assert (late_m[before] == 0.5).all()
+    np.testing.assert_array_equal(late_m[steps >= 100], REPORTED[what])
+    assert rt.replay(rec).identical
 
 
 def test_only_one_numerical_part_is_taken(tmp_path: Path) -> None:

@@ -378,6 +378,13 @@ def test_responses_without_report_are_told_with_their_names() -> None:
     assert "own.py" not in found
 
 
+def test_report_without_responses_is_told_because_nobody_would_call_it() -> None:
+    found = told({"numerical": own_parts.Unasked()})
+    assert re.search(rf"Unasked at {PLACE} has a method report but no responses", found)
+    assert 'define responses as a dict of names and units, {"roof": "m"}, in the class' in found
+    assert "own.py" not in found
+
+
 def test_static_methods_and_other_callables_are_methods() -> None:
     still = with_attribute(own_parts.Unset, values={}, lead=staticmethod(lambda x, allowed: x))
     assert rt.run(SHORT.with_(controller=still)).completed

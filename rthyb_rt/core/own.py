@@ -44,6 +44,7 @@ from rthyb_rt.core.own_methods import (
     VALUE_MAX,
     VALUES,
     OwnMethod,
+    place_of,
     settings_complaint,
     value_of,
 )
@@ -240,13 +241,23 @@ def _complaint(place: type[Own], kind: type[Own]) -> str | None:
     if issubclass(place, ControlLaw):
         return VALUES.complaint(place)
     if issubclass(place, NumericalPart):
-        complaint = RESPONSES.complaint(place)
-        if complaint is None and place.responses:
-            lacking = replace(REPORT, needed=True).complaint(place, kind)
-            said = f"its responses are {', '.join(place.responses)}"
-            complaint = None if lacking is None else f"{lacking}, because {said}"
-        return complaint
+        return RESPONSES.complaint(place) or _unreported(place, kind)
     return None
+
+
+def _unreported(place: type[NumericalPart], kind: type[Own]) -> str | None:
+    """Return what is wrong if a part has responses without `report`, or the reverse, or None."""
+    if place.responses:
+        lacking = replace(REPORT, needed=True).complaint(place, kind)
+        said = f"its responses are {', '.join(place.responses)}"
+        return None if lacking is None else f"{lacking}, because {said}"
+    if place.report is NumericalPart.report:
+        return None
+    return (
+        f"{place.__name__} at {place_of(place)} has a method report but no responses, so it would "
+        f"never be called: define responses as a dict of names and units, {{{RESPONSES.example}}}, "
+        "in the class, not in __init__, or remove report"
+    )
 
 
 @dataclass(frozen=True)

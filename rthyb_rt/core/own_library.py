@@ -166,6 +166,12 @@ def load(path: str) -> Library:
             f"{lib.RTHYB_INTERFACES_MAX}"
         )
     parameters, responses = _names(place, found)
+    if "report" in found and not responses:
+        raise CoreError(
+            f"{place} has a function {PREFIX}report, but {PREFIX}names returns no responses, so "
+            'it would never be called: let it return their names with units, such as "roof[m]", '
+            f"for RTHYB_PART_RESPONSES, or remove {PREFIX}report"
+        )
     loaded = Library(str(place), sha256, found, interfaces, parameters, responses)
     _LOADED[str(place)] = loaded
     return loaded
