@@ -143,14 +143,17 @@ static int put_value(uint8_t *data, const rthyb_signal *s, double value, double 
     return fabs(raw - wanted) <= round_off(s, raw) ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
 }
 
-/* Displacement of a command in the program's own frames. */
-static const rthyb_signal OWN_X = {
-    .kind = RTHYB_SIGNED,
-    .length = 32,
-    .scale = UNIT_X_M,
-    .low = -(double)INT32_MAX,
-    .high = (double)INT32_MAX,
-};
+/* A value in the program's own frames. */
+static rthyb_signal own_signal(double unit)
+{
+    return (rthyb_signal){
+        .kind = RTHYB_SIGNED,
+        .length = 32,
+        .scale = unit,
+        .low = -(double)INT32_MAX,
+        .high = (double)INT32_MAX,
+    };
+}
 
 /* A raw value, as rounded by the signal. */
 static double rounded(const rthyb_signal *s, double raw)
@@ -188,7 +191,8 @@ static int lies_in(window w, double raw)
 double rthyb_command_within(const rthyb_codec *codec, double x_m, double low_m, double high_m)
 {
     const int table = codec->format == RTHYB_WIRE_TABLE;
-    const rthyb_signal *s = table ? &codec->command.field[RTHYB_FIELD_X] : &OWN_X;
+    const rthyb_signal own = own_signal(UNIT_X_M);
+    const rthyb_signal *s = table ? &codec->command.field[RTHYB_FIELD_X] : &own;
     const window allowed = window_of(s, low_m, high_m);
     const window frame = {least_raw(s), greatest_raw(s)};
     const double wanted = (x_m - s->offset) / s->scale;
@@ -326,18 +330,36 @@ int rthyb_codec_check(const rthyb_codec *codec)
     return good ? 0 : RTHYB_E_CODEC;
 }
 
-/* A converter that saturates sends the end of its range. The value for "no number" is not one of its
- * numbers, even if it is at that end. */
-double rthyb_extra_reach(const rthyb_codec *codec, uint32_t number)
+/* Values at the ends of a signal. The value for "no number" is not one of its numbers, even if it is
+ * at an end. */
+static window ends_of(const rthyb_signal *s, double gain, double offset)
 {
-    if (number >= codec->extra_count)
-        return 0.0;
-    const rthyb_signal *s = &codec->extra[number].signal;
     const int apart = s->has_none && s->kind != RTHYB_FLOAT;
     const double low = least_raw(s), high = greatest_raw(s), none = (double)s->none;
     const double a = (apart && none == low ? low + 1.0 : low) * s->scale + s->offset;
     const double b = (apart && none == high ? high - 1.0 : high) * s->scale + s->offset;
-    return fmax(0.0, fmin(-fmin(a, b), fmax(a, b)));
+    const double x = gain * a + offset, y = gain * b + offset;
+    return (window){fmin(x, y), fmax(x, y)};
+}
+
+/* A converter that saturates sends the end of its range. */
+double rthyb_extra_reach(const rthyb_codec *codec, uint32_t number)
+{
+    if (number >= codec->extra_count)
+        return 0.0;
+    const window ends = ends_of(&codec->extra[number].signal, 1.0, 0.0);
+    return fmax(0.0, fmin(-ends.low, ends.high));
+}
+
+double rthyb_reading_reach(const rthyb_codec *codec, int32_t part, double gain, double offset)
+{
+    const int of_x = part == RTHYB_HAS_X, table = codec->format == RTHYB_WIRE_TABLE;
+    const rthyb_signal own = own_signal(of_x ? UNIT_X_M : UNIT_F_N);
+    const rthyb_message *m = of_x ? &codec->displacement : &codec->force;
+    const rthyb_signal *s = &m->field[of_x ? RTHYB_FIELD_X : RTHYB_FIELD_F];
+    const window ends = ends_of(table ? s : &own, gain, offset);
+    const int one_sign = ends.low >= 0.0 || ends.high <= 0.0;
+    return one_sign ? fmax(-ends.low, ends.high) : fmin(-ends.low, ends.high);
 }
 
 /* ---- frames by table ------------------------------------------------------------------------------ */

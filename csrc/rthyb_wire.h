@@ -145,6 +145,9 @@ int rthyb_codec_check(const rthyb_codec *codec);
 /* Greatest magnitude of which an extra channel carries every value, of either sign; 0: none. A value that it cannot
  * carry arrives, from a converter that saturates, with at least that magnitude. */
 double rthyb_extra_reach(const rthyb_codec *codec, uint32_t number);
+/* The same of a reading of the axis, gain * wire + offset; of readings of one sign only, the far end. part: RTHYB_HAS_X
+ * or RTHYB_HAS_F. */
+double rthyb_reading_reach(const rthyb_codec *codec, int32_t part, double gain, double offset);
 
 /* Encodes a command: for CAN as a frame, for a serial line as the bytes to write. *sent_m is the displacement as the
  * drive will decode it. Returns RTHYB_OK; RTHYB_S_OUT_OF_RANGE if the frame cannot represent the value, and contains
@@ -154,13 +157,11 @@ int rthyb_encode_setpoint(const rthyb_codec *codec, const rthyb_setpoint *setpoi
 /* For a displacement between two bounds: returns it unchanged if the value to which a frame rounds it also lies between
  * them, to within a millionth of a step; otherwise the nearest frame value that does. NaN: none. */
 double rthyb_command_within(const rthyb_codec *codec, double x_m, double low_m, double high_m);
-/* Encodes a sample of the drive as one or two frames; returns their number. 0 if a value is not finite and
- * the table cannot express that. */
+/* Encodes a sample of the drive as one or two frames; returns their number. 0: not finite, and the table cannot say so. */
 int rthyb_encode_feedback(const rthyb_codec *codec, const rthyb_reading *reading,
                           rthyb_frame frames[2]);
-/* 0, or the reason why the frame is rejected (enum rthyb_verdict). For a serial line, the frame is a packet
- * from the deframer. After NOT_FINITE, RANGE and INVALID, the count of the reading is valid but its values are
- * not. */
+/* 0, or the reason why the frame is rejected (enum rthyb_verdict). For a serial line, the frame is a packet from the
+ * deframer. After NOT_FINITE, RANGE and INVALID, the count of the reading is valid but its values are not. */
 int rthyb_decode_setpoint(const rthyb_codec *codec, const rthyb_frame *frame,
                           rthyb_setpoint *setpoint);
 int rthyb_decode_feedback(const rthyb_codec *codec, const rthyb_frame *frame,
@@ -222,8 +223,7 @@ typedef struct {
 typedef struct {
     double x_m, f_n; /* newest pair, 0 before the first */
     uint32_t echo, count, status;
-    /* Samples between the command for this tick and the one in effect at the instant of the pair; -1: not
-     * known. */
+    /* Samples between the command for this tick and the one in effect at the instant of the pair; -1: unknown. */
     int32_t delay;
     uint32_t age; /* ticks since the pair arrived; 0: new in this tick */
     /* the drive's count without wrap-around; after 20 ticks of silence only modulo 2^bits */

@@ -18,7 +18,7 @@ from rthyb_rt.config import busload
 from rthyb_rt.config.busload import FrameSize
 from rthyb_rt.core import dbc
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment
+from rthyb_rt.lab import axis_wires
 
 ROOT = Path(__file__).resolve().parents[1]
 OWN_DBC = ROOT / "hw" / "rthyb.dbc"
@@ -333,7 +333,7 @@ def test_long_frames_of_a_dbc_need_can_fd_and_a_fast_data_phase(tmp_path: Path) 
 
 
 def factors(text: str = "") -> core.Calibration:
-    return experiment.calibration(config.parse_rig(RIG + text))
+    return axis_wires.calibration(config.parse_rig(RIG + text))
 
 
 def test_rig_without_a_calibration_changes_nothing_at_all() -> None:

@@ -24,7 +24,7 @@ from rthyb_rt.config.rigfile import BoucWen, Link, RigFile, Sensors, ServoHydrau
 from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.config.testfile import AxisLaw, Controller, Numerical, TestFile
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment
+from rthyb_rt.lab import axis_wires
 
 relaxed = settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 
@@ -281,7 +281,7 @@ def test_every_calibration_is_one_that_the_core_takes_and_its_command_comes_back
     data: dict[str, Any],
 ) -> None:
     data["calibration"]["command"] = None
-    c = experiment.calibration(RigFile.model_validate(data))
+    c = axis_wires.calibration(RigFile.model_validate(data))
     c.struct()
     for x_m in (0.0, 0.01, -2.0):
         wire = c.cmd_gain * x_m + c.cmd_offset_m

@@ -32,7 +32,7 @@ from rthyb_rt.core import dbc, loop, mapped_ring, wire
 from rthyb_rt.core.laws import LAWS
 from rthyb_rt.core.wire import NOTICES
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import end_reasons, experiment, realtime, virtual_time
+from rthyb_rt.lab import axis_wires, end_reasons, experiment, realtime, virtual_time
 from rthyb_rt.lab.realtime import collector
 from rthyb_rt.lab.realtime.collector import Collector
 from rthyb_rt.record import mat_csv, recording, ring
@@ -567,11 +567,11 @@ def test_failure_during_the_motion_trips_and_leaves_the_ring(tmp_path: Path) -> 
 def test_settings_that_the_core_refuses_leave_no_ring(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    senseless = core.Calibration(x_gain=0.0)
-    monkeypatch.setattr(experiment, "calibration", lambda _: senseless)
+    made, senseless = setup(), core.Calibration(x_gain=0.0)
+    monkeypatch.setattr(axis_wires, "calibration", lambda _: senseless)
     ours, theirs = opening.socket_pair()
     with ours, theirs, pytest.raises(core.CoreError):
-        realtime.Session(setup(), ours, clock="stepped")
+        realtime.Session(made, ours, clock="stepped")
     assert rings(tmp_path) == []
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from importlib import util
 from typing import Any
 
 from rthyb_rt import config
 from rthyb_rt.config import Limit, Link, busload
 from rthyb_rt.config.limits import unit_of
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment
+from rthyb_rt.lab import axis_wires, extra_frames
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.rig.commissioning import certificate
 
@@ -64,7 +63,7 @@ def _bus_load(link: Link, extras: int) -> float | None:
         return None
     if link.kind == "serial":
         return busload.serial_load(link.bitrate, extras, rate_hz=link.sample_rate_hz)
-    if not dbc_is_read(link):
+    if not extra_frames.dbc_is_read(link):
         return None
     return busload.bus_load(
         config.frames_of_link(link),
@@ -72,12 +71,6 @@ def _bus_load(link: Link, extras: int) -> float | None:
         link.data_bitrate,
         rate_hz=link.sample_rate_hz,
     )
-
-
-def dbc_is_read(link: Link) -> bool:
-    """Return whether a DBC file, if the link has one, could be read and checked."""
-
-    return link.dbc is None or util.find_spec("cantools") is not None
 
 
 def commissioning_of(setup: Setup, name: str | None) -> dict[str, Any] | None:
@@ -99,4 +92,4 @@ def commissioning_of(setup: Setup, name: str | None) -> dict[str, Any] | None:
 
 def calibration_of(setup: Setup) -> dict[str, float]:
     """Return the conversion factors between wire and structure by name."""
-    return asdict(experiment.calibration(setup.rig))
+    return asdict(axis_wires.calibration(setup.rig))

@@ -8,8 +8,8 @@ from typing import Final
 from rthyb_rt.analysis.margins import LITTLE_MARGIN, OSCILLATES
 from rthyb_rt.checking.check_figures import GAIN, Figures
 from rthyb_rt.checking.checked_history import HistoryFigures
-from rthyb_rt.checking.facts import dbc_is_read
 from rthyb_rt.config import STANDARD_HZ, Limit
+from rthyb_rt.lab import extra_frames
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.numbers import delay, quantity
@@ -71,7 +71,7 @@ def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[
     """Return notes and warnings on conditions that are watched only in real time."""
     limits, noise = setup.test.limits, setup.derived.rest_noise_displacement_m
     notes, warnings = list[str](), list[str]()
-    if setup.rig.link is not None and not dbc_is_read(setup.rig.link):
+    if setup.rig.link is not None and not extra_frames.dbc_is_read(setup.rig.link):
         warnings.append(
             "link.dbc was not read and its frames were not checked, so a test in real time will "
             "be refused; reading a DBC file needs cantools: pip install 'rthyb-rt[wire]'"

@@ -35,12 +35,12 @@ def opened_link(
     separate process is at the other end, sampled at ``rate``; None: at that of the rig file.
 
     Raises:
-        InputError: what prevents opening it; redundant actuators, or sensors without an actuator
-            that no link reads.
+        InputError: what prevents opening it; redundant actuators, sensors without an actuator that
+            no link reads, or a range that no frame carries.
         RthybError: the virtual rig's process did not start.
     """
     from rthyb_rt.config import AxesRig
-    from rthyb_rt.lab import sensor_wires
+    from rthyb_rt.lab import axis_wires, sensor_wires
     from rthyb_rt.rig import virtual_rig
     from rthyb_rt.rig.links import opening
 
@@ -48,6 +48,7 @@ def opened_link(
         rig.refuse_redundant("real time", "run tests in virtual time: rthyb run TEST.toml")
         rig.refuse_silent_sensors("real time")
         sensor_wires.check(rig)
+    axis_wires.check(rig)
     if rig.link is not None:
         with _reached(rig, rig.link) as opened:
             for key, notes in opened.facts.items():

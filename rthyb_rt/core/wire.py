@@ -292,6 +292,15 @@ class Codec:
         """
         return float(lib.rthyb_extra_reach(self.struct, number))
 
+    def reading_reach(self, *, force: bool, gain: float, offset: float) -> float:
+        """Return the same of a reading of the axis, ``gain`` times the wire plus ``offset``.
+
+        A signal of one sign, such as the position of a piston from its lower end, carries every
+        reading up to its far end.
+        """
+        part = lib.RTHYB_HAS_F if force else lib.RTHYB_HAS_X
+        return float(lib.rthyb_reading_reach(self.struct, part, gain, offset))
+
     def extra_step(self, number: int) -> float:
         """Return the difference of neighbouring values of an extra channel; 0 if it is a float."""
         signal = self.struct.extra[number].signal

@@ -43,7 +43,7 @@ from rthyb_rt.core.matrix_lead import MatrixLeadConfig
 from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import axes_rig, experiment, sensor_wires
+from rthyb_rt.lab import axes_rig, axis_wires, experiment, sensor_wires
 from rthyb_rt.lab.experiment import Group, Setup
 
 Floats = NDArray[np.float64]
@@ -84,6 +84,7 @@ def prepare(
         rig.refuse_redundant("a test in real time", "run it in virtual time, without --realtime")
         rig.refuse_silent_sensors("a test in real time")
         sensor_wires.check(rig)
+        axis_wires.check(rig)
         experiment.refuse_other_rate(test, rig)
         experiment.refuse_python(test, [own.law for own in rig.specimen.element])
 
@@ -335,6 +336,7 @@ def at_rest(rig: AxesRig) -> Setup:
     rig.refuse_redundant("real time", "only tests in virtual time are: rthyb run TEST.toml")
     rig.refuse_silent_sensors("real time")
     sensor_wires.check(rig)
+    axis_wires.check(rig)
     storeys = range(1, len(rig.directions) + 1)
     masses = np.diag(rig.k_e) / (2.0 * np.pi) ** 2
     text = _AT_REST.format(

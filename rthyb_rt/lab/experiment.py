@@ -27,7 +27,7 @@ from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
 from rthyb_rt.core.coupled_rig import CoupledRigConfig
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import histories
+from rthyb_rt.lab import axis_wires, histories
 from rthyb_rt.record import recording
 
 if TYPE_CHECKING:
@@ -144,6 +144,7 @@ def prepare(
     if real_time:
         refuse_other_rate(test, rig)
         refuse_python(test, rig.specimen)
+        axis_wires.check(rig)
     if test.history is not None:
         return _prepare_history(test, rig, real_time)
     derived, whole = both(lambda: config.derive(test, rig), read)
@@ -866,25 +867,6 @@ def first_parameters(setup: Setup, station: core.StationConfig) -> dict[str, Any
     """
     values = {"rfc_end_tick": setup.controller.rfc.end_tick, "station": station.plain()}
     return {"generation": 0, "tick": 0, "values": values}
-
-
-def calibration(rig: RigFile) -> core.Calibration:
-    """Return the six factors between the wire and the structure.
-
-    The channels of the rig file convert from the wire to the specimen, its similitude from the
-    specimen to the structure; a command is converted in the opposite direction.
-    """
-    given = rig.calibration
-    x, f, command = given.displacement, given.force, given.command or given.displacement
-    length, force = given.similitude.length, given.similitude.force
-    return core.Calibration(
-        x_gain=length * x.gain,
-        x_offset_m=length * x.offset_m,
-        f_gain=force * f.gain,
-        f_offset_n=force * f.offset_n,
-        cmd_gain=1.0 / (length * command.gain),
-        cmd_offset_m=0.0 - command.offset_m / command.gain,
-    )
 
 
 def stop_decel_m_per_s2(rig: RigFile) -> float:

@@ -8,13 +8,12 @@ end of that range.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.lonesensors import LoneForce, LoneSensor
 from rthyb_rt.config.rigfile import ExtraSensor, Link
-from rthyb_rt.core import dbc, wire
+from rthyb_rt.core import wire
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import extra_frames
 
@@ -103,16 +102,7 @@ def _axes(rig: AxesRig) -> list[str]:
 
 
 def _codec(rig: RigFile) -> wire.Codec:
-    return extra_frames.codec_of(rig, _of_link(rig.link))
-
-
-def _of_link(link: Link | None) -> wire.Codec:
-    if link is not None and link.kind == "serial":
-        return wire.serial()
-    if link is None or link.dbc is None:
-        return wire.can()
-    names = {str(role): name for role, name in link.names.items()}
-    return dbc.load(Path(link.dbc), names, link.reset_state)
+    return extra_frames.codec_of(rig, extra_frames.codec_of_link(rig.link))
 
 
 def _too_small(

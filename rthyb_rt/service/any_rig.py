@@ -9,7 +9,7 @@ import numpy as np
 from rthyb_rt.analysis import loop_stability
 from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import axes_experiment, experiment
+from rthyb_rt.lab import axes_experiment, axis_wires, experiment
 from rthyb_rt.lab.experiment import Setup
 
 
@@ -39,4 +39,5 @@ def at_rest(rig: RigFile | AxesRig) -> Setup:
     """
     if isinstance(rig, AxesRig):
         return axes_experiment.at_rest(rig)
+    axis_wires.check(rig)
     return experiment.prescribed(rig, "at-rest", np.zeros(1))

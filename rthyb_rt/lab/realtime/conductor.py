@@ -25,7 +25,7 @@ from rthyb_rt.core import FLAGS, ticker
 from rthyb_rt.core.loop import Clock, Link, Loop, LoopAxis
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import experiment, extra_frames, punctuality, zeroing
+from rthyb_rt.lab import axis_wires, experiment, extra_frames, punctuality, zeroing
 from rthyb_rt.lab.end_reasons import REMEDIES, RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
 from rthyb_rt.lab.runs import AT_REST
@@ -123,7 +123,7 @@ class Conductor:
                 channel += len(own.sensors.extra)
                 link = Link(at.kind, at.fd)
                 owned.callback(link.close)
-                ways.append(LoopAxis(wire, link, experiment.calibration(own)))
+                ways.append(LoopAxis(wire, link, axis_wires.calibration(own)))
             self.ways = tuple(ways)
             self.wire, self.link = ways[0].wire, ways[0].link
             self.loop = Loop(

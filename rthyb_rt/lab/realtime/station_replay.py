@@ -16,7 +16,7 @@ from rthyb_rt.core import FLAGS
 from rthyb_rt.core.wire import Codec
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import experiment, trips
+from rthyb_rt.lab import axis_wires, experiment, trips
 from rthyb_rt.lab.end_reasons import in_words
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import Recording, require_replayable
@@ -94,7 +94,7 @@ def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
     first, *later = rec.replay.parameters
     station = core.Station(_settings(rec, test, views[0], first["values"]), rec.ag_mps2)
     published = [(int(one["generation"]), core.Parameters.of_plain(one["values"])) for one in later]
-    calibrations = [experiment.calibration(view) for view in views]
+    calibrations = [axis_wires.calibration(view) for view in views]
     codecs = _codecs(rec.replay.codec, len(views))
     further = [rec.samples[f"{one.name}{READ}"] for one in station.config.sensors]
     sensors = np.column_stack(further) if further else None

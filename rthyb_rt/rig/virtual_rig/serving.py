@@ -20,7 +20,7 @@ from rthyb_rt.config import STANDARD, AxesRig, Rate, RigFile
 from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import axes_rig, experiment, extra_frames, sensor_wires
+from rthyb_rt.lab import axes_rig, axis_wires, experiment, extra_frames, sensor_wires
 from rthyb_rt.record.recording import replacing
 from rthyb_rt.rig.links.opened import Opened
 from rthyb_rt.rig.virtual_rig.rig_plan import NO_PLAN, RigPlan
@@ -124,6 +124,7 @@ def drives_of(
     rig.refuse_redundant("a rig on a link", "run tests in virtual time: rthyb run TEST.toml")
     rig.refuse_silent_sensors("a rig on a link")
     sensor_wires.check(rig)
+    axis_wires.check(rig)
     seed = rig.rig.seed if plan.seed is None else plan.seed
     given = rig.model_copy(update={"rig": rig.rig.model_copy(update={"seed": seed})})
     plant: CoupledRig = axes_rig.virtual_rig(given, rate_of(rig, plan).hz)
@@ -140,7 +141,7 @@ def drives_of(
                 # Random faults of two drives must not coincide.
                 seed=seed + k,
                 drift_ppm=plan.drift_ppm,
-                calibration=experiment.calibration(own),
+                calibration=axis_wires.calibration(own),
             )
         )
     found = loop.Drives(drives)
@@ -162,7 +163,9 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: RigPlan) ->
 
     Raises:
         CoreError: the rig, the drift or a fault is invalid.
+        InputError: the link does not carry the range of a sensor.
     """
+    axis_wires.check(rig)
     seed = rig.rig.seed if plan.seed is None else plan.seed
     drive = loop.Drive(
         core.Rig(dataclasses.replace(experiment.rig_config(rig, rate_of(rig, plan).hz), seed=seed)),
@@ -172,7 +175,7 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: RigPlan) ->
         log_ticks=plan.log_ticks,
         seed=seed,
         drift_ppm=plan.drift_ppm,
-        calibration=experiment.calibration(rig),
+        calibration=axis_wires.calibration(rig),
     )
     drive.schedule(plan.faults)
     return drive

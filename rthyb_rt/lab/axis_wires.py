@@ -1,0 +1,105 @@
+"""The readings of an axis' own sensors: their conversion, and what the frames can carry.
+
+A drive that saturates sends the end of what a frame holds, which looks like a reading. It is
+recognised only if the frame carries the whole range of the sensor.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rthyb_rt import core
+from rthyb_rt.config import AxesRig, Link, RigFile
+from rthyb_rt.config.placing import placing
+from rthyb_rt.errors import InputError, Problem
+from rthyb_rt.lab import extra_frames
+
+
+def calibration(rig: RigFile) -> core.Calibration:
+    """Return the six factors between the wire and the structure.
+
+    The channels of the rig file convert from the wire to the specimen, its similitude from the
+    specimen to the structure; a command is converted in the opposite direction.
+    """
+    given = rig.calibration
+    x, f, command = given.displacement, given.force, given.command or given.displacement
+    length, force = given.similitude.length, given.similitude.force
+    return core.Calibration(
+        x_gain=length * x.gain,
+        x_offset_m=length * x.offset_m,
+        f_gain=force * f.gain,
+        f_offset_n=force * f.offset_n,
+        cmd_gain=1.0 / (length * command.gain),
+        cmd_offset_m=0.0 - command.offset_m / command.gain,
+    )
+
+
+@placing
+def check(rig: RigFile | AxesRig) -> None:
+    """Refuse a displacement sensor or load cell with a larger range than its frame carries.
+
+    Raises:
+        InputError: lists every such sensor; or a DBC file cannot be read.
+    """
+    if isinstance(rig, RigFile):
+        problems = _problems(rig, "")
+    else:
+        problems = [
+            problem
+            for k, name in enumerate(rig.names)
+            for problem in _problems(rig.of_axis(name), f"axis.{k}.")
+        ]
+    if problems:
+        raise InputError(problems)
+
+
+def _problems(rig: RigFile, prefix: str) -> list[Problem]:
+    displacement, force = rig.sensors.displacement.range_m, rig.sensors.force.range_n
+    # Without cantools, a check says that the frames were not read, and real time is refused.
+    unread = rig.link is not None and not extra_frames.dbc_is_read(rig.link)
+    if unread or (displacement is None and force is None):
+        return []
+    codec, by = extra_frames.codec_of_link(rig.link), calibration(rig)
+    reach_m = codec.reading_reach(force=False, gain=by.x_gain, offset=by.x_offset_m)
+    reach_n = codec.reading_reach(force=True, gain=by.f_gain, offset=by.f_offset_n)
+    return [
+        Problem(
+            f"{prefix}sensors.{key}", _too_small(rig.link, key, range_ * factor, reach * factor)
+        )
+        for key, range_, reach, factor in (
+            ("displacement.range_m", displacement, reach_m, 1e3),
+            ("force.range_n", force, reach_n, 1e-3),
+        )
+        if range_ is not None and reach < range_
+    ]
+
+
+def _too_small(link: Link | None, key: str, range_: float, reach: float) -> str:
+    """Return what is wrong with a range, and what to do; both values in mm or kN."""
+    of, _, name = key.partition(".")
+    signal, unit = ("f_meas", "kN") if of == "force" else ("x_meas", "mm")
+    said = (
+        f"found {range_:.6g} {unit}, but {signal} in the frames of the link carries every reading "
+        f"only up to {_rounded_down(reach):.6g} {unit}; a larger one would arrive as a reading at "
+        "that end: "
+    )
+    if link is not None and link.dbc is not None:
+        said += f"give {signal} in the DBC file more bits, a larger factor or a wider [min|max]"
+    elif reach > 0.0:
+        # A power of ten, which a reader of the frames can undo at a glance.
+        factor = 10.0 ** math.ceil(math.log10(range_ / reach))
+        said += f"let the drive send the reading divided by {factor:g}, and multiply "
+        said += f"calibration.{of}.scale by {factor:g}"
+    else:
+        said += f"correct calibration.{of}"
+    if reach > 0.0:
+        said += f'; or set {name} = "{_rounded_down(reach):.6g} {unit}", where a test then ends'
+    return said
+
+
+def _rounded_down(value: float) -> float:
+    """Return a value with six digits, not above it: a range of that size is carried."""
+    if not value > 0.0:
+        return 0.0
+    last = 10.0 ** (math.floor(math.log10(value)) - 5)
+    return math.floor(value / last) * last
