@@ -14,14 +14,14 @@ import loop_bench
 import pytest
 
 from rthyb_rt import core
-from rthyb_rt.config.rigfile import Link
+from rthyb_rt.config.rigfile import LinkTable
 from rthyb_rt.core import dbc, loop, wire
 from rthyb_rt.rig.links.opening import Opened
 
 
-def wanted(kind: str, channel: object, **more: Any) -> Link:
+def wanted(kind: str, channel: object, **more: Any) -> LinkTable:
     """The ``[link]`` table of a rig file."""
-    return Link.model_validate({"kind": kind, "channel": str(channel), **more})
+    return LinkTable.model_validate({"kind": kind, "channel": str(channel), **more})
 
 
 def users_table(folder: Path, text: str) -> wire.Codec:

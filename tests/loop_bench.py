@@ -180,7 +180,7 @@ class Bench:
         clock: loop.Clock = "stepped",
         codec: wire.Codec | None = None,
         interfaces: tuple[str, str] | None = None,
-        calibration: core.Calibration = core.IDENTITY,
+        calibration: core.WireCalibration = core.IDENTITY,
         paced: bool = True,
         rate_hz: float = core.FS_HZ,
         delay_samples: int = DELAY,

@@ -31,7 +31,7 @@ class Lab:
         self,
         owned: ExitStack,
         settings: core.StationConfig | None = None,
-        calibrations: Sequence[core.Calibration] = (core.IDENTITY, core.IDENTITY),
+        calibrations: Sequence[core.WireCalibration] = (core.IDENTITY, core.IDENTITY),
         ring: Ring | None = None,
         seconds: float = 2.0,
     ) -> None:
@@ -119,7 +119,7 @@ def owned() -> Iterator[ExitStack]:
 
 
 def test_a_test_of_two_axes_over_two_links_ends_at_rest_and_replays(owned: ExitStack) -> None:
-    turned = core.Calibration(x_gain=-2.0, x_offset_m=0.01, cmd_gain=-0.5, f_gain=0.25)
+    turned = core.WireCalibration(x_gain=-2.0, x_offset_m=0.01, cmd_gain=-0.5, f_gain=0.25)
     lab = Lab(owned, calibrations=(core.IDENTITY, turned)).running()
     lab.until("IDLE")
     assert lab.loop.cause == "completed"
@@ -239,7 +239,7 @@ def test_a_command_that_finds_no_room_on_one_link(axis: int, owned: ExitStack) -
 
 def test_a_wire_that_cannot_hold_the_command_of_one_axis_trips_all(owned: ExitStack) -> None:
     axes = (AxisConfig(NAMES[0]), AxisConfig(NAMES[1]))
-    coarse = core.Calibration(cmd_gain=1e4, x_gain=1e-4)  # metres are beyond an i4 in nm
+    coarse = core.WireCalibration(cmd_gain=1e4, x_gain=1e-4)  # metres are beyond an i4 in nm
     lab = Lab(owned, config({"axes": axes}), calibrations=(core.IDENTITY, coarse))
     for _ in range(5):
         lab.step()

@@ -380,7 +380,7 @@ def test_command_begins_at_the_reading_where_the_drive_may_stand_elsewhere(meanw
                 there.drive.tick()
             assert there.drive.phase == "following"
         else:
-            other = core.Calibration(x_offset_m=1e-3)
+            other = core.WireCalibration(x_offset_m=1e-3)
             opened.left = dataclasses.replace(opened.left, calibration=other)
         rec = guided_motion.carry_out(there.connection, still).recording
     assert not (rec.samples["flags"] & FLAGS["taken_over"]).any()

@@ -39,7 +39,7 @@ SERIAL = '[link]\nkind = "serial"\nchannel = "/dev/ttyUSB0"\n'
 PYTHON_CAN = '[link]\nkind = "python-can"\nchannel = "PCAN_USBBUS1"\n'
 
 
-def link_of(text: str) -> config.Link:
+def link_of(text: str) -> config.LinkTable:
     link = config.parse_rig(RIG + text).link
     assert link is not None
     return link
@@ -332,7 +332,7 @@ def test_long_frames_of_a_dbc_need_can_fd_and_a_fast_data_phase(tmp_path: Path) 
 # ---- calibration ---------------------------------------------------------------------------------
 
 
-def factors(text: str = "") -> core.Calibration:
+def factors(text: str = "") -> core.WireCalibration:
     return axis_wires.calibration(config.parse_rig(RIG + text))
 
 

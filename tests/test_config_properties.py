@@ -20,7 +20,7 @@ from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
 from rthyb_rt.config.own_tables import Settings
-from rthyb_rt.config.rigfile import BoucWen, Link, RigFile, Sensors, ServoHydraulic, assumable
+from rthyb_rt.config.rigfile import BoucWen, LinkTable, RigFile, Sensors, ServoHydraulic, assumable
 from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.config.testfile import AxisLaw, Controller, Numerical, TestFile
 from rthyb_rt.errors import InputError
@@ -157,7 +157,7 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         for key in ("force_in_phase_n_per_m", "force_in_quadrature_n_per_m"):
             data[key] = [draw(st.floats(-1e9, 1e9)) for _ in range(forces)]
         data["command_amplitude_m"] = [1e-3] * (size if draw(st.booleans()) else 0)
-    if model is Link:
+    if model is LinkTable:
         data.update(draw(links()))
     if "offset_m" in data:
         data["offset_m"] = min(data["offset_m"], 1e3 * data["scale"])

@@ -23,7 +23,7 @@ from loop_bench import FLAGS, K_N_PER_M, Bench, watched
 from rthyb_rt import core
 from rthyb_rt.core import loop, wire
 
-MOUNTED = core.Calibration(
+MOUNTED = core.WireCalibration(
     x_gain=-2.0, x_offset_m=0.004, f_gain=-0.5, f_offset_n=12.0, cmd_gain=-0.5, cmd_offset_m=0.002
 )
 
@@ -280,7 +280,7 @@ def test_so_it_does_behind_a_sensor_that_is_mounted_the_other_way_round(
 @pytest.mark.parametrize("script", SCRIPTS[:7], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("calibration", [core.IDENTITY, MOUNTED], ids=["as it is", "turned"])
 def test_so_it_does_with_the_frames_of_any_dbc(
-    script: Callable[[Bench], None], calibration: core.Calibration, floats: wire.Codec
+    script: Callable[[Bench], None], calibration: core.WireCalibration, floats: wire.Codec
 ) -> None:
     with Bench(codec=floats, calibration=calibration, **WATCHED) as bench:
         script(bench)
@@ -401,7 +401,7 @@ def bad_day(bench: Bench, pick: random.Random) -> None:
             bench.steps(pick.randrange(60))
 
 
-def drawn(pick: random.Random) -> tuple[core.RigConfig, core.Calibration, int]:
+def drawn(pick: random.Random) -> tuple[core.RigConfig, core.WireCalibration, int]:
     """A rig with noise, how it is mounted, and for how many ticks it is tared."""
     servo = core.ServoConfig("pure-delay", delay_samples=6)
     specimen = (core.element("stiffness", k_n_per_m=K_N_PER_M),)
@@ -410,7 +410,7 @@ def drawn(pick: random.Random) -> tuple[core.RigConfig, core.Calibration, int]:
     rig = core.RigConfig(
         servo, specimen, displacement=noise, force=cell, seed=pick.randrange(10**6)
     )
-    tilted = core.Calibration(
+    tilted = core.WireCalibration(
         x_gain=pick.uniform(0.5, 2.0),
         x_offset_m=pick.uniform(-0.01, 0.01),
         cmd_gain=pick.uniform(0.5, 2.0),

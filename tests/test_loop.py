@@ -345,7 +345,7 @@ def test_zero_is_refused_until_the_drive_says_that_it_follows(bench: Bench) -> N
 
 # ---- calibration --------------------------------------------------------------------------------
 
-MOUNTED = core.Calibration(
+MOUNTED = core.WireCalibration(
     x_gain=-2.0, x_offset_m=0.004, f_gain=-0.5, f_offset_n=12.0, cmd_gain=-0.5, cmd_offset_m=0.002
 )
 """The sensor the other way round and at half scale; the command to match it."""
@@ -397,7 +397,7 @@ def test_command_behind_a_calibration_is_recorded_as_the_drive_has_it() -> None:
 )
 def test_senseless_calibration_is_refused(changes: dict[str, float]) -> None:
     with pytest.raises(core.CoreError, match="gain"):
-        Bench(calibration=core.Calibration(**changes))
+        Bench(calibration=core.WireCalibration(**changes))
 
 
 # ---- faults, row by row -------------------------------------------------------------------------

@@ -64,7 +64,7 @@ def sent_m(bench: Bench) -> np.ndarray:
 def test_position_limit_holds_on_the_wire_however_coarse_that_is(
     side: float,
     reaction: Any,
-    calibration: core.Calibration,
+    calibration: core.WireCalibration,
     coarse: wire.Codec,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

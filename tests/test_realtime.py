@@ -567,7 +567,7 @@ def test_failure_during_the_motion_trips_and_leaves_the_ring(tmp_path: Path) -> 
 def test_settings_that_the_core_refuses_leave_no_ring(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made, senseless = setup(), core.Calibration(x_gain=0.0)
+    made, senseless = setup(), core.WireCalibration(x_gain=0.0)
     monkeypatch.setattr(axis_wires, "calibration", lambda _: senseless)
     ours, theirs = opening.socket_pair()
     with ours, theirs, pytest.raises(core.CoreError):

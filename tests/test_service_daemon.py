@@ -425,10 +425,10 @@ def test_rig_that_was_never_commissioned_is_not_served(rthyb: Rthyb, tmp_path: P
 
 def test_real_rig_asks_for_real_time_and_a_virtual_one_does_not() -> None:
     from rthyb_rt.cli.serve import _requires_realtime
-    from rthyb_rt.config.rigfile import Link
+    from rthyb_rt.config.rigfile import LinkTable
 
     def asks(**link: Any) -> bool:
-        given = Link(kind="socket", channel="wire", **link)
+        given = LinkTable(kind="socket", channel="wire", **link)
         return _requires_realtime(rig_file().model_copy(update={"link": given}))
 
     assert asks()

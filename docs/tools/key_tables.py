@@ -41,12 +41,12 @@ PAGE = Path(__file__).resolve().parents[1] / "file-formats.md"
 _PART = re.compile(r"(<!-- generated: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 MEANINGS: dict[str, str] = {
-    "GroundMotion.format": 'format of the file; "auto" detects it from the content',
-    "GroundMotion.record": "name of a built-in record, or path of a file; a relative path is "
+    "GroundMotionTable.format": 'format of the file; "auto" detects it from the content',
+    "GroundMotionTable.record": "name of a built-in record, or path of a file; a relative path is "
     "relative to the folder of the test file",
-    "GroundMotion.units": "unit of the file's numbers, if the file does not state it",
-    "GroundMotion.channel": "number, or part of the name, of one component of several",
-    "GroundMotion.interpolation": "how the record is resampled to the test's rate",
+    "GroundMotionTable.units": "unit of the file's numbers, if the file does not state it",
+    "GroundMotionTable.channel": "number, or part of the name, of one component of several",
+    "GroundMotionTable.interpolation": "how the record is resampled to the test's rate",
     "Numerical.integrator": "integrator of the equation of motion",
     "LibraryFile.file": "the shared library; a relative path is relative to the folder of the test "
     "file",
@@ -87,12 +87,12 @@ MEANINGS: dict[str, str] = {
     "TakenOut.damping_n_s_per_m": "the specimen's damping",
     "TakenOut.stiffness_n_per_m": "the specimen's stiffness; absent: $k_e$",
     "DelayEstimator.enabled": "false: the control law learns nothing; alpha stays at alpha0",
-    "Rfc.enabled": "false: the measured force enters the equation of motion uncorrected",
-    "Rfc.tangent": 'formula; absent: "mean-of-ratios" for "paper", else "least-squares"',
-    "Rfc.divisor": "by what Eqn 3.3 divides its T0 + 1 terms: T0, or their number",
-    "Rfc.cutoff_hz": "cut-off of the low-pass on $x_c - x_m$, below half of the sample rate; "
+    "RfcTable.enabled": "false: the measured force enters the equation of motion uncorrected",
+    "RfcTable.tangent": 'formula; absent: "mean-of-ratios" for "paper", else "least-squares"',
+    "RfcTable.divisor": "by what Eqn 3.3 divides its T0 + 1 terms: T0, or their number",
+    "RfcTable.cutoff_hz": "cut-off of the low-pass on $x_c - x_m$, below half of the sample rate; "
     "0: none; absent: the rig's `identified.roll_off_hz`, except for `paper`; else 0",
-    "Rfc.force_lateness_s": "delay, relative to $x_m$, of the force used in the equation of "
+    "RfcTable.force_lateness_s": "delay, relative to $x_m$, of the force used in the equation of "
     "motion; absent: computed from integrator and `force_delay_samples` if the rig has a "
     "`roll_off_hz` and the law is not `paper`; otherwise 0",
     "Controller.type": "which control law, see below and tuning",
@@ -105,17 +105,17 @@ MEANINGS: dict[str, str] = {
     "TestInfo.name": "name of the test; its run's folder begins with it",
     "TestInfo.duration_s": "length of the test; absent: duration of ground motion plus free "
     "vibration",
-    "GroundMotion.pga_g": "peak to which the record is scaled",
-    "GroundMotion.factor": "instead of `pga_g`: factor by which the record is multiplied",
-    "GroundMotion.duration_s": "length taken; absent: to the end",
+    "GroundMotionTable.pga_g": "peak to which the record is scaled",
+    "GroundMotionTable.factor": "instead of `pga_g`: factor by which the record is multiplied",
+    "GroundMotionTable.duration_s": "length taken; absent: to the end",
     "Numerical.mass_kg": "computed mass; the ground motion acts on it",
     "Numerical.period_s": "instead of the mass: period of the whole structure",
     "Numerical.damping_n_s_per_m": "computed damping",
     "Numerical.damping_ratio": "instead: the same as a fraction of critical",
     "Numerical.rho_inf": "spectral radius at infinite frequency; kr-alpha only",
-    "Rfc.window_periods": f"window T0 in periods; absent: {deriving.DEFAULT_WINDOW_PERIODS:g}",
-    "Rfc.window_s": "instead: window T0 in seconds",
-    "Rfc.window_samples": "instead: window T0 in samples",
+    "RfcTable.window_periods": f"window T0 in periods; absent: {deriving.DEFAULT_WINDOW_PERIODS:g}",
+    "RfcTable.window_s": "instead: window T0 in seconds",
+    "RfcTable.window_samples": "instead: window T0 in samples",
     "Limits.command_position_m": "size of the compensated command",
     "Limits.command_velocity_m_per_s": "its velocity; a plain number only limits the command",
     "Limits.command_acceleration_m_per_s2": "acceleration to which the command is limited",
@@ -155,29 +155,31 @@ MEANINGS: dict[str, str] = {
     "BaselineFile.family": "what drives the specimen: an actuator, moving ground, a known force, "
     "or a closed hybrid test",
     "BaselineFile.command_hold": "the command is held between rows, or interpolated linearly",
-    "Controller.plc_w1": "weighting W1 of the phase-lead compensator; with W2, needed to "
+    "BaselineController.plc_w1": "weighting W1 of the phase-lead compensator; with W2, needed to "
     "reconstruct what the compensator did",
-    "Controller.rfc": "true: the measured force was compensated",
-    "Controller.adaptive": "true: the delay was estimated during the test",
-    "Link.kind": "type of connection",
-    "Link.channel": "CAN interface (`can0`), path of the serial line (`/dev/ttyUSB0`) or of the "
-    "socket, channel of python-can",
-    "Link.interface": "only for python-can, where it is required: name of its interface",
-    "Link.bitrate": "CAN: bit/s, 10000 to 1000000, absent: not checked; serial: baud, absent: "
+    "BaselineController.rfc": "true: the measured force was compensated",
+    "BaselineController.adaptive": "true: the delay was estimated during the test",
+    "LinkTable.kind": "type of connection",
+    "LinkTable.channel": "CAN interface (`can0`), path of the serial line (`/dev/ttyUSB0`) or of "
+    "the socket, channel of python-can",
+    "LinkTable.interface": "only for python-can, where it is required: name of its interface",
+    "LinkTable.bitrate": "CAN: bit/s, 10000 to 1000000, absent: not checked; serial: baud, absent: "
     f"{rigfile.DEFAULT_BAUD}; socket: none",
-    "Link.fd": "true: the bus is CAN FD",
-    "Link.data_bitrate": "CAN FD: bit/s in the data phase of feedback frames that switch bit rate; "
-    "absent: no frame does",
-    "Link.dbc": "CAN: DBC file of the drive; a relative path is relative to the folder of the rig "
-    "file; absent: `hw/rthyb.dbc`",
-    "Link.names": "names of signals that have other names in the DBC file",
-    "Link.clock": "what a tick waits for: this PC's clock, the feedback, or nothing",
-    "Link.sample_rate_hz": "rate at which the drive accepts commands and sends its readings",
-    "Link.lead_us": 'clock "link": how long before its tick the feedback arrives; absent: 200, or '
-    "0.4 of the period if that is less",
-    "Link.require_realtime": "true: a test is refused without real-time priority and locked memory",
-    "Link.stop_decel_m_per_s2": "deceleration of the drive's own stop; used by the virtual drive",
-    "Link.virtual": "true: a virtual rig is at the other end; no commissioning is required",
+    "LinkTable.fd": "true: the bus is CAN FD",
+    "LinkTable.data_bitrate": "CAN FD: bit/s in the data phase of feedback frames that switch bit "
+    "rate; absent: no frame does",
+    "LinkTable.dbc": "CAN: DBC file of the drive; a relative path is relative to the folder of the "
+    "rig file; absent: `hw/rthyb.dbc`",
+    "LinkTable.names": "names of signals that have other names in the DBC file",
+    "LinkTable.clock": "what a tick waits for: this PC's clock, the feedback, or nothing",
+    "LinkTable.sample_rate_hz": "rate at which the drive accepts commands and sends its readings",
+    "LinkTable.lead_us": 'clock "link": how long before its tick the feedback arrives; absent: '
+    "200, or 0.4 of the period if that is less",
+    "LinkTable.require_realtime": "true: a test is refused without real-time priority and locked "
+    "memory",
+    "LinkTable.stop_decel_m_per_s2": "deceleration of the drive's own stop; used by the virtual "
+    "drive",
+    "LinkTable.virtual": "true: a virtual rig is at the other end; no commissioning is required",
     "DisplacementChannel.scale": "x = polarity · scale · wire + offset",
     "DisplacementChannel.polarity": "-1: the sensor's sign is reversed",
     "DisplacementChannel.offset_m": "displacement of the specimen for a 0 on the wire",
@@ -416,7 +418,7 @@ def _of_laws(model: type[Table], key: str) -> str:
 
 
 def _sections(file: type[Table]) -> Iterator[tuple[str, list[type[Table]]]]:
-    """Walk through a file's tables that hold plain values: ("controller.rfc", [Rfc])."""
+    """Walk through a file's tables that hold plain values: ("controller.rfc", [RfcTable])."""
     yield "top", [file]
     yield from _inner(file, "")
 

@@ -262,7 +262,7 @@ def commissioning_rows(found: dict[str, Any] | None) -> list[tuple[str, str, str
 
 def calibration_rows(c: dict[str, float]) -> list[tuple[str, str, str]]:
     """Return the rows for the conversion from the wire to the structure, if it is not trivial."""
-    if c == asdict(core.Calibration()):
+    if c == asdict(core.WireCalibration()):
         return []
 
     def line(gain: float, quantity: str, offset: float, unit: str) -> str:

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from rthyb_rt import config
-from rthyb_rt.config import Limit, Link, busload
+from rthyb_rt.config import Limit, LinkTable, busload
 from rthyb_rt.config.limits import unit_of
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axis_wires, extra_frames
@@ -57,7 +57,7 @@ def link_of(setup: Setup) -> dict[str, Any] | None:
     return {**link.model_dump(), "bus_load": load}
 
 
-def _bus_load(link: Link, extras: int) -> float | None:
+def _bus_load(link: LinkTable, extras: int) -> float | None:
     """Return the load of the bus or line, None if bit rate or frames are not known."""
     if link.bitrate is None:
         return None

@@ -13,7 +13,7 @@ from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig, Rate, RigFile
-    from rthyb_rt.config.rigfile import Link
+    from rthyb_rt.config.rigfile import LinkTable
     from rthyb_rt.core.loop import Clock
     from rthyb_rt.rig.commissioning.guided_motion import AnyRig, AxesConnection, Connection, Reach
     from rthyb_rt.rig.links.opened import Opened
@@ -79,7 +79,7 @@ def opened_link(
             companion.close()
 
 
-def _reached(rig: RigFile | AxesRig, link: Link) -> Opened:
+def _reached(rig: RigFile | AxesRig, link: LinkTable) -> Opened:
     from rthyb_rt.config import AxesRig
     from rthyb_rt.rig.links import opening
 

@@ -13,7 +13,7 @@ from rthyb_rt.errors import RthybError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig, RigFile
-    from rthyb_rt.config.rigfile import Link
+    from rthyb_rt.config.rigfile import LinkTable
 
 SCHEMA = "rthyb-install/1"
 
@@ -96,7 +96,7 @@ def _portable(rig: RigFile | AxesRig) -> tuple[str, list[Path]]:
 
     dbc: dict[Path, None] = {}
 
-    def beside(link: Link | None) -> Link | None:
+    def beside(link: LinkTable | None) -> LinkTable | None:
         if link is None or link.dbc is None:
             return link
         path = Path(link.dbc)

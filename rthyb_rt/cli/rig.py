@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from rthyb_rt.config import AxesRig, Rate, RigFile
-    from rthyb_rt.config.rigfile import Link
+    from rthyb_rt.config.rigfile import LinkTable
     from rthyb_rt.rig.virtual_rig import RigPlan, RigResult, WireEnd
 
 SCHEMA = "rthyb-rig-run/1"
@@ -272,11 +272,13 @@ def _no_wire() -> typer.BadParameter:
     )
 
 
-def _link(own: Link | None, can: str | None, serial: str | None, socket: str | None) -> Link:
+def _link(
+    own: LinkTable | None, can: str | None, serial: str | None, socket: str | None
+) -> LinkTable:
     """Return the rig file's link, with the requested channel instead of its own."""
     from pydantic import ValidationError
 
-    from rthyb_rt.config.rigfile import Link
+    from rthyb_rt.config.rigfile import LinkTable
 
     for kind, channel in (("can", can), ("serial", serial), ("socket", socket)):
         if channel is None:
@@ -286,7 +288,7 @@ def _link(own: Link | None, can: str | None, serial: str | None, socket: str | N
             same = own.kind == kind
             given = own.model_dump() if same else {"sample_rate_hz": own.sample_rate_hz}
         try:
-            return Link(**(given | {"kind": kind, "channel": str(channel)}))
+            return LinkTable(**(given | {"kind": kind, "channel": str(channel)}))
         except ValidationError as error:
             message = error.errors()[0]["msg"].removeprefix("Value error, ")
             raise typer.BadParameter(message, param_hint=f"--{kind}") from error

@@ -39,7 +39,7 @@ from rthyb_rt.config.loading import (
 )
 from rthyb_rt.config.mapfile import MapFile
 from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
-from rthyb_rt.config.rigfile import Calibration, Identified, Link, RigFile, SpecimenElement
+from rthyb_rt.config.rigfile import Calibration, Identified, LinkTable, RigFile, SpecimenElement
 from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.config.writing import dump, dump_given, dump_values, inline, remove_omitted
 
@@ -54,7 +54,7 @@ __all__ = [
     "Identified",
     "Limit",
     "Limits",
-    "Link",
+    "LinkTable",
     "MapFile",
     "Rate",
     "RigFile",

@@ -47,7 +47,7 @@ from rthyb_rt.config.rigfile import (
     Actuator,
     Calibration,
     Identified,
-    Link,
+    LinkTable,
     PureDelay,
     RigFile,
     RigInfo,
@@ -259,7 +259,7 @@ class Axis(Table):
     actuator: Annotated[Actuator, Field(discriminator="kind")] | None = None
     sensors: Sensors = Field(default_factory=Sensors)
     identified: Identified | None = None
-    link: Link | None = None
+    link: LinkTable | None = None
     calibration: Calibration = Field(default_factory=Calibration)
     limits: Limits = Field(default_factory=Limits)
 
@@ -1135,7 +1135,7 @@ class AxesRig(WholeFile):
             )
 
     @property
-    def link(self) -> Link | None:
+    def link(self) -> LinkTable | None:
         """The link of the first axis: all axes have a link or none, and all use one clock."""
         return self.axis[0].link
 

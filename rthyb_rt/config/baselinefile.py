@@ -21,7 +21,7 @@ Tolerance = Annotated[
 ]
 
 
-class BoucWen(Table):
+class BaselineBoucWen(Table):
     """F = k (alpha x + (1 - alpha) z), z' = v (1 - |z/xy|^n (beta + gamma sgn(v z)))."""
 
     alpha: Annotated[float, Range("", -1e3, 1e3, "post-yield over elastic stiffness")]
@@ -31,7 +31,7 @@ class BoucWen(Table):
     gamma: Annotated[float, Range("", -1e6, 1e6, "gamma of the loop")] = 0.5
 
 
-class Specimen(Table):
+class BaselineSpecimen(Table):
     """F = k x + c x' + moving_mass x''."""
 
     k: Stiffness = 0.0
@@ -39,7 +39,7 @@ class Specimen(Table):
     moving_mass: Mass = 0.0
     k_tol: Tolerance | None = None
     c_tol: Tolerance | None = None
-    bouc_wen: BoucWen | None = None
+    bouc_wen: BaselineBoucWen | None = None
 
 
 class Actuator(Table):
@@ -57,7 +57,7 @@ class Actuator(Table):
     gain_tol: Tolerance | None = None
 
 
-class Numerical(Table):
+class BaselineNumerical(Table):
     """The computed part: m (x'' + ag) + c x' + F = 0."""
 
     m: Mass = 0.0
@@ -73,7 +73,7 @@ def _plc_stable(w1: float | None, w2: float | None) -> str | None:
     )
 
 
-class Controller(Table):
+class BaselineController(Table):
     """The compensation in a closed loop."""
 
     checks: ClassVar[tuple[Condition, ...]] = (
@@ -106,8 +106,8 @@ class BaselineFile(Table):
     command_shift_s: Annotated[
         float, Range("s", -100, 100, "the delay of the measured row behind the command row")
     ] = 0.0
-    specimen: Specimen
+    specimen: BaselineSpecimen
     actuator: Actuator | None = None
-    numerical: Numerical = Field(default_factory=Numerical)
-    controller: Controller = Field(default_factory=Controller)
+    numerical: BaselineNumerical = Field(default_factory=BaselineNumerical)
+    controller: BaselineController = Field(default_factory=BaselineController)
     noise: Noise = Field(default_factory=Noise)

@@ -25,9 +25,9 @@ from rthyb_rt.config.lines import Path as KeyPath
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
 from rthyb_rt.config.placing import SourceText
 from rthyb_rt.config.prescribed_history import CyclesHistory, History, RandomHistory, with_file
-from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, Link, RigFile, assumable, kinds
+from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, LinkTable, RigFile, assumable, kinds
 from rthyb_rt.config.structures import FROM_FILE, WRITTEN_OUT, MatrixFile
-from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotion, Numerical, Rfc, TestFile
+from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotionTable, Numerical, RfcTable, TestFile
 from rthyb_rt.errors import InputError, Problem
 
 _Model = TypeVar("_Model", TestFile, RigFile, AxesRig, BaselineFile, MapFile, CampaignFile)
@@ -46,8 +46,8 @@ _TWICE = re.compile(r"Cannot (overwrite a value|declare .* twice)$")
 # Tables in which an override of one key replaces the alternatives to it.
 _EXCLUSIVE: dict[KeyPath, tuple[Alternatives, ...]] = {
     ("numerical",): Numerical.choices,
-    ("ground_motion",): GroundMotion.choices,
-    ("controller", "rfc"): Rfc.choices,
+    ("ground_motion",): GroundMotionTable.choices,
+    ("controller", "rfc"): RfcTable.choices,
     ("history",): (*CyclesHistory.choices, *RandomHistory.choices),
 }
 
@@ -292,9 +292,9 @@ def _one_bus(rig: AxesRig, axes: list[int], names: str, channel: str) -> str | N
 
 
 def _with_dbc(
-    link: Link | None, place: KeyPath, text: str, path: str | Path,
+    link: LinkTable | None, place: KeyPath, text: str, path: str | Path,
     overrides: Mapping[str, str], name: str = "link",
-) -> Link | None:  # fmt: skip
+) -> LinkTable | None:  # fmt: skip
     """Return a link with the absolute path of its DBC file, which is read and checked.
 
     Raises:
@@ -380,7 +380,7 @@ def _rig_of_faulty(path: Path, overrides: Mapping[str, str]) -> Path | None:
     return place if _is_file(place) else shipped("rig").get(name)
 
 
-def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:
+def frames_of_link(link: LinkTable) -> tuple[busload.FrameSize, ...]:
     """Return the frames of one sample on a CAN link: the program's own, or those of its DBC file.
 
     Raises:
@@ -393,7 +393,7 @@ def frames_of_link(link: Link) -> tuple[busload.FrameSize, ...]:
     return busload.frames_of(dbc.load(link.dbc, link.names))
 
 
-def _dbc_fault(link: Link) -> tuple[str, str] | None:
+def _dbc_fault(link: LinkTable) -> tuple[str, str] | None:
     """Return the key of a link that is incompatible with its DBC file, and the reason.
 
     Raises:

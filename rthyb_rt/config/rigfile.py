@@ -1013,7 +1013,7 @@ def _data_phase_fits(
     return None
 
 
-class Link(Table):
+class LinkTable(Table):
     """The link for commands and readings of a test in real time.
 
     Default ``bitrate`` of CAN: the current setting of the interface; of a serial line: 921600 baud.
@@ -1167,7 +1167,7 @@ def kinds() -> Iterator[type[Table]]:
         yield from union.__args__
 
 
-def extras_arrive(sensors: Sensors, link: Link | None) -> str | None:
+def extras_arrive(sensors: Sensors, link: LinkTable | None) -> str | None:
     """Report an extra channel for which the link has no space."""
     if link is None or not sensors.extra or link.kind == "socket":
         return None
@@ -1200,7 +1200,7 @@ class RigFile(WholeFile):
     )
     sensors: Sensors = Field(default_factory=Sensors)
     identified: Identified | None = None
-    link: Link | None = None
+    link: LinkTable | None = None
     calibration: Calibration = Field(default_factory=Calibration)
     limits: Limits = Field(default_factory=Limits)
     _read_along: tuple[Any, ...] = PrivateAttr(default=())

@@ -94,7 +94,7 @@ class TestInfo(Table):
     ] = 1.0
 
 
-class GroundMotion(Table):
+class GroundMotionTable(Table):
     """The record and how it is modified; at most one of ``pga_g`` and ``factor``."""
 
     choices: ClassVar[tuple[Alternatives, ...]] = (
@@ -280,7 +280,7 @@ class _DelayEstimator(Table):
     enabled: StrictBool = True
 
 
-class Rfc(Table):
+class RfcTable(Table):
     """The restoring-force compensator (Eqn 3.1-3.3); the default window is 0.1 periods.
 
     ``divisor = "printed"`` divides the T0 + 1 terms of Eqn 3.3 by T0, ``"terms"`` by their number.
@@ -416,7 +416,7 @@ class _Controller(_Law):
     )
 
     type: LawNameOrMatrix = lawtables.DEFAULT_LAW
-    rfc: Rfc = Field(default_factory=Rfc)
+    rfc: RfcTable = Field(default_factory=RfcTable)
     matrix: MatrixLaw | None = None
     axis: list[_AxisLaw] = Field(default_factory=list, max_length=COUPLED_MAX)
     python: PythonClass | None = None
@@ -535,7 +535,7 @@ class TestFile(WholeFile):
     rig: Annotated[str, SOME_TEXT] | None = None
     test: TestInfo
     history: Annotated[History, Field(discriminator="kind")] | None = None
-    ground_motion: GroundMotion = Field(default_factory=GroundMotion)
+    ground_motion: GroundMotionTable = Field(default_factory=GroundMotionTable)
     numerical: Numerical
     interface: list[Interface] = Field(default_factory=list, max_length=INTERFACES)
     controller: Controller = Field(default_factory=Controller)

@@ -178,7 +178,7 @@ class LastCommand:
     x_cmd_m: float
     x_m: float
     seq: int
-    calibration: core.Calibration
+    calibration: core.WireCalibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ class LoopAxis:
 
     wire: Wire
     link: Link
-    calibration: core.Calibration = core.IDENTITY
+    calibration: core.WireCalibration = core.IDENTITY
 
 
 class Loop:
@@ -223,7 +223,7 @@ class Loop:
         link: Link,
         ring: RingMemory | None = None,
         clock: Clock = "stepped",
-        calibration: core.Calibration = core.IDENTITY,
+        calibration: core.WireCalibration = core.IDENTITY,
         lead_us: float = 200.0,
         *,
         paced: bool = True,
@@ -642,7 +642,7 @@ class Drive:
         log_ticks: int = 0,
         seed: int = 0,
         drift_ppm: float = 0.0,
-        calibration: core.Calibration = core.IDENTITY,
+        calibration: core.WireCalibration = core.IDENTITY,
     ) -> None:
         self._c = ffi.new("rthyb_drive *")
         self._kept = (rig, codec, link)

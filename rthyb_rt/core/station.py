@@ -188,7 +188,7 @@ def _law_of_estimator(controller: dict[str, Any]) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class WireCalibration:
     """Conversion between numbers on the wire and those of the structure; the default is identity.
 
     x = ``x_gain`` wire + ``x_offset_m``, f = ``f_gain`` wire + ``f_offset_n``, and the command goes
@@ -218,7 +218,7 @@ class Calibration:
         return struct
 
 
-IDENTITY: Final = Calibration()
+IDENTITY: Final = WireCalibration()
 
 
 @dataclass(frozen=True)
@@ -472,7 +472,7 @@ class Station:
         self,
         rows: RecordArray,
         codec: Codec | Sequence[Codec | None] | None = None,
-        calibration: Calibration | Sequence[Calibration] = IDENTITY,
+        calibration: WireCalibration | Sequence[WireCalibration] = IDENTITY,
         parameters: Sequence[tuple[int, Parameters]] = (),
         sensors: npt.ArrayLike | None = None,
     ) -> RecordArray:
@@ -512,7 +512,7 @@ class Station:
         ag = reading(self._ag)
         source.ag_mps2, source.ag_count = ag, self._ag.size
         codecs = list(codec) if isinstance(codec, Sequence) else [codec] * self._axes
-        if isinstance(calibration, Calibration):
+        if isinstance(calibration, WireCalibration):
             calibration = [calibration] * self._axes
         for k in range(self._axes):
             own = codecs[k]

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 
 from rthyb_rt import core
-from rthyb_rt.config import AxesRig, Link, RigFile
+from rthyb_rt.config import AxesRig, LinkTable, RigFile
 from rthyb_rt.config.placing import placing
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import extra_frames
 
 
-def calibration(rig: RigFile) -> core.Calibration:
+def calibration(rig: RigFile) -> core.WireCalibration:
     """Return the six factors between the wire and the structure.
 
     The channels of the rig file convert from the wire to the specimen, its similitude from the
@@ -24,7 +24,7 @@ def calibration(rig: RigFile) -> core.Calibration:
     given = rig.calibration
     x, f, command = given.displacement, given.force, given.command or given.displacement
     length, force = given.similitude.length, given.similitude.force
-    return core.Calibration(
+    return core.WireCalibration(
         x_gain=length * x.gain,
         x_offset_m=length * x.offset_m,
         f_gain=force * f.gain,
@@ -74,7 +74,7 @@ def _problems(rig: RigFile, prefix: str) -> list[Problem]:
     ]
 
 
-def _too_small(link: Link | None, key: str, range_: float, reach: float) -> str:
+def _too_small(link: LinkTable | None, key: str, range_: float, reach: float) -> str:
     """Return what is wrong with a range, and what to do; both values in mm or kN."""
     of, _, name = key.partition(".")
     signal, unit = ("f_meas", "kN") if of == "force" else ("x_meas", "mm")

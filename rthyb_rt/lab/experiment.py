@@ -23,7 +23,7 @@ from rthyb_rt.config.deriving_axes import AxesDerived
 from rthyb_rt.config.limits import VelocityLimit
 from rthyb_rt.config.own_tables import PythonClass, core_element
 from rthyb_rt.config.placing import placing
-from rthyb_rt.config.rigfile import TOLERANCES, Link, Sensors
+from rthyb_rt.config.rigfile import TOLERANCES, LinkTable, Sensors
 from rthyb_rt.core.coupled_rig import CoupledRigConfig
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
@@ -509,7 +509,7 @@ def load_motion(test: TestFile) -> GroundMotion:
     )
 
 
-def cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotion) -> GroundMotion:
+def cut_and_scale(motion: GroundMotion, wanted: test_file.GroundMotionTable) -> GroundMotion:
     if wanted.start_s or wanted.duration_s is not None:
         motion = motion.window(wanted.start_s, wanted.duration_s)
     if wanted.pga_g is not None:
@@ -871,7 +871,7 @@ def first_parameters(setup: Setup, station: core.StationConfig) -> dict[str, Any
 
 def stop_decel_m_per_s2(rig: RigFile) -> float:
     """Return the deceleration of the drive's own stop, assumed to be the same without a link."""
-    default: float = Link.model_fields["stop_decel_m_per_s2"].default
+    default: float = LinkTable.model_fields["stop_decel_m_per_s2"].default
     return default if rig.link is None else rig.link.stop_decel_m_per_s2
 
 

@@ -5,18 +5,18 @@ from __future__ import annotations
 from importlib import util
 from pathlib import Path
 
-from rthyb_rt.config import Link, RigFile
+from rthyb_rt.config import LinkTable, RigFile
 from rthyb_rt.core import dbc, wire
 from rthyb_rt.core.wire import Codec, Extra
 from rthyb_rt.errors import InputError
 
 
-def dbc_is_read(link: Link) -> bool:
+def dbc_is_read(link: LinkTable) -> bool:
     """Return whether a DBC file, if the link has one, could be read and checked."""
     return link.dbc is None or util.find_spec("cantools") is not None
 
 
-def codec_of_link(link: Link | None) -> Codec:
+def codec_of_link(link: LinkTable | None) -> Codec:
     """Return the codec of a link as the rig file describes it; without a link, that of the program.
 
     Raises:

@@ -12,7 +12,7 @@ from typing import Final
 
 from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.lonesensors import LoneForce, LoneSensor
-from rthyb_rt.config.rigfile import ExtraSensor, Link
+from rthyb_rt.config.rigfile import ExtraSensor, LinkTable
 from rthyb_rt.core import wire
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import extra_frames
@@ -120,7 +120,7 @@ def _too_small(
     )
 
 
-def _remedy(link: Link | None, channel: ExtraSensor, range_: float) -> str:
+def _remedy(link: LinkTable | None, channel: ExtraSensor, range_: float) -> str:
     if link is not None and link.dbc is not None:
         return (
             "correct scale and offset of the channel, or give its signal in the DBC file more bits "

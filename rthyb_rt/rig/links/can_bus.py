@@ -13,7 +13,7 @@ import can
 from can.interfaces.socketcan.utils import pack_filters
 
 from rthyb_rt.config import busload
-from rthyb_rt.config.rigfile import Link
+from rthyb_rt.config.rigfile import LinkTable
 from rthyb_rt.core.sizes import STANDARD_RATE_HZ
 from rthyb_rt.core.wire import ID_EXTENDED, Codec
 from rthyb_rt.errors import InputError
@@ -36,7 +36,7 @@ off would be sent as a burst of old commands when it returns."""
 STALE_FRAMES_MOST: Final = 100_000
 
 
-def open_can(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) -> Opened:
+def open_can(wanted: LinkTable, side: Side, codec: Codec, *, shared: bool = False) -> Opened:
     """Open a SocketCAN interface for one side of a link.
 
     Only frames of the other side and error frames are received, and none that were sent here. The

@@ -18,7 +18,7 @@ from typing import Any, Final
 import can
 
 from rthyb_rt.config import busload
-from rthyb_rt.config.rigfile import Link
+from rthyb_rt.config.rigfile import LinkTable
 from rthyb_rt.core.wire import ID_EXTENDED, Codec
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import locks
@@ -44,7 +44,7 @@ JOIN_S: Final = 2.0
 _HEADER: Final = struct.Struct("=IBB2x")
 
 
-def open_bus(wanted: Link, side: Side, codec: Codec, *, shared: bool = False) -> Opened:
+def open_bus(wanted: LinkTable, side: Side, codec: Codec, *, shared: bool = False) -> Opened:
     """Open an interface of python-can for one side of a link.
 
     Vendor parameters that are not keys of the rig file are configured in python-can
@@ -93,7 +93,7 @@ def _place(channel: str) -> str:
     return os.path.realpath(channel) if channel.startswith("/") else channel
 
 
-def _check_load(wanted: Link, where: str, codec: Codec) -> None:
+def _check_load(wanted: LinkTable, where: str, codec: Codec) -> None:
     if wanted.bitrate is None:
         return
     frames = busload.frames_of(codec)
@@ -108,7 +108,7 @@ def _accepted(codec: Codec, side: Side) -> frozenset[int]:
     return frozenset(codec.feedback_ids if side == "controller" else (codec.command_id,))
 
 
-def _bus(wanted: Link, interface: str, where: str, fd: bool) -> can.BusABC:
+def _bus(wanted: LinkTable, interface: str, where: str, fd: bool) -> can.BusABC:
     given: dict[str, Any] = {"receive_own_messages": False}
     if wanted.bitrate is not None:
         given["bitrate"] = wanted.bitrate

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from rthyb_rt.config import AxesRig
-from rthyb_rt.config.rigfile import DEFAULT_BAUD, Link
+from rthyb_rt.config.rigfile import DEFAULT_BAUD, LinkTable
 from rthyb_rt.core import dbc, wire
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import serial_line, sockets
@@ -47,7 +47,7 @@ _T = TypeVar("_T", bound=Closes)
 
 
 def open_link(
-    wanted: Link, side: Side, *, folder: Path | None = None, shared: bool = False
+    wanted: LinkTable, side: Side, *, folder: Path | None = None, shared: bool = False
 ) -> Opened:
     """Open a link for the controller or for a drive.
 
@@ -96,7 +96,9 @@ def open_axes(rig: AxesRig, side: Side, *, folder: Path | None = None) -> Opened
     return together(links)
 
 
-def at_each(rig: AxesRig, reach: Callable[[Link, bool], _T], owned: ExitStack) -> dict[str, _T]:
+def at_each(
+    rig: AxesRig, reach: Callable[[LinkTable, bool], _T], owned: ExitStack
+) -> dict[str, _T]:
     """Open something for the link of each axis of a rig and return it by name.
 
     Args:
@@ -130,7 +132,7 @@ def socket_pairs(names: Sequence[str]) -> tuple[Opened, Opened]:
     return ours, together({name: pair[1] for name, pair in pairs.items()})
 
 
-def _codec(wanted: Link, folder: Path | None) -> wire.Codec:
+def _codec(wanted: LinkTable, folder: Path | None) -> wire.Codec:
     if not wanted.dbc:
         return wire.can()
     names = {str(role): name for role, name in wanted.names.items()}

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from rthyb_rt.config import AxesRig
-from rthyb_rt.config.rigfile import Link
+from rthyb_rt.config.rigfile import LinkTable
 from rthyb_rt.core import dbc, loop, wire
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import opening
@@ -177,7 +177,7 @@ def lines_of(rig: AxesRig) -> list[WireEnd]:
     return list(found.values())
 
 
-def line_of(link: Link, *, shared: bool = False) -> WireEnd:
+def line_of(link: LinkTable, *, shared: bool = False) -> WireEnd:
     """Open the drive's end of a rig file's link; ``shared`` as of `opening.open_link`.
 
     Raises:
