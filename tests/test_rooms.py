@@ -111,7 +111,7 @@ REPEATED_MODULES = {
 }  # fmt: skip
 REPEATED_CLASSES = {
     "BoucWen": 2, "Channel": 2, "Column": 2, "Diagnosis": 2, "Drift": 2, "Element": 2, "Entry": 2,
-    "Fitter": 2, "Law": 2, "Part": 4, "Problem": 2, "Recording": 2, "Rig": 2, "Specimen": 2,
+    "Fitter": 2, "Law": 2, "Part": 4, "Problem": 2, "Recording": 2, "Rig": 2,
     "Table": 2, "_Unknown": 3,
 }  # fmt: skip
 
