@@ -130,7 +130,7 @@ def controller(
 
 
 def run_virtual(
-    controller: core.Controller, rig: core.Rig, excitation: Floats, ticks: int | None = None
+    controller: core.Controller, rig: core.VirtualRig, excitation: Floats, ticks: int | None = None
 ) -> Any:
     """The records of a test with a rig, as many as were written."""
     records = np.zeros(excitation.size if ticks is None else ticks, core.RECORD_DTYPE)
@@ -142,7 +142,7 @@ def track(command_m: Floats, servo: core.ServoConfig, estimator: core.EstimatorC
     """The records of a prescribed motion through the compensator and an unloaded actuator."""
     motion = core.MotionConfig("prescribed")
     c = controller(motion, k_e=1.0, estimator=estimator, rfc={"enabled": False})
-    return run_virtual(c, core.Rig(core.RigConfig(servo)), command_m)
+    return run_virtual(c, core.VirtualRig(core.RigConfig(servo)), command_m)
 
 
 def resonance(sequence: Floats, order: int) -> NDArray[np.complex128]:

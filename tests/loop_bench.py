@@ -66,9 +66,9 @@ def watched(name: str, value: float, reaction: core.Reaction) -> dict[str, Any]:
 
 def rig(
     bias_n: float = FORCE_BIAS_N, rate_hz: float = core.FS_HZ, delay_samples: int = DELAY
-) -> core.Rig:
+) -> core.VirtualRig:
     servo = core.ServoConfig("pure-delay", delay_samples=delay_samples, period_s=1.0 / rate_hz)
-    return core.Rig(
+    return core.VirtualRig(
         core.RigConfig(
             servo,
             (core.element("stiffness", k_n_per_m=K_N_PER_M),),

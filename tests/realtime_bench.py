@@ -19,7 +19,7 @@ import stalls
 from rthyb_rt import config
 from rthyb_rt.core import STATES, loop
 from rthyb_rt.lab import experiment, realtime
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
 
@@ -69,7 +69,7 @@ class Bench:
     tell: Callable[[loop.Drive], None] = lambda _: None
     log: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
-    def run(self, **arguments: Any) -> Recording:
+    def run(self, **arguments: Any) -> RecordedTest:
         """Run the whole test."""
         made = setup(self.changes, self.rig)
         plan = virtual_rig.RigPlan(faults=self.faults, log_ticks=40000)
@@ -106,7 +106,7 @@ class Bench:
         return self
 
 
-def require_calm(rec: Recording, *expected: str, serial: bool = False) -> None:
+def require_calm(rec: RecordedTest, *expected: str, serial: bool = False) -> None:
     """Raise `Stalled` if a stall ended the test instead of the expected event.
 
     ``serial``: the data of the link are moved by ordinary kernel threads.
@@ -124,7 +124,7 @@ def require_calm(rec: Recording, *expected: str, serial: bool = False) -> None:
         raise stalls.Stalled("serial link" if by_link else str(cause), at_s, at_s)
 
 
-def moment_s(rec: Recording, row: int) -> float:
+def moment_s(rec: RecordedTest, row: int) -> float:
     """Return the due time of a row's tick (CLOCK_MONOTONIC)."""
     return 1e-9 * (int(rec.meta["real_time"]["began_ns"]) + int(rec.samples["due_ns"][row]))
 

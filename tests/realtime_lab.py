@@ -19,7 +19,7 @@ from rthyb_rt import config
 from rthyb_rt.core import FLAGS
 from rthyb_rt.errors import InputError
 from rthyb_rt.record import recording, ring
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 NOT_SENT = FLAGS["not_sent"]
 CHUNK = 256
@@ -121,7 +121,7 @@ class Lab:
             until(there, f"{state} in the ring")
             return None if is_over() else reader.path
 
-    def recorded(self, out: str, err: str = "") -> Recording:
+    def recorded(self, out: str, err: str = "") -> RecordedTest:
         assert (self.folder / out).is_dir(), err
         return recording.open_run(self.folder / out)
 
@@ -141,11 +141,11 @@ def repeated(attempt: Callable[[str], None]) -> None:
     stalls.repeated(patient, ATTEMPTS)
 
 
-def cause_of(rec: Recording) -> str:
+def cause_of(rec: RecordedTest) -> str:
     return str(rec.meta["real_time"]["cause"])
 
 
-def assert_whole(rec: Recording) -> None:
+def assert_whole(rec: RecordedTest) -> None:
     """Check that every tick has a row, regardless of stalls of the machine."""
     facts = rec.meta["real_time"]
     ticks = facts["ticks"]

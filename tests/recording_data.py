@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.core import FLAGS, RUNNING
-from rthyb_rt.record.recording import REFERENCE_UNITS, Recording, ReplayData
+from rthyb_rt.record.recording import REFERENCE_UNITS, RecordedTest, ReplayData
 
 FS_HZ = 1024.0
 K_E = 666400.0
@@ -145,7 +145,7 @@ def shifted(x: NDArray[np.float64], samples: float) -> NDArray[np.float64]:
     return np.interp(n - samples, n, x)
 
 
-def recording(duration_s: float = 40.0, *, reference: bool = True, seed: int = 1) -> Recording:
+def recording(duration_s: float = 40.0, *, reference: bool = True, seed: int = 1) -> RecordedTest:
     """A completed test: lag of 1.3 samples, friction in the loop, a drifting delay estimate."""
     rng = np.random.default_rng(seed)
     ag = ground_motion(duration_s, seed)
@@ -176,7 +176,7 @@ def recording(duration_s: float = 40.0, *, reference: bool = True, seed: int = 1
     if reference:
         table = np.zeros(n, dtype=[(name, np.float64) for name in REFERENCE_UNITS])
         table["x_ref_m"], table["f_ref_n"] = x_ref, K_E * x_ref
-    return Recording(
+    return RecordedTest(
         samples=samples,
         fs_hz=FS_HZ,
         ag_mps2=ag,

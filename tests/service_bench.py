@@ -18,7 +18,7 @@ from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.core import loop
 from rthyb_rt.lab import experiment
 from rthyb_rt.record import ring
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
 from rthyb_rt.rig.links.opened import Opened
@@ -149,7 +149,7 @@ def pair(rig: RigFile | AxesRig) -> tuple[Opened, Opened]:
     return opening.socket_pairs(axes) if axes else opening.socket_pair()
 
 
-def left(folder: Path) -> list[Recording]:
+def left(folder: Path) -> list[RecordedTest]:
     """Return the recordings left in the rings by the tests, the oldest first."""
     paths = sorted(ring.find(folder), key=lambda path: int(path.suffix[1:]))
     return [ring.recover(path).recording for path in paths]

@@ -442,7 +442,7 @@ def test_figures_are_those_of_the_report(rec: rt.Recording, tmp_path: Path) -> N
 
 
 def test_figure_that_a_recording_has_not_says_so(rec: rt.Recording, tmp_path: Path) -> None:
-    bare = rt.Recording(recording.Recording(**{**vars(rec.raw), "reference": None}))
+    bare = rt.Recording(recording.RecordedTest(**{**vars(rec.raw), "reference": None}))
     plot = bare.plot.accumulated()
     assert plot.svg == ""
     assert "no reference simulation" in plot.note

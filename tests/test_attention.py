@@ -16,7 +16,7 @@ from rthyb_rt.analysis import margins, measures, summary
 from rthyb_rt.analysis.attention import Finding, Judge, Subject
 from rthyb_rt.lab import experiment, trips, virtual_time
 from rthyb_rt.live.sources import LiveSource, PastSource
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring
 
 ROOT = Path(__file__).parent.parent
@@ -58,7 +58,7 @@ type = "{controller}"
 """
 
 
-def lab(controller: str, record: str = "elcentro-1940-ns", pga: str = "0.1 g") -> Recording:
+def lab(controller: str, record: str = "elcentro-1940-ns", pga: str = "0.1 g") -> RecordedTest:
     """A structure of 0.3 s on an actuator of 25 samples, the load cell with 30 N of noise."""
     text = LAB_TEST.format(record=record, pga=pga, controller=controller)
     if Path(record).is_absolute():
@@ -68,7 +68,7 @@ def lab(controller: str, record: str = "elcentro-1940-ns", pga: str = "0.1 g") -
 
 
 @cache
-def example(name: str, *overrides: str) -> Recording:
+def example(name: str, *overrides: str) -> RecordedTest:
     given = dict(item.split("=", 1) for item in overrides)
     ours = {key: value for key, value in given.items() if not key.startswith("rig.")}
     test = config.load_test(EXAMPLES / f"{name}.toml", ours)
@@ -76,11 +76,11 @@ def example(name: str, *overrides: str) -> Recording:
     return virtual_time.run(experiment.prepare(test, rig))
 
 
-def found(rec: Recording) -> dict[str, Finding]:
+def found(rec: RecordedTest) -> dict[str, Finding]:
     return {one.kind: one for one in summary.summarize(rec).attention}
 
 
-def alarms(rec: Recording) -> list[str]:
+def alarms(rec: RecordedTest) -> list[str]:
     told = summary.notices(summary.summarize(rec))
     return [notice.text for notice in told if notice.level == "alarm"]
 
@@ -274,7 +274,7 @@ def test_margin_of_the_delay_is_what_the_damping_bears() -> None:
 # --- ends -----------------------------------------------------------------------------------------
 
 
-def ending(rec: Recording) -> str:
+def ending(rec: RecordedTest) -> str:
     return summary.summarize(rec).ending
 
 
@@ -345,7 +345,7 @@ def test_what_the_station_met_counts_before_the_rows() -> None:
 # --- where it is told -----------------------------------------------------------------------------
 
 
-def told_live(rec: Recording, seconds: float, folder: Path) -> list[str]:
+def told_live(rec: RecordedTest, seconds: float, folder: Path) -> list[str]:
     """What the live view says when so much of the test proper has come."""
     rows = rec.samples[: int(np.argmax(rec.running())) + round(seconds * rec.fs_hz)].copy()
     made = Ring.create(folder, rec)

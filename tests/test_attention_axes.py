@@ -16,7 +16,7 @@ from rthyb_rt.analysis import several_axes
 from rthyb_rt.analysis.attention import RESPONSE_OFF, AxesJudge
 from rthyb_rt.lab import axes_experiment, virtual_time
 from rthyb_rt.live.sources import PastSource
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "two-actuator-frame.toml"
 DEPARTED = "departed from the reference simulation"
@@ -27,16 +27,16 @@ DAMPED = SHORT.replace("ratio = 0.02", "ratio = 0.2")
 
 
 @cache
-def bare() -> Recording:
+def bare() -> RecordedTest:
     return conducted(DAMPED.replace('"paper"', '"none"'))
 
 
 @cache
-def good() -> Recording:
+def good() -> RecordedTest:
     return conducted(DAMPED)
 
 
-def alarms(rec: Recording) -> list[str]:
+def alarms(rec: RecordedTest) -> list[str]:
     told = several_axes.notices(several_axes.summarize(rec))
     return [notice.text for notice in told if notice.level == "alarm"]
 

@@ -49,7 +49,7 @@ BAD = {"NaN": math.nan, "inf": math.inf, "-inf": -math.inf, "huge": 1e300, "-hug
 
 
 def run_virtual(
-    station: core.Station, plant: CoupledRig | core.Rig, ticks: int = 6000, width: int = 0
+    station: core.Station, plant: CoupledRig | core.VirtualRig, ticks: int = 6000, width: int = 0
 ) -> tuple[np.ndarray, Floats]:
     """A whole test in virtual time; its rows and their channels."""
     test = core.Virtual(station, plant)
@@ -115,7 +115,9 @@ def test_two_axes_that_do_not_feel_one_another_are_two_tests() -> None:
             ramp_in_ticks=256,
             armed_ticks=500,
         )
-        one = core.Rig(core.RigConfig(servo, (core.element("stiffness", k_n_per_m=k[axis, axis]),)))
+        one = core.VirtualRig(
+            core.RigConfig(servo, (core.element("stiffness", k_n_per_m=k[axis, axis]),))
+        )
         single, _ = run_virtual(core.Station(alone, shaking(2.0)), one)
         running = single["state"] == core.RUNNING
         assert running.sum() > 2000
@@ -551,7 +553,7 @@ def test_counts_that_do_not_go_together_are_refused() -> None:
         core.Station(config(watched(0, "energy", 1.0, "trip")), shaking(1.0))
     with pytest.raises(core.CoreError, match="found 1 readings"):
         core.Station(config(), shaking(1.0)).tick(0.0, 0.0)
-    one = core.Rig(core.RigConfig(core.ServoConfig("pure-delay", delay_samples=1.0)))
+    one = core.VirtualRig(core.RigConfig(core.ServoConfig("pure-delay", delay_samples=1.0)))
     station = core.Station(config(), shaking(1.0))
     with pytest.raises(core.CoreError, match="the station has 2 axes, but the virtual rig has 1"):
         core.Virtual(station, one)

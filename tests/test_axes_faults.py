@@ -26,7 +26,7 @@ from rthyb_rt import config as files
 from rthyb_rt import core
 from rthyb_rt.core import loop
 from rthyb_rt.errors import RthybError
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring, RingReader
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
@@ -382,7 +382,7 @@ def owned() -> Iterator[ExitStack]:
 @pytest.mark.parametrize("what", ROWS)
 def test_row_of_the_fault_table(what: str, axis: int, owned: ExitStack, tmp_path: Path) -> None:
     settings = replace(config(), watches=WATCHES)
-    session = Recording(
+    session = RecordedTest(
         samples=np.zeros(0, core.row_dtype((), 2)),
         fs_hz=core.FS_HZ,
         ag_mps2=shaking(1.0),

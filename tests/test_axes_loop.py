@@ -17,7 +17,7 @@ from axes_bench import FLAGS, NAMES, OFFSET_M, columns, config, rig, shaking, wa
 
 from rthyb_rt import core
 from rthyb_rt.core import AxisConfig, loop, wire
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring, RingReader
 
 EITHER = pytest.mark.parametrize("axis", [0, 1], ids=NAMES)
@@ -255,7 +255,7 @@ def test_a_ring_holds_rows_of_both_axes(owned: ExitStack, tmp_path: Path) -> Non
     settings = replace(settings, axis_channel=0, axis_channel_count=5)
     channels = core.axis_channels(settings.controller)
     dtype = core.row_dtype(channels, 2)
-    session = Recording(
+    session = RecordedTest(
         samples=np.zeros(0, dtype),
         fs_hz=core.FS_HZ,
         ag_mps2=shaking(1.0),
@@ -285,7 +285,7 @@ def test_a_ring_holds_rows_of_both_axes(owned: ExitStack, tmp_path: Path) -> Non
 def test_a_ring_for_rows_of_another_number_of_axes_is_refused(
     owned: ExitStack, tmp_path: Path
 ) -> None:
-    session = Recording(
+    session = RecordedTest(
         samples=np.zeros(0, core.row_dtype((), 1)), fs_hz=core.FS_HZ, ag_mps2=shaking(1.0),
         ground_motion={}, reference=None, test_toml="", rig_toml="",
     )  # fmt: skip
@@ -306,7 +306,7 @@ def test_a_recording_of_two_axes_is_written_and_read(tmp_path: Path, owned: Exit
 
     lab = Lab(owned).running(100)
     rows = np.concatenate(lab.rows)
-    rec: Any = Recording(
+    rec: Any = RecordedTest(
         samples=rows, fs_hz=core.FS_HZ, ag_mps2=shaking(1.0), ground_motion={}, reference=None,
         test_toml="", rig_toml="", axis_names=NAMES, interface_names=("x", "theta"),
     )  # fmt: skip

@@ -23,7 +23,7 @@ from rthyb_rt.lab import axes_experiment, realtime, virtual_time
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.commissioning import certificate
 from rthyb_rt.rig.links import opening
@@ -77,11 +77,11 @@ def at_pty(log_ticks: int = 0) -> Iterator[tuple[AxesRig, loop.Drives]]:
         yield given, virtual_rig.drives_of(given, codecs, links, plan)
 
 
-def faulty(texts: Sequence[str], test: str = SHORT, given: AxesRig | None = None) -> Recording:
+def faulty(texts: Sequence[str], test: str = SHORT, given: AxesRig | None = None) -> RecordedTest:
     return virtual_rig.run_faulty(setup(given, test), virtual_rig.parse_mishaps(texts, AXES))
 
 
-def assert_replays(rec: Recording) -> None:
+def assert_replays(rec: RecordedTest) -> None:
     again = realtime.replay(rec)
     assert again.identical, (again.first_row, again.field)
     assert again.rows == rec.samples.size

@@ -37,7 +37,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_experiment, virtual_time
 from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record import axis_export
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig import identify_axes
 
 Complexes = NDArray[np.complex128]
@@ -555,7 +555,7 @@ def test_the_matrix_law_is_refused_with_the_reason() -> None:
 
 
 @pytest.fixture(scope="module")
-def tested() -> Recording:
+def tested() -> RecordedTest:
     setup = axes_experiment.prepare(config.parse_test(TEST, "test.toml"), read())
     rec = virtual_time.run(setup)
     assert rec.meta["end_reason"] == "completed"
@@ -563,7 +563,7 @@ def tested() -> Recording:
 
 
 def test_a_test_follows_its_reference_and_says_how_the_actuators_oppose_each_other(
-    tested: Recording,
+    tested: RecordedTest,
 ) -> None:
     found = analysis.summarize(tested)
     assert [one.name for one in found.axes] == list(NAMES)
@@ -584,7 +584,7 @@ def test_a_test_follows_its_reference_and_says_how_the_actuators_oppose_each_oth
     assert "Axis middle: peak of the opposing force" in labels
 
 
-def test_its_recording_is_replayed_bit_for_bit(tested: Recording) -> None:
+def test_its_recording_is_replayed_bit_for_bit(tested: RecordedTest) -> None:
     setup = axes_experiment.prepare(config.parse_test(TEST, "test.toml"), read())
     assert tested.interface_names == ("first", "second")
     result = station_replay.replay(tested)
@@ -593,7 +593,7 @@ def test_its_recording_is_replayed_bit_for_bit(tested: Recording) -> None:
     assert setup.group is not None
 
 
-def test_the_resultant_of_the_load_cells_is_the_force_on_the_specimen(tested: Recording) -> None:
+def test_the_resultant_of_the_load_cells_is_the_force_on_the_specimen(tested: RecordedTest) -> None:
     """Energy: load cells and their axes do the work that the specimen stores; it is elastic."""
     rows = tested.running()
     x, f = (

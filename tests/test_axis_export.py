@@ -22,7 +22,7 @@ from rthyb_rt.diagnose.case import tare_rows
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_experiment, virtual_time
 from rthyb_rt.record import axis_export, mat_csv, recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 STIFFNESS = np.array([[8e6, -1e6], [-1e6, 6e6]])
 BACK = np.linalg.inv([[1.0, 0.0], [1.0, 1.0]])
@@ -35,19 +35,19 @@ RUBBING = LIMITED.replace(
 LONG = SHORT.replace("duration_s = 3", "duration_s = 12").replace("pga_g = 0.05", "pga_g = 0.2")
 
 
-def run(text: str = LIMITED, test: str = SHORT) -> Recording:
+def run(text: str = LIMITED, test: str = SHORT) -> RecordedTest:
     return virtual_time.run(
         axes_experiment.prepare(config.parse_test(test, "test.toml"), pair_of(text))
     )
 
 
 @pytest.fixture(scope="module")
-def rec() -> Recording:
+def rec() -> RecordedTest:
     return run()
 
 
 @EITHER
-def test_force_of_an_axis_is_that_of_its_own_motion(rec: Recording, axis: str) -> None:
+def test_force_of_an_axis_is_that_of_its_own_motion(rec: RecordedTest, axis: str) -> None:
     """The specimen is elastic: what is left of the load cell is k x of that axis, and noise."""
     k = AXES.index(axis)
     found = axis_export.axis_signals(rec, axis)
@@ -60,7 +60,7 @@ def test_force_of_an_axis_is_that_of_its_own_motion(rec: Recording, axis: str) -
 
 
 @EITHER
-def test_other_signals_of_an_axis_are_as_recorded(rec: Recording, axis: str) -> None:
+def test_other_signals_of_an_axis_are_as_recorded(rec: RecordedTest, axis: str) -> None:
     found, rows = axis_export.axis_signals(rec, axis), rec.running()
     assert list(found) == ["t", *mat_csv.INTERCHANGE]
     np.testing.assert_array_equal(found["x_meas"], rec.axis(axis)["x_meas_m"][rows])
@@ -70,7 +70,9 @@ def test_other_signals_of_an_axis_are_as_recorded(rec: Recording, axis: str) -> 
     np.testing.assert_allclose(found["x_num"], wanted, rtol=1e-12, atol=1e-15)
 
 
-def test_a_file_without_an_axis_is_refused_with_their_names(rec: Recording, tmp_path: Path) -> None:
+def test_a_file_without_an_axis_is_refused_with_their_names(
+    rec: RecordedTest, tmp_path: Path
+) -> None:
     with pytest.raises(InputError, match=r"the axes left, right.*--axis left.*--full"):
         mat_csv.to_csv(rec, tmp_path / "no.csv")
     assert not (tmp_path / "no.csv").exists()
@@ -82,7 +84,7 @@ def test_a_file_without_an_axis_is_refused_with_their_names(rec: Recording, tmp_
 
 
 def test_rthyb_export_writes_an_axis_and_its_rig(
-    rthyb: Rthyb, rec: Recording, tmp_path: Path
+    rthyb: Rthyb, rec: RecordedTest, tmp_path: Path
 ) -> None:
     recording.write(tmp_path / "recording.h5", rec)
     done = rthyb("export", tmp_path / "recording.h5", "--csv", "--axis", "right")
@@ -214,7 +216,7 @@ def test_an_axis_is_asked_for_in_python_and_refused_of_one(rubbing: Path, tmp_pa
 
 
 def test_the_error_of_a_zero_counts_the_sensors_of_the_other_axes(
-    rec: Recording, tmp_path: Path
+    rec: RecordedTest, tmp_path: Path
 ) -> None:
     """Only the left displacement sensor has noise, 2 um: the right axis' force has it by K."""
     recording.write(tmp_path / "recording.h5", rec)

@@ -294,7 +294,7 @@ SPECIMEN = (
 def test_rig_takes_the_last_good_command_for_a_bad_one(actuator: str, segments: Any) -> None:
     command = signal(segments, 0.002)
     config = core.RigConfig(core.ServoConfig(**ACTUATORS[actuator]), SPECIMEN)
-    clean, dirty = core.Rig(config), core.Rig(config)
+    clean, dirty = core.VirtualRig(config), core.VirtualRig(config)
     good = last_good(command, 1e5)
     for n in range(command.size):
         expected = clean.step(good[n])
@@ -308,7 +308,7 @@ def test_rig_takes_the_last_good_command_for_a_bad_one(actuator: str, segments: 
 def test_hydraulic_rig_driven_unstable_ends_finite_and_works_on() -> None:
     # A specimen far too stiff for the substeps: the computation runs off within a few samples.
     rock = core.element("stiffness", k_n_per_m=1e13)
-    rig = core.Rig(core.RigConfig(core.ServoConfig(**HYDRAULIC), (rock,)))
+    rig = core.VirtualRig(core.RigConfig(core.ServoConfig(**HYDRAULIC), (rock,)))
     told = 0
     for command in np.concatenate([np.full(50, 0.01), np.zeros(50)]):
         x, f, code = rig.step(command)
@@ -321,7 +321,7 @@ def test_hydraulic_rig_driven_unstable_ends_finite_and_works_on() -> None:
 def test_oil_column_too_stiff_for_its_mass_and_substeps_is_refused() -> None:
     light = HYDRAULIC | {"moving_mass_kg": 1e-3, "oil_stiffness_n_per_m": 1e13, "substeps": 1024}
     with pytest.raises(core.CoreError, match="too stiff"):
-        core.Rig(core.RigConfig(core.ServoConfig(**light), (PLATE,)))
+        core.VirtualRig(core.RigConfig(core.ServoConfig(**light), (PLATE,)))
 
 
 # --- the specimen's elements ---------------------------------------------------------------------
@@ -340,7 +340,7 @@ HISTORY = {
 @FEW
 @given(a=SEGMENTS, b=SEGMENTS, c=SEGMENTS)
 def test_element_with_a_history_stays_finite(kind: str, a: Any, b: Any, c: Any) -> None:
-    element = core.Element(core.ElementConfig(kind, HISTORY[kind]))
+    element = core.CoreElement(core.ElementConfig(kind, HISTORY[kind]))
     signals = together(signal(a, 0.01), signal(b, 0.1), signal(c, 5.0))
     assert np.all(np.isfinite(element.run(*signals)))
     assert np.all(np.isfinite(element.state()))
@@ -355,8 +355,8 @@ def test_bad_sample_does_not_enter_the_history_of_an_element(kind: str) -> None:
         spoilt, held = [s.copy() for s in clean], [s.copy() for s in clean]
         for values, last in zip(spoilt, held, strict=True):
             values[500], last[500] = bad, last[499]
-        found = core.Element(core.ElementConfig(kind, HISTORY[kind])).run(*spoilt)
-        expected = core.Element(core.ElementConfig(kind, HISTORY[kind])).run(*held)
+        found = core.CoreElement(core.ElementConfig(kind, HISTORY[kind])).run(*spoilt)
+        expected = core.CoreElement(core.ElementConfig(kind, HISTORY[kind])).run(*held)
         np.testing.assert_array_equal(found[501:], expected[501:], err_msg=str(bad))
 
 
@@ -427,7 +427,7 @@ def test_bad_pairs_are_as_good_as_lost_ones(name: str) -> None:
     runs = []
     for by_loss in (True, False):
         kernel = controller(structure(), **CONTROLLERS[name])
-        rig, x_cmd, rows = core.Rig(core.RigConfig(servo, (PLATE,))), 0.0, []
+        rig, x_cmd, rows = core.VirtualRig(core.RigConfig(servo, (PLATE,))), 0.0, []
         for n in range(ag.size):
             x, f, _ = rig.step(x_cmd)
             fault = float(BAD[n % len(BAD)])
@@ -458,7 +458,7 @@ def test_test_with_faults_and_a_stuck_sensor_comes_back_to_the_undisturbed_one(n
     runs = []
     for spoilt in (False, True):
         kernel = controller(numerical, k_e=0.6 * K_PLATE, **CONTROLLERS[name])
-        rig = core.Rig(core.RigConfig(core.ServoConfig("pure-delay"), (specimen,)))
+        rig = core.VirtualRig(core.RigConfig(core.ServoConfig("pure-delay"), (specimen,)))
         x_cmd, stuck, x_m = 0.0, (0.0, 0.0), np.zeros(ag.size)
         for n in range(ag.size):
             pair = rig.step(x_cmd)[:2]
@@ -489,7 +489,7 @@ def test_specimen_that_moves_not_at_all_gives_a_defined_test(name: str, integrat
 def test_nan_in_the_ground_motion_ends_the_run_and_keeps_the_state_finite(name: str) -> None:
     ag = smooth_motion(2.0, 9, peak_m=0.4)
     ag[700] = np.nan
-    rig = core.Rig(core.RigConfig(core.ServoConfig("pure-delay", delay_samples=1), (PLATE,)))
+    rig = core.VirtualRig(core.RigConfig(core.ServoConfig("pure-delay", delay_samples=1), (PLATE,)))
     kernel = controller(structure(), **CONTROLLERS[name])
     records = run_virtual(kernel, rig, ag)
     assert records.size == 701

@@ -196,7 +196,7 @@ def test_a_yielding_specimen_is_as_stiff_as_the_elastic_one_and_gives_way_beyond
 def element_forces(config: ElementConfig, x: Floats) -> Floats:
     from rthyb_rt import core
 
-    return np.asarray(core.Element(config).run(x, np.zeros_like(x), np.zeros_like(x), 1e-3))
+    return np.asarray(core.CoreElement(config).run(x, np.zeros_like(x), np.zeros_like(x), 1e-3))
 
 
 def test_the_first_coefficients_of_ats_invert_the_identified_response() -> None:

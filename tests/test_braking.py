@@ -44,7 +44,7 @@ class Table:
         self.setup = setup
         self.config = dataclasses.replace(experiment.station_config(setup, real=True), **changes)
         self.station = core.Station(self.config, setup.ag_mps2)
-        self.rig = core.Rig(setup.virtual_rig)
+        self.rig = core.VirtualRig(setup.virtual_rig)
         self.at_drive = 0.0
         self.sent: list[float] = []
         self.records: list[np.ndarray] = []

@@ -21,7 +21,7 @@ from rthyb_rt.lab import virtual_time as virtual
 from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.live.sources import PastSource
 from rthyb_rt.record import mat_csv, recording, ring
-from rthyb_rt.record.recording import AXIS_FIELDS, Recording
+from rthyb_rt.record.recording import AXIS_FIELDS, RecordedTest
 from rthyb_rt.report import render
 from rthyb_rt.service.growing import GrowingFile
 
@@ -32,7 +32,7 @@ OIL = Channel("oil_k", "K")
 OWN = set(core.RECORD_DTYPE.names or ())
 
 
-def with_channels(count: int = 256) -> Recording:
+def with_channels(count: int = 256) -> RecordedTest:
     """A recording whose rows have two channels, each with numbers of its own."""
     rec = made_up(count / 1024)
     n = np.arange(count, dtype=np.float64)
@@ -326,7 +326,8 @@ def test_a_loop_records_what_its_station_has_in_its_channels(tmp_path: Path) -> 
     setup = dataclasses.replace(set_up({}), channels=(OIL,))
     assert experiment.blank(setup, "virtual").samples.dtype == core.row_dtype((OIL,))
     test = core.Virtual(
-        core.Station(experiment.station_config(setup), setup.ag_mps2), core.Rig(setup.virtual_rig)
+        core.Station(experiment.station_config(setup), setup.ag_mps2),
+        core.VirtualRig(setup.virtual_rig),
     )
     test.station._c.channel[0] = 293.0
     rows, values = np.zeros(8, core.RECORD_DTYPE), np.zeros((8, 1))
@@ -340,7 +341,7 @@ def test_a_loop_records_what_its_station_has_in_its_channels(tmp_path: Path) -> 
 # ---- what the control law reports ----------------------------------------------------------------
 
 
-def run_with(law: str, **options: bool) -> recording.Recording:
+def run_with(law: str, **options: bool) -> recording.RecordedTest:
     test, rig = config.load_both(None, None, [f"controller.type={law}", "test.duration_s=4"])
     return virtual.run(experiment.prepare(test, rig), **options)
 

@@ -659,7 +659,9 @@ def test_replay_of_a_run_is_bit_identical(rthyb: Rthyb, recorded: Path) -> None:
     assert answer.out == f"bit-identical: {rows} samples, every field\n"
 
 
-def _altered(recorded: Path, folder: Path, change: Callable[[recording.Recording], None]) -> Path:
+def _altered(
+    recorded: Path, folder: Path, change: Callable[[recording.RecordedTest], None]
+) -> Path:
     rec = recording.open_run(recorded)
     change(rec)
     recording.write(folder / "recording.h5", rec)
@@ -669,7 +671,7 @@ def _altered(recorded: Path, folder: Path, change: Callable[[recording.Recording
 def test_replay_finds_the_sample_that_was_changed(
     rthyb: Rthyb, recorded: Path, tmp_path: Path
 ) -> None:
-    def nudge(rec: recording.Recording) -> None:
+    def nudge(rec: recording.RecordedTest) -> None:
         rec.samples["x_cmd_m"][1500] = np.nextafter(rec.samples["x_cmd_m"][1500], 1.0)
 
     path = _altered(recorded, tmp_path, nudge)

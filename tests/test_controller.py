@@ -37,9 +37,9 @@ def shaking(duration_s: float, peak: float = 0.4) -> Floats:
     return smooth_motion(duration_s, 21, peak_m=peak)
 
 
-def delay_rig(samples: int = 10, **settings: Any) -> core.Rig:
+def delay_rig(samples: int = 10, **settings: Any) -> core.VirtualRig:
     servo = core.ServoConfig("pure-delay", delay_samples=samples)
-    return core.Rig(core.RigConfig(servo, (PLATE,), **settings))
+    return core.VirtualRig(core.RigConfig(servo, (PLATE,), **settings))
 
 
 PAPER = core.EstimatorConfig(law="gradient", gain=0.03, alpha0=8.0)
@@ -94,7 +94,7 @@ def test_whole_loop_is_the_sample_order_written_again_in_python() -> None:
     c = controller(structure(), estimator=PAPER, rfc={"window": 20})
     servo = core.ServoConfig("pure-delay", delay_samples=7)
     softer = core.element("stiffness", k_n_per_m=0.8 * K_PLATE)
-    records = run_virtual(c, core.Rig(core.RigConfig(servo, (softer,))), ag)
+    records = run_virtual(c, core.VirtualRig(core.RigConfig(servo, (softer,))), ag)
     for name, expected in hybrid_test_in_python(ag, 7).items():
         scale = np.max(np.abs(expected))
         assert scale > 0.0
@@ -417,8 +417,8 @@ def test_bad_pair_counts_as_a_lost_one_and_is_told(x: float, f: float, code: int
 # --- replay --------------------------------------------------------------------------------------
 
 
-def noisy_rig(**settings: Any) -> core.Rig:
-    return core.Rig(
+def noisy_rig(**settings: Any) -> core.VirtualRig:
+    return core.VirtualRig(
         core.RigConfig(
             core.ServoConfig(**HYDRAULIC),
             (PLATE,),

@@ -45,10 +45,10 @@ def table(folder: Path, unit_mm: float) -> wire.Codec:
     return users_table(folder, TABLE.format(unit_mm=unit_mm))
 
 
-def mounted(**sensors: core.SensorConfig) -> core.Rig:
+def mounted(**sensors: core.SensorConfig) -> core.VirtualRig:
     specimen = (core.element("stiffness", k_n_per_m=K_N_PER_M),)
     servo = core.ServoConfig("pure-delay", delay_samples=DELAY)
-    return core.Rig(core.RigConfig(servo, specimen, **sensors))
+    return core.VirtualRig(core.RigConfig(servo, specimen, **sensors))
 
 
 @pytest.fixture

@@ -80,7 +80,7 @@ def test_a_rig_of_one_axis_is_the_rig_of_one_axis(kind: str, load_cell: core.Loa
     known = (column, element("stiffness", k_n_per_m=3e5))
     mass = 20.0 if kind == "servo-hydraulic" else 0.0
     u = commands()[:, 0]
-    alone = core.Rig(
+    alone = core.VirtualRig(
         RigConfig(
             servo,
             (*known, element("inertia", m_kg=mass)),
@@ -183,7 +183,7 @@ def test_a_table_beside_an_axis_that_is_led_feels_where_it_goes() -> None:
     servo = ServoConfig(kind="second-order", natural_frequency_hz=12.0, damping_ratio=0.6)
     fine = config(servos=(replace(TABLE, substeps=512), servo))
     w, zeta = 2 * np.pi * 12.0, 0.6
-    alone = core.Rig(RigConfig(servo)).motion(u[:, 1])
+    alone = core.VirtualRig(RigConfig(servo)).motion(u[:, 1])
 
     def led(t: float) -> tuple[float, float, float]:
         n = min(int(t / H + 1e-9), 398)
@@ -194,7 +194,7 @@ def test_a_table_beside_an_axis_that_is_led_feels_where_it_goes() -> None:
 
     wanted, _ = joint_motion(fine, u[:200], led=led)
     x, _ = CoupledRig(fine).run(u[:200])
-    assert np.array_equal(x[:, 1], core.Rig(RigConfig(servo)).run(u[:200, 1])[0])
+    assert np.array_equal(x[:, 1], core.VirtualRig(RigConfig(servo)).run(u[:200, 1])[0])
     assert np.abs(x[:, 0] - wanted[:, 0]).max() < 2e-3 * np.abs(wanted).max()
 
 
@@ -213,7 +213,7 @@ def test_led_axes_are_asked_for_stiffness_damping_and_mass_along_the_interface()
     u = commands()
     x, f = CoupledRig(config(servos=(servo, replace(servo, gain=1.0)))).run(u)
     both = [
-        core.Rig(RigConfig(replace(servo, gain=g))).motion(u[:, i])
+        core.VirtualRig(RigConfig(replace(servo, gain=g))).motion(u[:, i])
         for i, g in enumerate((0.98, 1.0))
     ]
     back = np.linalg.inv(SIDES)

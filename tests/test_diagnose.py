@@ -283,7 +283,7 @@ def test_a_brake_that_grips_harder_one_way_behind_a_play_is_named_with_its_parts
     assert config_of.kind == "gap_friction"
     gap, start = member.trial.theta[0], member.trial.theta[3]
     np.testing.assert_allclose(
-        core.Element(config_of).run(d.context.x + gap * (2.0 * start - 1.0)),
+        core.CoreElement(config_of).run(d.context.x + gap * (2.0 * start - 1.0)),
         beta[0] * member.effect.columns(d.context, member.trial)[0],
         atol=1e-6 * 16.5e3,
     )

@@ -114,7 +114,9 @@ def test_velocity_of_a_lag_steps_with_a_held_command_after_the_row_and_not_befor
     disp = engine.displacement(case)
     assert disp is not None
     assert not disp.found
-    exact = core.Rig(experiment.rig_config(rig, case.fs_hz)).motion(case.channels["x_cmd"])[1]
+    exact = core.VirtualRig(experiment.rig_config(rig, case.fs_hz)).motion(case.channels["x_cmd"])[
+        1
+    ]
     assert np.std(disp.best.motion.v - exact) < 1e-3 * np.std(exact)
 
 

@@ -80,7 +80,7 @@ def test_a_second_recording_begins_where_its_first_rows_of_force_say() -> None:
     past = np.concatenate((np.linspace(0.0, 3e-3, 500), np.linspace(3e-3, 0.0, 500)))
     loop = core.element("hysteresis", k_n_per_m=1e6, post_yield_ratio=0.0, a=1.0, b=500.0,
                         c=500.0, eta=1.0)  # fmt: skip
-    truth = 1e6 * x + core.Element(loop).run(np.concatenate((past, x)))[past.size :]
+    truth = 1e6 * x + core.CoreElement(loop).run(np.concatenate((past, x)))[past.size :]
     head = np.where(t < 2.0, truth, np.nan)
     every = np.ones(t.size, dtype=np.bool_)
 

@@ -24,7 +24,7 @@ def diagnosed(folder, law, **kwargs):
 
 
 def element(kind, x, v=0.0, a=0.0, **params):
-    return core.Element(core.element(kind, **params)).run(x, v, a, H)
+    return core.CoreElement(core.element(kind, **params)).run(x, v, a, H)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +36,7 @@ def ctx(tmp_path_factory):
 
 
 def force_of(found, ctx):
-    return sum(core.Element(one).run(ctx.x, ctx.v, ctx.a, ctx.dt) for one in found)
+    return sum(core.CoreElement(one).run(ctx.x, ctx.v, ctx.a, ctx.dt) for one in found)
 
 
 BETAS = {

@@ -62,7 +62,7 @@ def setup(rig: str, **changes: str) -> experiment.Setup:
     return experiment.prepare(config.load_test(SECTION_5, wanted), config.parse_rig(rig, "rig"))
 
 
-def recorded(folder: Path, rec: recording.Recording) -> Path:
+def recorded(folder: Path, rec: recording.RecordedTest) -> Path:
     folder.mkdir(exist_ok=True)
     recording.write(folder / recording.FILE_NAME, rec)
     return folder
@@ -216,7 +216,7 @@ class PythonBench(virtual_time.Bench):
         return rows.size
 
 
-def hybrid_test(rig: PythonRig) -> recording.Recording:
+def hybrid_test(rig: PythonRig) -> recording.RecordedTest:
     """Return the recording of a closed loop around a rig that is stepped sample by sample."""
     bench = PythonBench(setup(NAIVE), rig)
     virtual_time.conduct(bench)
@@ -320,12 +320,12 @@ def test_what_no_rig_file_can_hold_is_said_to_be_left_out_of_the_loop(
 # ---- what a controller did, recovered ------------------------------------------------------------
 
 
-def proper(rec: recording.Recording) -> recording.Recording:
+def proper(rec: recording.RecordedTest) -> recording.RecordedTest:
     """Return the rows that a lab would hand on: those of the test proper."""
     return replace(rec, samples=rec.samples[rec.running()])
 
 
-def exported(rec: recording.Recording, path: Path, noise_m: float = 0.0, seed: int = 1) -> Path:
+def exported(rec: recording.RecordedTest, path: Path, noise_m: float = 0.0, seed: int = 1) -> Path:
     """Write a recording as the interchange format has it: nothing of the controller's inside."""
     q, rng = rec.samples, np.random.default_rng(seed)
     columns = {
@@ -364,14 +364,14 @@ f_std = 5.0
 """
 
 
-def shake(seed: int = 1) -> tuple[experiment.Setup, recording.Recording]:
+def shake(seed: int = 1) -> tuple[experiment.Setup, recording.RecordedTest]:
     test = config.load_test(SECTION_5, {"test.duration_s": "15"})
     done = experiment.prepare(test, config.load_rig(TABLE, {"rig.seed": str(seed)}))
     return done, proper(virtual_time.run(done))
 
 
 @pytest.fixture(scope="module")
-def shaken() -> tuple[experiment.Setup, recording.Recording]:
+def shaken() -> tuple[experiment.Setup, recording.RecordedTest]:
     return shake()
 
 

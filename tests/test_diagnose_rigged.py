@@ -182,7 +182,7 @@ def test_steep_friction_on_a_light_table_is_one_that_the_substeps_follow():
     friction = next(e for e in made.elements if e.kind == "coulomb")
     per_substep = core.PERIOD_S / made.servo.substeps / rig.actuator.moving_mass_kg
     assert friction.params[0] / friction.params[1] * per_substep <= rigged.STEEP * (1 + 1e-9)
-    x, f = core.Rig(made).run(1e-3 * np.sin(2.0 * np.pi * np.arange(2048) / 1024))
+    x, f = core.VirtualRig(made).run(1e-3 * np.sin(2.0 * np.pi * np.arange(2048) / 1024))
     assert np.isfinite(f).all()
     # No chatter: with a table that runs off from substep to substep the displacement is a comb.
     assert np.max(np.abs(np.diff(x, 4))) < 1e-6

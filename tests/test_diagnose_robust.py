@@ -103,7 +103,7 @@ def test_a_slider_beside_a_spring_that_nobody_knows_has_one_name():
     """Bristles and a free spring are a spring that yields: one force, and no ambiguity."""
     loop = core.element("hysteresis", k_n_per_m=4e6, post_yield_ratio=0.0, a=1.0, b=1.25e4,
                         c=1.25e4, eta=1.0)  # fmt: skip
-    d = engine.diagnose(naive(lambda x, v: 1e3 * x + 1500.0 * v + core.Element(loop).run(x)))
+    d = engine.diagnose(naive(lambda x, v: 1e3 * x + 1500.0 * v + core.CoreElement(loop).run(x)))
     assert (d.verdict, d.effects, d.ambiguous_with) == ("explained", ["hysteresis"], [])
 
 
@@ -162,6 +162,8 @@ def test_motion_of_a_rig_files_actuator_is_the_virtual_rigs(kind):
     assert lag is not None
     ours = actuator(lag, u, core.FS_HZ)
     # A pure delay moves when it latches: the row before shows what this one had.
-    own = [np.roll(y, -int(lag.jumps)) for y in core.Rig(experiment.rig_config(rig)).motion(u)]
+    own = [
+        np.roll(y, -int(lag.jumps)) for y in core.VirtualRig(experiment.rig_config(rig)).motion(u)
+    ]
     for mine, its in zip((ours.x, ours.v, ours.a), own, strict=True):
         assert mine[50:-50] == pytest.approx(its[50:-50], abs=1e-5 * float(np.max(np.abs(its))))

@@ -58,7 +58,7 @@ def test_contact_that_spreads_becomes_springs_of_a_rig_file(name, trial, beta, t
     effect = effects.catalogue()[name]
     fitted = beta * effect.columns(ctx, trial)[0]
     elements = effect.elements(ctx, trial, np.array([beta]))
-    found = sum(core.Element(one).run(x, v, a, 1.0 / cases.FS) for one in elements)
+    found = sum(core.CoreElement(one).run(x, v, a, 1.0 / cases.FS) for one in elements)
     # Eight springs in the place of a parabola of curvature 1 / (2 width), a fourth of it apart.
     width = trial.theta[1]
     np.testing.assert_allclose(found, fitted, atol=(width / 4.0) ** 2 / (16.0 * width) * K)

@@ -225,7 +225,7 @@ def test_a_play_follows_after_its_gap_and_a_slider_slips_at_its_limit():
 def test_bouc_wen_is_that_of_the_interchange_format():
     loop = BoucWen(0.2, 3e-3, 2.0, 0.55, 0.45)
     x = 8e-3 * np.sin(np.linspace(0.0, 20.0, 60000))
-    force = core.Element(loop.element(4e5)).run(x)
+    force = core.CoreElement(loop.element(4e5)).run(x)
     z, expected = 0.0, np.zeros(x.size)
     for i in range(1, x.size):
         dx = x[i] - x[i - 1]

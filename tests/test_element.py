@@ -74,8 +74,8 @@ ONE_OF_EACH = {
 }  # fmt: skip
 
 
-def make(kind: str) -> core.Element:
-    return core.Element(core.element(kind, **ONE_OF_EACH[kind]))
+def make(kind: str) -> core.CoreElement:
+    return core.CoreElement(core.element(kind, **ONE_OF_EACH[kind]))
 
 
 def derivatives(x: Floats) -> tuple[Floats, Floats]:
@@ -85,7 +85,7 @@ def derivatives(x: Floats) -> tuple[Floats, Floats]:
 
 def run(kind: str, x: Floats, **params: float) -> Floats:
     v, a = derivatives(x)
-    return core.Element(core.element(kind, **(params or ONE_OF_EACH[kind]))).run(x, v, a)
+    return core.CoreElement(core.element(kind, **(params or ONE_OF_EACH[kind]))).run(x, v, a)
 
 
 # --- laws without memory -------------------------------------------------------------------------
@@ -161,7 +161,7 @@ def test_hysteresis_is_eqn_4_1_and_4_2_by_scipy(eta: float) -> None:
     t = time_s(3.0)
     x = np.array([two_sines(time)[0] for time in t])
     expected = 0.02 * K * x + 0.98 * K * bouc_wen_by_scipy(two_sines, t, eta)
-    found = core.Element(core.element("hysteresis", **SECTION_4_2, eta=eta)).run(x)
+    found = core.CoreElement(core.element("hysteresis", **SECTION_4_2, eta=eta)).run(x)
     assert np.max(np.abs(found - expected)) < 1e-3 * np.max(np.abs(expected))
 
 
@@ -191,7 +191,7 @@ def test_degradation_takes_strength_away_with_the_distance_travelled() -> None:
 def test_first_loading_with_eta_1_is_an_exponential_and_unloading_another() -> None:
     u = np.linspace(0.0, 0.02, 2001)
     plastic = SECTION_4_2 | {"post_yield_ratio": 0.0, "eta": 1.0}
-    element = core.Element(core.element("hysteresis", **plastic))
+    element = core.CoreElement(core.element("hysteresis", **plastic))
     loading = element.run(u)
     np.testing.assert_allclose(loading, K / 500.0 * -np.expm1(-500.0 * u), rtol=1e-5, atol=1e-2)
     back = u[::-1][1:180]  # while z > 0, du < 0: dz/du = A + (B - C) z
@@ -203,7 +203,7 @@ def test_first_loading_with_eta_1_is_an_exponential_and_unloading_another() -> N
 def test_first_loading_with_eta_2_is_a_hyperbolic_tangent() -> None:
     u = np.linspace(0.0, 0.1, 1001)
     plastic = SECTION_4_2 | {"post_yield_ratio": 0.0, "eta": 2.0}
-    found = core.Element(core.element("hysteresis", **plastic)).run(u)
+    found = core.CoreElement(core.element("hysteresis", **plastic)).run(u)
     ultimate = np.sqrt(1.0 / 500.0)
     np.testing.assert_allclose(found, K * ultimate * np.tanh(u / ultimate), rtol=2e-6, atol=1e-6)
 
@@ -491,20 +491,20 @@ NOT_ABOVE = [
 def test_parameter_that_divides_must_be_positive(kind: str, name: str) -> None:
     for value in (0.0, -1.0):
         with pytest.raises(core.CoreError):
-            core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
+            core.CoreElement(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
 
 
 @pytest.mark.parametrize(("kind", "name"), NOT_NEGATIVE)
 def test_parameter_that_cannot_be_negative_is_refused(kind: str, name: str) -> None:
-    core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: 0.0})))
+    core.CoreElement(core.element(kind, **(ONE_OF_EACH[kind] | {name: 0.0})))
     with pytest.raises(core.CoreError):
-        core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: -1.0})))
+        core.CoreElement(core.element(kind, **(ONE_OF_EACH[kind] | {name: -1.0})))
 
 
 @pytest.mark.parametrize(("kind", "name", "value"), NOT_ABOVE)
 def test_shape_that_the_law_cannot_have_is_refused(kind: str, name: str, value: float) -> None:
     with pytest.raises(core.CoreError):
-        core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
+        core.CoreElement(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
 
 
 @pytest.mark.parametrize("kind", core.ELEMENT_PARAMS)
@@ -512,14 +512,14 @@ def test_shape_that_the_law_cannot_have_is_refused(kind: str, name: str, value: 
 def test_no_parameter_may_be_without_end_or_sense(kind: str, value: float) -> None:
     for name in core.ELEMENT_PARAMS[kind]:
         with pytest.raises(core.CoreError):
-            core.Element(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
+            core.CoreElement(core.element(kind, **(ONE_OF_EACH[kind] | {name: value})))
 
 
 def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() -> None:
     for eta in (0.05, 150.0):
         with pytest.raises(core.CoreError):
-            core.Element(core.element("hysteresis", **SECTION_4_2, eta=eta))
-    endless = core.Element(core.element("hysteresis", **(SECTION_4_2 | {"b": -200.0}), eta=1.5))
+            core.CoreElement(core.element("hysteresis", **SECTION_4_2, eta=eta))
+    endless = core.CoreElement(core.element("hysteresis", **(SECTION_4_2 | {"b": -200.0}), eta=1.5))
     assert np.all(np.isfinite(endless.run(np.linspace(0.0, 900.0, 5000))))
 
 
@@ -562,7 +562,7 @@ def test_parameters_at_the_end_of_what_is_accepted_still_give_finite_forces(
     kind: str, change: dict[str, float]
 ) -> None:
     try:
-        element = core.Element(core.element(kind, **(ONE_OF_EACH[kind] | change)))
+        element = core.CoreElement(core.element(kind, **(ONE_OF_EACH[kind] | change)))
     except core.CoreError:
         return  # refusing them is as good
     for x in (0.0, 1.0, -900.0, 900.0, 0.0):
@@ -580,7 +580,7 @@ def test_unknown_kind_and_wrong_names_are_refused_by_name() -> None:
         core.ElementConfig("stiffness", (1.0, 2.0)),
     ):
         with pytest.raises(core.CoreError):
-            core.Element(wrong)
+            core.CoreElement(wrong)
 
 
 def test_reference_structure_carries_a_specimen_as_the_sum_of_its_elements() -> None:

@@ -21,7 +21,7 @@ from rthyb_rt.lab import experiment
 
 
 def run(kind: str, x: Floats, **change: float) -> Floats:
-    element = core.Element(core.element(kind, **(ONE_OF_EACH[kind] | change)))
+    element = core.CoreElement(core.element(kind, **(ONE_OF_EACH[kind] | change)))
     return element.run(x, np.gradient(x, H) if x.size > 1 else 0.0)
 
 
@@ -53,7 +53,7 @@ def test_power_damping_dissipates_in_a_cycle_what_soong_and_constantinou_give(
     shape = 2 ** (2 + exponent) * scipy.special.gamma(1 + exponent / 2) ** 2
     expected = c * omega**exponent * amplitude ** (1 + exponent)
     expected *= shape / scipy.special.gamma(2 + exponent)
-    assert work(core.Element(damper).run(x, v), x) == pytest.approx(expected, rel=1e-6)
+    assert work(core.CoreElement(damper).run(x, v), x) == pytest.approx(expected, rel=1e-6)
 
 
 def test_power_damping_is_a_dashpot_or_a_quadratic_damper_at_exponents_1_and_2() -> None:
@@ -62,7 +62,7 @@ def test_power_damping_is_a_dashpot_or_a_quadratic_damper_at_exponents_1_and_2()
         damper = core.element(
             "power_damping", force_n=3e3, at_m_per_s=1.0, exponent=exponent, width_m_per_s=1e-7
         )
-        np.testing.assert_allclose(core.Element(damper).run(v, v), 3e3 * law, atol=1e-8)
+        np.testing.assert_allclose(core.CoreElement(damper).run(v, v), 3e3 * law, atol=1e-8)
 
 
 def test_power_damping_is_straight_within_its_width_however_small_the_exponent() -> None:
@@ -72,7 +72,7 @@ def test_power_damping_is_straight_within_its_width_however_small_the_exponent()
 
 def run_at(v: float) -> float:
     damper = core.element("power_damping", **(ONE_OF_EACH["power_damping"] | {"exponent": 0.05}))
-    return core.Element(damper).force(0.0, v, 0.0, H)
+    return core.CoreElement(damper).force(0.0, v, 0.0, H)
 
 
 # --- the sliding pendulum ------------------------------------------------------------------------
@@ -98,7 +98,7 @@ def test_friction_pendulum_is_its_differential_equation_by_scipy() -> None:
         rate, (0.0, t[-1]), [0.0], "DOP853", t_eval=t, rtol=1e-10, atol=1e-12, max_step=2e-3
     ).y[0]
     mu = 0.07 - 0.04 * np.exp(-30.0 * np.abs(v))
-    found = core.Element(core.element("friction_pendulum", **p)).run(x, v)
+    found = core.CoreElement(core.element("friction_pendulum", **p)).run(x, v)
     turns = np.max(np.abs(found - (4e4 / 1.5 * x + mu * 4e4 * z)))
     assert turns < 5e-3 * np.max(np.abs(found))  # the rows that a reversal lies within
 
@@ -109,12 +109,12 @@ def test_contact_of_the_friction_pendulum_does_not_depend_on_the_number_of_steps
     at = np.searchsorted(np.cumsum(np.abs(np.diff(fine, prepend=0.0))),
                          np.cumsum(np.abs(np.diff(ends, prepend=0.0))) - 1e-12)  # fmt: skip
     slider = core.element("friction_pendulum", **ONE_OF_EACH["friction_pendulum"])
-    many, few = core.Element(slider).run(fine)[at], core.Element(slider).run(ends)
+    many, few = core.CoreElement(slider).run(fine)[at], core.CoreElement(slider).run(ends)
     np.testing.assert_allclose(few, many, rtol=1e-9, atol=1e-7)
 
 
 def test_friction_pendulum_slides_at_weight_over_radius_and_mu_times_weight() -> None:
-    slider = core.Element(core.element("friction_pendulum", **ONE_OF_EACH["friction_pendulum"]))
+    slider = core.CoreElement(core.element("friction_pendulum", **ONE_OF_EACH["friction_pendulum"]))
     assert slider.force(0.05, 10.0, 0.0, H) == pytest.approx(4e4 / 1.5 * 0.05 + 0.07 * 4e4)
     assert slider.force(0.04, -1e-9, 0.0, H) == pytest.approx(4e4 / 1.5 * 0.04 - 0.03 * 4e4)
 
@@ -265,7 +265,7 @@ def test_rc_column_without_wear_is_bouc_wens_loop() -> None:
     loop = core.element(
         "hysteresis", k_n_per_m=1e6, post_yield_ratio=0.04, a=1.0, b=half, c=half, eta=2.0
     )
-    expected = core.Element(loop).run(x)
+    expected = core.CoreElement(loop).run(x)
     np.testing.assert_allclose(
         run("rc_column", x, **WHOLE), expected, atol=1e-9 * np.max(np.abs(expected))
     )
@@ -339,10 +339,10 @@ LOOPS = ("iwan", "menegotto_pinto", "chaboche", "rc_column")
 def test_loop_does_not_depend_on_the_rate(kind: str) -> None:
     x = smooth_motion(2.0, 2, peak_m=0.03)
     make = core.element(kind, **ONE_OF_EACH[kind])
-    slow = core.Element(make).run(x, dt_s=0.5)
-    np.testing.assert_array_equal(slow, core.Element(make).run(x, 5.0, 100.0, dt_s=1e-4))
+    slow = core.CoreElement(make).run(x, dt_s=0.5)
+    np.testing.assert_array_equal(slow, core.CoreElement(make).run(x, 5.0, 100.0, dt_s=1e-4))
     dense = np.interp(np.arange(0.0, x.size - 1, 0.125), np.arange(x.size), x)
-    finely = core.Element(make).run(dense)[::8]
+    finely = core.CoreElement(make).run(dense)[::8]
     assert np.max(np.abs(finely - slow[: finely.size])) < 5e-3 * np.max(np.abs(slow))
 
 
@@ -355,7 +355,7 @@ def test_closed_cycle_dissipates(kind: str) -> None:
 @pytest.mark.parametrize("kind", LOOPS)
 def test_senseless_motion_is_passed_over_without_a_trace(kind: str) -> None:
     element = core.element(kind, **ONE_OF_EACH[kind])
-    plain, hit = core.Element(element), core.Element(element)
+    plain, hit = core.CoreElement(element), core.CoreElement(element)
     for x in 0.02 * np.sin(np.linspace(0.0, 12.0, 500)):
         expected = plain.force(x, 0.0, 0.0, H)
         assert hit.force(x, 0.0, 0.0, H) == expected
@@ -410,7 +410,7 @@ def test_ends_of_the_ranges_of_a_rig_file_are_within_those_of_the_core(kind: str
             if (kind, key, value) == ("rc_column", "ultimate_m", 1e-5):
                 change["xy_m"] = 1e-6
             rig = config.parse_rig(rig_text(kind, **change))
-            core.Element(experiment.specimen_elements(rig)[0])
+            core.CoreElement(experiment.specimen_elements(rig)[0])
         for part in limits:
             for beyond in (part.low - 1.0, part.high * 2.0 + 1.0):
                 with pytest.raises(InputError, match=rf"rig.toml:\d+: specimen.0.{key}: found"):

@@ -20,7 +20,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, extra_frames, realtime, virtual_time
 from rthyb_rt.live.sources import LiveSource, PastSource
 from rthyb_rt.record import mat_csv, recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import render
 from rthyb_rt.rig import identification, virtual_rig
 from rthyb_rt.rig.links import opening
@@ -76,20 +76,20 @@ test_file.__test__ = False  # type: ignore[attr-defined]
 
 
 @pytest.fixture(scope="module")
-def virtual() -> Recording:
+def virtual() -> RecordedTest:
     return virtual_time.run(experiment.prepare(test_file(), rig_of()))
 
 
 # ---- virtual sensors ----------------------------------------------------------------------------
 
 
-def test_virtual_sensors_read_what_they_measure_in_their_unit(virtual: Recording) -> None:
+def test_virtual_sensors_read_what_they_measure_in_their_unit(virtual: RecordedTest) -> None:
     assert [(c.name, c.unit) for c in virtual.channels] == [
         ("table_acceleration", "m/s^2"), ("lvdt_2", "mm"),
     ]  # fmt: skip
-    rig = core.Rig(experiment.rig_config(rig_of()))
+    rig = core.VirtualRig(experiment.rig_config(rig_of()))
     commands = virtual.samples["x_cmd_m"]
-    plain = core.Rig(experiment.rig_config(rig_of("")))
+    plain = core.VirtualRig(experiment.rig_config(rig_of("")))
     x, _, a = plain.motion(commands).__iter__()
     got = []
     for command in commands.tolist():
@@ -101,14 +101,14 @@ def test_virtual_sensors_read_what_they_measure_in_their_unit(virtual: Recording
 
 
 def test_the_other_sensors_have_the_same_noise_with_and_without_extra_ones(
-    virtual: Recording,
+    virtual: RecordedTest,
 ) -> None:
     plain = virtual_time.run(experiment.prepare(test_file(), rig_of("")))
     for name in plain.samples.dtype.names or ():
         assert np.array_equal(plain.samples[name], virtual.samples[name], equal_nan=True), name
 
 
-def test_truth_and_extra_channels_stand_side_by_side(virtual: Recording) -> None:
+def test_truth_and_extra_channels_stand_side_by_side(virtual: RecordedTest) -> None:
     rec = virtual_time.run(experiment.prepare(test_file(), rig_of()), truth=True)
     assert [c.name for c in rec.channels] == [
         "x_true_m",
@@ -129,9 +129,9 @@ def test_bad_sensors_are_refused_by_the_core() -> None:
             core.ExtraSensorConfig("force", 1.0, core.SensorConfig(bad)),
         ):
             with pytest.raises(CoreError):
-                core.Rig(dataclasses.replace(base, extras=(sensor,)))
+                core.VirtualRig(dataclasses.replace(base, extras=(sensor,)))
     with pytest.raises(CoreError, match="at most 8"):
-        core.Rig(dataclasses.replace(base, extras=(core.ExtraSensorConfig(),) * 9))
+        core.VirtualRig(dataclasses.replace(base, extras=(core.ExtraSensorConfig(),) * 9))
 
 
 # ---- on the wire --------------------------------------------------------------------------------
@@ -344,7 +344,7 @@ def test_the_name_of_a_value_of_the_control_law_is_refused() -> None:
         experiment.prepare(test, rig)
 
 
-def test_no_extra_channel_replaces_time_or_reference(virtual: Recording, tmp_path: Path) -> None:
+def test_no_extra_channel_replaces_time_or_reference(virtual: RecordedTest, tmp_path: Path) -> None:
     mat_csv.to_mat(virtual, tmp_path / "one.mat")
     own = {name for name, _, _ in scipy.io.whosmat(tmp_path / "one.mat")}
     beside = own - set(virtual.samples.dtype.names or ()) - {"ag_mps2"}
@@ -392,7 +392,7 @@ def test_lost_pairs_leave_no_number_in_extra_channels() -> None:
 
 
 def test_recordings_and_exports_have_them_with_their_units(
-    virtual: Recording, tmp_path: Path
+    virtual: RecordedTest, tmp_path: Path
 ) -> None:
     recording.write(tmp_path / "r.h5", virtual)
     again = recording.read(tmp_path / "r.h5")
@@ -403,7 +403,7 @@ def test_recordings_and_exports_have_them_with_their_units(
 
 
 def test_an_export_without_them_says_so(
-    virtual: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    virtual: RecordedTest, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     rec = rt.Recording(virtual)
     with pytest.warns(UserWarning, match=r"extra channels table_acceleration, lvdt_2.*whole=True"):
@@ -424,14 +424,14 @@ def test_an_identification_records_them_too() -> None:
 
 
 @pytest.mark.long
-def test_the_report_shows_them_with_their_units(virtual: Recording) -> None:
+def test_the_report_shows_them_with_their_units(virtual: RecordedTest) -> None:
     page = render(virtual)
     assert "Extra channel table_acceleration" in page
     assert "lvdt_2, mm" in page
 
 
 def test_a_diagnosis_may_read_a_second_displacement_sensor(
-    virtual: Recording, tmp_path: Path
+    virtual: RecordedTest, tmp_path: Path
 ) -> None:
     recording.write(tmp_path / "recording.h5", virtual)
     (tmp_path / "rig.toml").write_text(virtual.rig_toml)
@@ -453,7 +453,7 @@ def test_a_diagnosis_may_read_a_second_displacement_sensor(
      ("x_meas=table_acceleration", "needs a unit of the same kind as m")],
 )  # fmt: skip
 def test_what_a_diagnosis_cannot_read_is_told(
-    virtual: Recording, tmp_path: Path, wish: str, says: str
+    virtual: RecordedTest, tmp_path: Path, wish: str, says: str
 ) -> None:
     recording.write(tmp_path / "recording.h5", virtual)
     (tmp_path / "rig.toml").write_text(virtual.rig_toml)
@@ -463,7 +463,7 @@ def test_what_a_diagnosis_cannot_read_is_told(
     assert says in str(error.value)
 
 
-def test_the_live_view_tells_the_newest_reading_of_each(virtual: Recording) -> None:
+def test_the_live_view_tells_the_newest_reading_of_each(virtual: RecordedTest) -> None:
     told = PastSource(virtual).status()
     found = {one["label"]: one["value"] for one in told["counters"]}
     assert found["lvdt_2"].endswith(" mm")

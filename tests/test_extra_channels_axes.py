@@ -25,7 +25,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_experiment, axes_rig, experiment, extra_frames, realtime, virtual_time
 from rthyb_rt.live.sources import LiveSource, PastSource
 from rthyb_rt.record import mat_csv, recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import render
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
@@ -67,21 +67,21 @@ def rig(**changed: str) -> AxesRig:
     return pair_of(with_extras(**changed))
 
 
-def virtually(given: AxesRig, **what: bool) -> Recording:
+def virtually(given: AxesRig, **what: bool) -> RecordedTest:
     return virtual_time.run(
         axes_experiment.prepare(config.parse_test(SHORT, "test.toml"), given), **what
     )
 
 
 @pytest.fixture(scope="module")
-def rec() -> Recording:
+def rec() -> RecordedTest:
     return virtually(rig())
 
 
 # ---- virtual sensors -----------------------------------------------------------------------------
 
 
-def test_each_axis_has_the_channels_of_its_own_sensors(rec: Recording) -> None:
+def test_each_axis_has_the_channels_of_its_own_sensors(rec: RecordedTest) -> None:
     names = {axis: [(c.name, c.unit) for c in own] for axis, own in rec.extras_by_axis().items()}
     assert names == {
         "left": [("left_lvdt", "mm"), ("left_acceleration", "m/s^2")],
@@ -200,7 +200,7 @@ def test_a_rig_with_extra_channels_of_its_axes_reads_back() -> None:
 
 
 def test_recordings_exports_and_python_have_them_with_their_units(
-    rec: Recording, tmp_path: Path
+    rec: RecordedTest, tmp_path: Path
 ) -> None:
     recording.write(tmp_path / "recording.h5", rec)
     again = recording.read(tmp_path / "recording.h5")
@@ -214,14 +214,14 @@ def test_recordings_exports_and_python_have_them_with_their_units(
 
 
 @pytest.mark.long
-def test_the_report_shows_them_with_their_units(rec: Recording) -> None:
+def test_the_report_shows_them_with_their_units(rec: RecordedTest) -> None:
     page = render(rec)
     for title in ("Extra channel left_lvdt", "Extra channel right_strain"):
         assert title in page
     assert "right_strain, um/m" in page
 
 
-def test_the_live_view_of_a_past_test_tells_the_last_reading_of_each(rec: Recording) -> None:
+def test_the_live_view_of_a_past_test_tells_the_last_reading_of_each(rec: RecordedTest) -> None:
     found = {one["label"]: one["value"] for one in PastSource(rec).status()["counters"]}
     for name in ("left_lvdt", "left_acceleration", "right_strain"):
         reading, unit = numbers.number(rec.channel(name)[-1], 4), found[name].split()[-1]
@@ -230,7 +230,7 @@ def test_the_live_view_of_a_past_test_tells_the_last_reading_of_each(rec: Record
 
 
 def test_a_diagnosis_reads_a_second_sensor_of_its_axis_and_of_no_other(
-    rec: Recording, tmp_path: Path
+    rec: RecordedTest, tmp_path: Path
 ) -> None:
     recording.write(tmp_path / "recording.h5", rec)
     left, right = (OfAxis(name, rig()) for name in AXES)

@@ -18,7 +18,7 @@ from rthyb_rt.config.prescribed_history import CyclesHistory, with_file
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, histories, realtime, virtual_time
 from rthyb_rt.record import mat_csv, recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.links import opening
 
@@ -46,7 +46,7 @@ def rig_of(specimen: str, actuator: str = 'kind = "pure-delay"\ndelay_samples = 
 SPRING = '[[specimen]]\nelement = "stiffness"\nk_n_per_m = 1e6\n'
 
 
-def recorded(text: str, rig: Any) -> Recording:
+def recorded(text: str, rig: Any) -> RecordedTest:
     return virtual_time.run(experiment.prepare(config.parse_test(HEAD + text), rig))
 
 
@@ -352,7 +352,7 @@ def test_backbone_of_a_yielding_specimen_is_its_own_curve() -> None:
     plan = hysteresis.plan_of(rec)
     assert plan is not None
     h = 1 / FS
-    own = core.Element(element).run(
+    own = core.CoreElement(element).run(
         plan.path_m, np.gradient(plan.path_m, h), np.zeros_like(plan.path_m), h
     )
     for one in found:
@@ -366,12 +366,12 @@ def test_backbone_of_a_yielding_specimen_is_its_own_curve() -> None:
     assert found[-1].last.secant_n_per_m < 0.5 * found[0].last.secant_n_per_m
 
 
-def test_a_hybrid_test_has_no_loops_by_amplitude(built_in_recording: Recording) -> None:
+def test_a_hybrid_test_has_no_loops_by_amplitude(built_in_recording: RecordedTest) -> None:
     assert summary.summarize(built_in_recording).loops == ()
 
 
 @pytest.fixture(scope="module")
-def built_in_recording() -> Recording:
+def built_in_recording() -> RecordedTest:
     test = config.load_test(config.builtin_test_path(), {"ground_motion.duration_s": "2"})
     return virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
 

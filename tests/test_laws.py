@@ -397,7 +397,7 @@ def test_controller_leads_as_phase_lead_and_estimator_do_side_by_side(
             velocity_limit_m_per_s=velocity_limit,
         )
     )
-    rig = core.Rig(
+    rig = core.VirtualRig(
         core.RigConfig(
             core.ServoConfig("pure-delay", delay_samples=14),
             displacement=core.SensorConfig(noise_std=noise),

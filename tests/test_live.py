@@ -43,7 +43,7 @@ from rthyb_rt.live.server import LiveServer
 from rthyb_rt.live.shown_rows import CHANNELS, History, Tally, channels, columns, loop_points
 from rthyb_rt.live.sources import LiveSource, PastSource, open_source
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import OtherVersionError, Ring
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.peers import Peer, Role
@@ -283,7 +283,7 @@ def test_histogram_has_each_waking_and_no_tick_that_nobody_woke_for() -> None:
 
 
 @pytest.fixture(scope="module")
-def rec() -> Recording:
+def rec() -> RecordedTest:
     """A short test of the past."""
     test = config.load_test(config.builtin_test_path(), {"test.duration_s": "4"})
     return virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
@@ -298,7 +298,7 @@ def opened(source: Any) -> Iterator[TestClient]:
 
 
 @pytest.fixture(scope="module")
-def past(rec: Recording) -> Iterator[TestClient]:
+def past(rec: RecordedTest) -> Iterator[TestClient]:
     with opened(PastSource(rec)) as client:
         yield client
 
@@ -443,7 +443,7 @@ def test_one_page_too_many_is_told_to_come_again(past: TestClient) -> None:
         assert caught.value.code == 1013
 
 
-def test_page_that_was_open_before_a_drive_of_another_rate_begins_anew(rec: Recording) -> None:
+def test_page_that_was_open_before_a_drive_of_another_rate_begins_anew(rec: RecordedTest) -> None:
     """Opened while nothing runs, it cannot know the rate: a second is as many rows as it has."""
     source = PastSource(rec)
     with opened(source) as client, socket_of(client) as socket:
@@ -459,7 +459,9 @@ def test_page_that_was_open_before_a_drive_of_another_rate_begins_anew(rec: Reco
 # ---- a test of the past -------------------------------------------------------------------------
 
 
-def test_recording_is_shown_at_its_own_time_with_its_end(rec: Recording, past: TestClient) -> None:
+def test_recording_is_shown_at_its_own_time_with_its_end(
+    rec: RecordedTest, past: TestClient
+) -> None:
     with socket_of(past) as socket:
         hello = socket.receive_json()
         assert (hello["past"], hello["commands"], hello["operator"]) == (True, [], False)
@@ -482,7 +484,7 @@ def test_recording_is_shown_at_its_own_time_with_its_end(rec: Recording, past: T
         np.testing.assert_array_equal(shown, channels(rec.samples)[2, 500:1500])
 
 
-def test_recording_without_rows_and_recordings_with_odd_ticks(rec: Recording) -> None:
+def test_recording_without_rows_and_recordings_with_odd_ticks(rec: RecordedTest) -> None:
     from dataclasses import replace
 
     with pytest.raises(InputError, match="no row"):
@@ -506,7 +508,7 @@ def memory() -> Iterator[Path]:
 
 
 def test_view_goes_from_ring_to_ring_and_time_begins_with_each_test(
-    memory: Path, rec: Recording
+    memory: Path, rec: RecordedTest
 ) -> None:
     first = Ring.create(memory, rec, 4096)
     first.push(rows(0, 1000, STATES.index("ZEROED")))
@@ -535,7 +537,7 @@ def test_view_goes_from_ring_to_ring_and_time_begins_with_each_test(
 
 
 def test_ring_of_a_test_that_runs_comes_before_a_newer_one_that_was_left_behind(
-    memory: Path, rec: Recording
+    memory: Path, rec: RecordedTest
 ) -> None:
     running = Ring.create(memory, rec, 1024)
     left = Ring.create(memory, rec, 1024)
@@ -548,7 +550,7 @@ def test_ring_of_a_test_that_runs_comes_before_a_newer_one_that_was_left_behind(
 
 @pytest.mark.parametrize("place", ["folder", "file"])
 def test_next_test_is_shown_though_its_ring_has_the_name_of_the_one_before(
-    memory: Path, rec: Recording, place: str
+    memory: Path, rec: RecordedTest, place: str
 ) -> None:
     first = Ring.create(memory, rec, 4096)
     first.push(rows(0, 500))
@@ -577,7 +579,7 @@ def test_next_test_is_shown_though_its_ring_has_the_name_of_the_one_before(
 
 
 def test_rows_that_stop_coming_are_told_unless_none_is_due(
-    memory: Path, rec: Recording, monkeypatch: pytest.MonkeyPatch
+    memory: Path, rec: RecordedTest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now = [100.0]
     monkeypatch.setattr("rthyb_rt.live.sources.time.monotonic", lambda: now[0])
@@ -613,7 +615,7 @@ def test_rows_that_stop_coming_are_told_unless_none_is_due(
     source.close()
 
 
-def test_ring_that_lapped_the_view_leaves_a_gap(memory: Path, rec: Recording) -> None:
+def test_ring_that_lapped_the_view_leaves_a_gap(memory: Path, rec: RecordedTest) -> None:
     ring = Ring.create(memory, rec, 1024)
     ring.push(rows(0, 100))
     source = LiveSource(ring.path, None)
@@ -654,7 +656,7 @@ def test_ring_of_a_trip_says_its_first_cause_without_a_service(memory: Path) -> 
 
 
 def test_what_a_user_means_is_found_or_he_is_told(
-    memory: Path, rec: Recording, monkeypatch: pytest.MonkeyPatch
+    memory: Path, rec: RecordedTest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rthyb_rt.record.ring.default_folder", lambda: memory)
     nowhere = memory / "control.sock"
@@ -869,7 +871,7 @@ def test_ring_of_a_service_that_cannot_be_opened_is_told(
 
 
 def test_live_view_of_a_run_starts_writes_its_address_and_ends_in_order(
-    tmp_path: Path, rec: Recording, rthyb: Rthyb
+    tmp_path: Path, rec: RecordedTest, rthyb: Rthyb
 ) -> None:
     from websockets.exceptions import ConnectionClosed, InvalidStatus
     from websockets.sync.client import connect
@@ -923,7 +925,7 @@ def test_without_its_packages_the_command_says_what_to_install(
 
 
 @contextmanager
-def serving(rec: Recording) -> Iterator[LiveServer]:
+def serving(rec: RecordedTest) -> Iterator[LiveServer]:
     """A server at a port, in a thread."""
     ready = threading.Event()
     made = LiveServer(PastSource(rec), TOKENS, ready=ready.set)
@@ -960,7 +962,7 @@ def hung_up_on(client: socket.socket) -> bool:
     return True
 
 
-def test_strangers_who_connect_and_say_nothing_do_not_take_the_page_away(rec: Recording) -> None:
+def test_strangers_who_connect_and_say_nothing_do_not_take_the_page_away(rec: RecordedTest) -> None:
     with serving(rec) as made, ExitStack() as owned:
         idle = [
             owned.enter_context(socket.create_connection(("127.0.0.1", made.port)))
@@ -983,7 +985,7 @@ def test_strangers_who_connect_and_say_nothing_do_not_take_the_page_away(rec: Re
     ids=["nothing", "half a head", "no body", "half a second", "turned away"],
 )
 def test_connection_without_a_whole_request_is_ended(
-    rec: Recording, monkeypatch: pytest.MonkeyPatch, begin: bytes
+    rec: RecordedTest, monkeypatch: pytest.MonkeyPatch, begin: bytes
 ) -> None:
     monkeypatch.setattr(live_server, "_REQUEST_S", 0.3)
     with serving(rec) as made, socket.create_connection(("127.0.0.1", made.port)) as client:
@@ -1006,7 +1008,7 @@ def test_connection_without_a_whole_request_is_ended(
 
 
 def test_page_that_is_open_is_not_hung_up_on(
-    rec: Recording, monkeypatch: pytest.MonkeyPatch
+    rec: RecordedTest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(live_server, "_REQUEST_S", 0.2)
     with serving(rec) as made:
@@ -1017,7 +1019,7 @@ def test_page_that_is_open_is_not_hung_up_on(
             assert page(made) == 200
 
 
-def test_page_hears_even_if_there_is_nothing_new(rec: Recording) -> None:
+def test_page_hears_even_if_there_is_nothing_new(rec: RecordedTest) -> None:
     """A page that hears nothing says that what it shows is old."""
     with serving(rec) as made:
         origin = Origin(f"http://127.0.0.1:{made.port}")
@@ -1027,7 +1029,7 @@ def test_page_hears_even_if_there_is_nothing_new(rec: Recording) -> None:
 
 
 def test_fault_while_reading_ends_the_server_instead_of_a_page_that_stands_still(
-    rec: Recording,
+    rec: RecordedTest,
 ) -> None:
     source = PastSource(rec)
 

@@ -21,7 +21,7 @@ from rthyb_rt.lab import experiment
 from rthyb_rt.live.frames import Framer, view_of
 from rthyb_rt.live.shown_rows import CHANNELS, History, channels
 from rthyb_rt.live.sources import LiveSource, PastSource
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring
 from rthyb_rt.service.control import Client
 from rthyb_rt.service.daemon import record_of
@@ -35,7 +35,7 @@ MATRIX = np.array([[1.0, 0.0], [1.0, 1.0]])
 
 
 @pytest.fixture(scope="module")
-def tripped() -> Recording:
+def tripped() -> RecordedTest:
     """A test that the right axis ends, by its load cell."""
     return faulty(["right.force@1:0.2=2e5"])
 
@@ -55,7 +55,7 @@ def of_axis(values: np.ndarray, axis: int, name: str) -> np.ndarray:
 
 
 def test_each_axis_has_its_own_readings_and_where_the_numerical_part_wants_it(
-    tripped: Recording,
+    tripped: RecordedTest,
 ) -> None:
     made = tripped.samples[tripped.running()]
     found = channels(made, pair_of().core_kinematics())
@@ -81,7 +81,7 @@ def test_each_axis_has_its_own_readings_and_where_the_numerical_part_wants_it(
 
 
 def test_without_kinematics_and_where_nothing_was_asked_for_no_wish_is_invented(
-    tripped: Recording,
+    tripped: RecordedTest,
 ) -> None:
     made = tripped.samples[:8].copy()
     assert np.isnan(of_axis(channels(made), 1, "x_num_mm")).all()
@@ -92,7 +92,7 @@ def test_without_kinematics_and_where_nothing_was_asked_for_no_wish_is_invented(
         assert np.isfinite(of_axis(found, 1, "x_num_mm")[2])
 
 
-def test_a_page_gets_the_frames_of_the_axis_that_it_shows(tripped: Recording) -> None:
+def test_a_page_gets_the_frames_of_the_axis_that_it_shows(tripped: RecordedTest) -> None:
     made = tripped.samples
     values = channels(made, pair_of().core_kinematics())
     history = History(made.size)
@@ -148,7 +148,7 @@ def test_a_view_of_no_axis_is_refused(axis: object) -> None:
 
 
 def test_ring_of_two_axes_says_which_axis_tripped_without_a_service(
-    memory: Path, tripped: Recording
+    memory: Path, tripped: RecordedTest
 ) -> None:
     ring = Ring.create(memory, tripped)
     ring.push(tripped.samples)
@@ -171,7 +171,7 @@ def test_ring_of_two_axes_says_which_axis_tripped_without_a_service(
     ring.remove()
 
 
-def test_past_test_of_two_axes_is_shown_over_the_socket(tripped: Recording) -> None:
+def test_past_test_of_two_axes_is_shown_over_the_socket(tripped: RecordedTest) -> None:
     with (
         opened(PastSource(tripped)) as client,
         socket_of(client) as socket,

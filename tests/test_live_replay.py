@@ -426,7 +426,7 @@ def test_bad_days_over_a_users_dbc_are_replayed_from_what_the_recording_holds(
     for seed in range(first, first + 300):
         pick = random.Random(seed)
         rig, calibration, tare_ticks = drawn(pick)
-        monkeypatch.setattr(loop_bench, "rig", lambda *_, rig=rig: core.Rig(rig))
+        monkeypatch.setattr(loop_bench, "rig", lambda *_, rig=rig: core.VirtualRig(rig))
         monkeypatch.setattr(loop_bench, "ORIGIN_M", pick.uniform(-0.05, 0.05))
         with Bench(
             seconds=0.3,

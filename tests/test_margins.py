@@ -130,7 +130,7 @@ def free_vibration(delay_samples: int, alpha: float) -> np.ndarray:
             motion=structure(),
         )
     )
-    rig = core.Rig(
+    rig = core.VirtualRig(
         core.RigConfig(
             core.ServoConfig("pure-delay", delay_samples=float(delay_samples)),
             (core.element("stiffness", k_n_per_m=K_E),),

@@ -30,12 +30,12 @@ STORED: Final = Path(__file__).parent / "data" / "one_axis_traces.json"
 OFFSET_M, OFFSET_N = 0.0123, 45.0
 
 
-def specimen() -> core.Rig:
+def specimen() -> core.VirtualRig:
     """An actuator with a valve, sensors with noise, a plate that yields."""
     plate = core.element(
         "hysteresis", k_n_per_m=K_N_PER_M, post_yield_ratio=0.02, a=1, b=300, c=200, eta=1.5
     )
-    return core.Rig(
+    return core.VirtualRig(
         core.RigConfig(
             core.ServoConfig("first-order", roll_off_hz=20.0, delay_samples=2),
             (plate,),

@@ -69,7 +69,7 @@ def test_elements_give_what_those_of_the_catalogue_give(rig: str) -> None:
 
 def test_a_copy_of_an_element_goes_on_by_itself() -> None:
     config = core.ElementConfig("python", (), own.spelled(own_parts.Maxwell(1e5, 0.1)))
-    one, other, kept = core.Element(config), core.Element(config), core.Element(config)
+    one, other, kept = core.CoreElement(config), core.CoreElement(config), core.CoreElement(config)
     x = 1e-3 * np.sin(np.arange(300) / 20.0)
     whole = kept.run(x)
     np.testing.assert_array_equal(one.run(x[:150]), whole[:150])
@@ -250,7 +250,7 @@ def test_senseless_force_of_an_element_ends_the_test_where_it_was_returned(what:
     found = told(jumpy)
     assert re.match(rf"{PLACE}, in force: Jumpy.force returned {as_shown(what)} at tick", found)
     assert "of a simulation without the rig, for x_m = " in found
-    element = core.Element(core.ElementConfig("python", (), own.spelled(own_parts.Jumpy(what))))
+    element = core.CoreElement(core.ElementConfig("python", (), own.spelled(own_parts.Jumpy(what))))
     with pytest.raises(rt.RthybError, match=r"Jumpy.force returned .*, for x_m = 0.002"):
         element.force(2e-3, 0.0, 0.0, 0.0)
 

@@ -140,7 +140,7 @@ def hybrid_test(
         lead_enabled=plc,
     )
     servo = core.ServoConfig("pure-delay", delay_samples=delay)
-    return run_virtual(c, core.Rig(core.RigConfig(servo, (specimen,))), ag)
+    return run_virtual(c, core.VirtualRig(core.RigConfig(servo, (specimen,))), ag)
 
 
 @pytest.fixture(scope="module")

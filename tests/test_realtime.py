@@ -53,7 +53,7 @@ def rings(tmp_path: Path) -> list[Path]:
     return ring.find(tmp_path / "rings") if (tmp_path / "rings").exists() else []
 
 
-def running(rec: recording.Recording) -> np.ndarray:
+def running(rec: recording.RecordedTest) -> np.ndarray:
     return rec.samples[rec.samples["state"] == STATE["RUNNING"]]
 
 
@@ -61,7 +61,7 @@ def running(rec: recording.Recording) -> np.ndarray:
 
 
 def test_test_goes_from_idle_to_idle_and_its_ring_is_gone(tmp_path: Path) -> None:
-    saved: list[recording.Recording] = []
+    saved: list[recording.RecordedTest] = []
     rec = Bench().run(save=saved.append)
     rows = rec.samples
     np.testing.assert_array_equal(rows["tick"], np.arange(rows.size))
@@ -202,14 +202,14 @@ def test_recording_is_computed_again_bit_for_bit(
 
 
 @contextmanager
-def in_step() -> Iterator[tuple[realtime.Session, Callable[[], recording.Recording]]]:
+def in_step() -> Iterator[tuple[realtime.Session, Callable[[], recording.RecordedTest]]]:
     """Begin a session on the stepped clock; once it has ended, its recording can be had, once."""
     made = setup()
     ours, theirs = opening.socket_pair()
     with ours, theirs, virtual_rig.in_step(made.rig, theirs) as drive:
         session = realtime.Session(made, ours, clock="stepped", before_tick=drive.tick)
 
-        def recorded() -> recording.Recording:
+        def recorded() -> recording.RecordedTest:
             rec = session.recording()
             session.discard()
             return rec
@@ -334,7 +334,7 @@ def test_recording_without_its_first_rows_cannot_be_replayed() -> None:
 
 
 def test_session_beside_the_ring_knows_tare_and_commands(tmp_path: Path) -> None:
-    found: list[recording.Recording] = []
+    found: list[recording.RecordedTest] = []
 
     def look() -> None:
         (path,) = rings(tmp_path)
@@ -535,7 +535,7 @@ def test_rig_that_is_not_at_rest_is_not_zeroed(tmp_path: Path) -> None:
 
 
 def test_recording_that_cannot_be_kept_is_left_in_the_ring(tmp_path: Path) -> None:
-    def full(_: recording.Recording) -> None:
+    def full(_: recording.RecordedTest) -> None:
         raise RthybError("no space left")
 
     with pytest.raises(RthybError, match="no space left") as caught:

@@ -59,7 +59,7 @@ def short_test(rate_hz: float, rig: config.RigFile | None = None) -> experiment.
 
 def run(
     setup: experiment.Setup, *, plan: virtual_rig.RigPlan | None = None, skip: int = 0
-) -> recording.Recording:
+) -> recording.RecordedTest:
     """Run a test with a drive in step; ``skip``: ticks slept through before every one at rest."""
     plan = plan or virtual_rig.RigPlan(rate=setup.rate)
     ours, theirs = opening.socket_pair()

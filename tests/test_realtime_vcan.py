@@ -52,7 +52,7 @@ from rthyb_rt import config, core
 from rthyb_rt.core import FLAGS, loop, mapped_ring
 from rthyb_rt.lab import realtime
 from rthyb_rt.lab.realtime import conducting
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 pytestmark = pytest.mark.skipif(
     "RTHYB_VCAN" not in os.environ,
@@ -152,7 +152,7 @@ class Ended:
     status: int
     out: str
     err: str
-    rec: Recording
+    rec: RecordedTest
     log: np.ndarray
     drive: dict[str, Any]
     frames: list[tuple[int, bytes, bool]]

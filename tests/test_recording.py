@@ -23,7 +23,7 @@ from rthyb_rt.record import mat_csv
 from rthyb_rt.record.recording import (
     SCHEMA,
     UNITS,
-    Recording,
+    RecordedTest,
     ReplayData,
     open_run,
     read,
@@ -33,12 +33,12 @@ from rthyb_rt.record.recording import (
 
 
 @pytest.fixture
-def short() -> Recording:
+def short() -> RecordedTest:
     return recording(2.0)
 
 
 @pytest.fixture
-def path(tmp_path: Path, short: Recording) -> Path:
+def path(tmp_path: Path, short: RecordedTest) -> Path:
     file = tmp_path / "run" / "recording.h5"
     write(file, short)
     return file
@@ -47,7 +47,7 @@ def path(tmp_path: Path, short: Recording) -> Path:
 # --- round trip -------------------------------------------------------------------------------
 
 
-def test_recording_comes_back_bit_for_bit(path: Path, short: Recording) -> None:
+def test_recording_comes_back_bit_for_bit(path: Path, short: RecordedTest) -> None:
     short.replay.skips = np.array([[100, 3], [900, 12]], dtype=np.int64)
     short.samples["x_meas_m"][7] = np.nan
     write(path, short)
@@ -72,7 +72,7 @@ def test_recording_comes_back_bit_for_bit(path: Path, short: Recording) -> None:
     np.testing.assert_array_equal(back.replay.skips, short.replay.skips)
 
 
-def test_types_of_the_attributes_survive(path: Path, short: Recording) -> None:
+def test_types_of_the_attributes_survive(path: Path, short: RecordedTest) -> None:
     short.meta |= {"latency_us": {"p50": 3.5, "counts": [1, 2]}, "cpu": None, "note": "10 °C"}
     write(path, short)
     meta = read(path).meta
@@ -82,13 +82,15 @@ def test_types_of_the_attributes_survive(path: Path, short: Recording) -> None:
     assert "cpu" not in meta
 
 
-def test_test_file_of_any_language_and_length_survives(path: Path, short: Recording) -> None:
+def test_test_file_of_any_language_and_length_survives(path: Path, short: RecordedTest) -> None:
     short.test_toml = "# Prüfkörper 試験体\n" * 20_000
     write(path, short)
     assert read(path).test_toml == short.test_toml
 
 
-def test_recording_without_samples_or_reference_survives(tmp_path: Path, short: Recording) -> None:
+def test_recording_without_samples_or_reference_survives(
+    tmp_path: Path, short: RecordedTest
+) -> None:
     short.samples, short.reference = short.samples[:0], None
     short.ag_mps2, short.replay = short.ag_mps2[:0], ReplayData()
     write(tmp_path / "recording.h5", short)
@@ -122,7 +124,7 @@ def test_every_field_of_the_record_has_a_unit() -> None:
 # --- rows and time ----------------------------------------------------------------------------
 
 
-def test_time_starts_with_the_test_proper_and_keeps_lost_ticks(short: Recording) -> None:
+def test_time_starts_with_the_test_proper_and_keeps_lost_ticks(short: RecordedTest) -> None:
     short.samples["state"][:100] = STATES.index("RAMP_IN")
     short.samples["tick"] += 5000
     short.samples["tick"][200:] += 3
@@ -133,7 +135,7 @@ def test_time_starts_with_the_test_proper_and_keeps_lost_ticks(short: Recording)
     assert short.running().sum() == len(short.samples) - 100
 
 
-def test_recording_that_never_ran_is_taken_whole(short: Recording) -> None:
+def test_recording_that_never_ran_is_taken_whole(short: RecordedTest) -> None:
     short.samples["state"] = STATES.index("RAMP_IN")
     assert short.running().all()
 
@@ -141,7 +143,7 @@ def test_recording_that_never_ran_is_taken_whole(short: Recording) -> None:
 # --- writing fails ----------------------------------------------------------------------------
 
 
-def test_failed_write_leaves_the_old_file_and_nothing_else(path: Path, short: Recording) -> None:
+def test_failed_write_leaves_the_old_file_and_nothing_else(path: Path, short: RecordedTest) -> None:
     before = path.read_bytes()
     short.replay.parameters = [{"values": object()}]
     with pytest.raises(TypeError):
@@ -183,7 +185,7 @@ def test_full_disk_is_one_clear_message_and_nothing_is_left(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folder_that_is_a_file_is_one_clear_message(tmp_path: Path, short: Recording) -> None:
+def test_folder_that_is_a_file_is_one_clear_message(tmp_path: Path, short: RecordedTest) -> None:
     (tmp_path / "run").write_text("in the way")
     with pytest.raises(RthybError, match="cannot be written"):
         write(tmp_path / "run" / "recording.h5", short)
@@ -265,7 +267,7 @@ def test_recording_that_lacks_a_part_is_refused(path: Path, name: str) -> None:
 
 
 def test_recording_that_lacks_fields_is_refused_with_their_names(
-    tmp_path: Path, short: Recording
+    tmp_path: Path, short: RecordedTest
 ) -> None:
     names = [name for name in RECORD_DTYPE.names or () if name not in ("alpha", "beta")]
     short.samples = short.samples[names]
@@ -291,7 +293,7 @@ def test_folder_without_a_run_is_refused(tmp_path: Path) -> None:
 
 
 def test_csv_has_the_interchange_columns_and_reads_back_exactly(
-    tmp_path: Path, short: Recording
+    tmp_path: Path, short: RecordedTest
 ) -> None:
     short.samples["state"][:10] = STATES.index("RAMP_IN")
     short.samples["x_meas_m"][20] = np.nan
@@ -305,7 +307,7 @@ def test_csv_has_the_interchange_columns_and_reads_back_exactly(
         np.testing.assert_array_equal(table[column], run[field])
 
 
-def test_full_csv_has_every_field_of_every_row(tmp_path: Path, short: Recording) -> None:
+def test_full_csv_has_every_field_of_every_row(tmp_path: Path, short: RecordedTest) -> None:
     mat_csv.to_csv(short, tmp_path / "full.csv", full=True)
     table = np.genfromtxt(tmp_path / "full.csv", delimiter=",", names=True)
     assert table.dtype.names == ("t_s", *(RECORD_DTYPE.names or ()))
@@ -313,7 +315,7 @@ def test_full_csv_has_every_field_of_every_row(tmp_path: Path, short: Recording)
         np.testing.assert_array_equal(table[field], short.samples[field])
 
 
-def test_mat_file_opens_with_every_field(tmp_path: Path, short: Recording) -> None:
+def test_mat_file_opens_with_every_field(tmp_path: Path, short: RecordedTest) -> None:
     short.ground_motion["pga_g"] = None
     mat_csv.to_mat(short, tmp_path / "recording.mat")
     mat = loadmat(tmp_path / "recording.mat", squeeze_me=True)
@@ -330,7 +332,7 @@ def test_mat_file_opens_with_every_field(tmp_path: Path, short: Recording) -> No
 
 
 def test_mat_without_scipy_names_the_remedy(
-    tmp_path: Path, short: Recording, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, short: RecordedTest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "scipy.io", None)
     with pytest.raises(InputError, match=r"pip install 'rthyb-rt\[fit\]'"):

@@ -28,7 +28,7 @@ from rthyb_rt.record.recording import (
     VERSION,
     VERSIONS,
     Field,
-    Recording,
+    RecordedTest,
     Version,
     read,
     write,
@@ -281,7 +281,7 @@ def test_what_was_read_is_written_as_it_was(
     assert content(folder / "first.h5") == content(folder / "second.h5")
 
 
-def with_a_field_more(rec: Recording) -> Recording:
+def with_a_field_more(rec: RecordedTest) -> RecordedTest:
     """As a lab might that adds a channel of its own, in front of the others."""
     dtype = [("temperature_k", "<f4"), *rec.samples.dtype.descr]
     rows = np.zeros(rec.samples.size, dtype=dtype)

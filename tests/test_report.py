@@ -35,7 +35,7 @@ from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.numbers import number, percent, quantity
-from rthyb_rt.record.recording import UNITS, Recording
+from rthyb_rt.record.recording import UNITS, RecordedTest
 from rthyb_rt.report import render, write_report, zoom
 from rthyb_rt.report.decimate import envelope, robust_limit, trace
 from rthyb_rt.report.publication import escaped, write_files
@@ -48,14 +48,16 @@ def page() -> str:
     return render(recording())
 
 
-def rows(rec: Recording) -> dict[str, str]:
+def rows(rec: RecordedTest) -> dict[str, str]:
     return {row.label: row.value for row in result_table(rec)}
 
 
 # --- result table -----------------------------------------------------------------------------
 
 
-def sine_test(delay_samples: float = 10.0, gain: float = 0.98, seconds: float = 10.0) -> Recording:
+def sine_test(
+    delay_samples: float = 10.0, gain: float = 0.98, seconds: float = 10.0
+) -> RecordedTest:
     """A spring moved by a 2 Hz, 7 mm sine; the reference is 1 % larger than the command."""
     rec = recording(seconds)
     t = rec.time_s()
@@ -164,7 +166,7 @@ def test_verdict_of_no_motion_judges_nothing() -> None:
     assert "no motion to evaluate" in verdict(summarize(rec))
 
 
-def spoil(rec: Recording) -> None:
+def spoil(rec: RecordedTest) -> None:
     rec.meta |= {"end_reason": "tracking error above 5 mm", "interrupted": True}
     rec.samples["flags"][:50] |= FLAGS["limited"]
     rec.samples["flags"][60:61] |= FLAGS["predicted"]
@@ -192,7 +194,7 @@ def test_flawless_test_has_no_notice() -> None:
     assert notices(summarize(rec)) == []
 
 
-def alarms(rec: Recording) -> str:
+def alarms(rec: RecordedTest) -> str:
     return "\n".join(n.text for n in notices(summarize(rec)) if n.level == "alarm")
 
 
@@ -427,23 +429,23 @@ def test_fixed_delay_is_told_in_words() -> None:
 # --- tests that went wrong --------------------------------------------------------------------
 
 
-def without_reference(rec: Recording) -> None:
+def without_reference(rec: RecordedTest) -> None:
     rec.reference = None
 
 
-def three_samples(rec: Recording) -> None:
+def three_samples(rec: RecordedTest) -> None:
     rec.samples = rec.samples[:3]
 
 
-def one_sample(rec: Recording) -> None:
+def one_sample(rec: RecordedTest) -> None:
     rec.samples = rec.samples[:1]
 
 
-def no_sample(rec: Recording) -> None:
+def no_sample(rec: RecordedTest) -> None:
     rec.samples = rec.samples[:0]
 
 
-def all_zero(rec: Recording) -> None:
+def all_zero(rec: RecordedTest) -> None:
     for name in UNITS:
         if name not in ("tick", "state"):
             rec.samples[name] = 0
@@ -451,30 +453,30 @@ def all_zero(rec: Recording) -> None:
     rec.reference["x_ref_m"] = 0.0
 
 
-def all_nan(rec: Recording) -> None:
+def all_nan(rec: RecordedTest) -> None:
     for name in UNITS:
         if rec.samples.dtype[name].kind == "f":
             rec.samples[name] = np.nan
 
 
-def diverged(rec: Recording) -> None:
+def diverged(rec: RecordedTest) -> None:
     growth = np.exp(np.arange(len(rec.samples)) / 60.0)
     for name in ("x_num_m", "x_cmd_m", "x_meas_m", "f_meas_n"):
         rec.samples[name] *= growth
 
 
-def spikes(rec: Recording) -> None:
+def spikes(rec: RecordedTest) -> None:
     rec.samples["x_num_m"][700] = 1e300
     rec.samples["x_meas_m"][800] = -np.inf
     rec.samples["f_meas_n"][900] *= 1e6
     rec.samples["k_t_n_per_m"][5] = np.nan
 
 
-def nothing_known(rec: Recording) -> None:
+def nothing_known(rec: RecordedTest) -> None:
     rec.test_toml, rec.rig_toml, rec.meta, rec.ground_motion = "not toml [", "", {}, {}
 
 
-def curvature(rec: Recording) -> None:
+def curvature(rec: RecordedTest) -> None:
     rec.samples["beta"] = np.linspace(0.0, 144.5, len(rec.samples))
 
 
@@ -495,7 +497,7 @@ def curvature(rec: Recording) -> None:
         spoil,
     ],
 )
-def test_report_of_any_test_is_whole(change: Callable[[Recording], None]) -> None:
+def test_report_of_any_test_is_whole(change: Callable[[RecordedTest], None]) -> None:
     rec = recording(2.0)
     change(rec)
     page = render(rec)

@@ -15,11 +15,11 @@ PLATE = core.element("stiffness", k_n_per_m=K_PLATE)
 DIRECT = core.ServoConfig("pure-delay")
 
 
-def rig(**settings: Any) -> core.Rig:
-    return core.Rig(core.RigConfig(**({"servo": DIRECT, "elements": (PLATE,)} | settings)))
+def rig(**settings: Any) -> core.VirtualRig:
+    return core.VirtualRig(core.RigConfig(**({"servo": DIRECT, "elements": (PLATE,)} | settings)))
 
 
-def noisy(seed: int = 0) -> core.Rig:
+def noisy(seed: int = 0) -> core.VirtualRig:
     return rig(
         displacement=core.SensorConfig(noise_std=2e-6),
         force=core.SensorConfig(noise_std=20.0),

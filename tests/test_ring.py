@@ -35,7 +35,7 @@ from rthyb_rt.core.mapped_ring import AFTER_TRIP, CAPACITY
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import experiment, realtime, virtual_time
 from rthyb_rt.record import recording, ring
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring, RingReader
 
 pytestmark = pytest.mark.alone
@@ -62,12 +62,12 @@ def are_whole(samples: RecordArray) -> bool:
 
 
 @pytest.fixture(scope="module")
-def session() -> Recording:
+def session() -> RecordedTest:
     return made_up_recording(2.0)
 
 
 @pytest.fixture
-def small(tmp_path: Path, session: Recording) -> Iterator[Ring]:
+def small(tmp_path: Path, session: RecordedTest) -> Iterator[Ring]:
     """A ring of 64 records."""
     made = Ring.create(tmp_path, session, capacity=64)
     yield made
@@ -89,7 +89,7 @@ def patch(path: Path, at: int, data: bytes) -> None:
 # ---- making it ----------------------------------------------------------------------------------
 
 
-def test_ring_has_all_its_memory_before_the_start(tmp_path: Path, session: Recording) -> None:
+def test_ring_has_all_its_memory_before_the_start(tmp_path: Path, session: RecordedTest) -> None:
     made = Ring.create(tmp_path / "rings", session)
     facts = made.path.stat()
     assert facts.st_blocks * 512 >= facts.st_size > CAPACITY * SLOT_BYTES
@@ -99,7 +99,7 @@ def test_ring_has_all_its_memory_before_the_start(tmp_path: Path, session: Recor
     assert list(made.path.parent.iterdir()) == []
 
 
-def test_every_start_has_a_ring_of_its_own(tmp_path: Path, session: Recording) -> None:
+def test_every_start_has_a_ring_of_its_own(tmp_path: Path, session: RecordedTest) -> None:
     made = [Ring.create(tmp_path, session, capacity=8) for _ in range(3)]
     assert len({one.path for one in made}) == 3
     assert sorted(ring.find(tmp_path)) == sorted(one.path for one in made)
@@ -107,7 +107,7 @@ def test_every_start_has_a_ring_of_its_own(tmp_path: Path, session: Recording) -
         one.remove()
 
 
-def test_in_memory_is_said_of_tmpfs_alone(tmp_path: Path, session: Recording) -> None:
+def test_in_memory_is_said_of_tmpfs_alone(tmp_path: Path, session: RecordedTest) -> None:
     for folder in (tmp_path, Path("/dev/shm")):
         command = ["stat", "-f", "-c", "%T", str(folder)]
         kind = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
@@ -140,7 +140,7 @@ made.remove()
 
 
 def test_full_tmpfs_is_one_clear_message_and_nothing_is_left(
-    tmp_path: Path, session: Recording, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, session: RecordedTest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -152,7 +152,7 @@ def test_full_tmpfs_is_one_clear_message_and_nothing_is_left(
 
 
 def test_session_that_cannot_be_written_leaves_no_ring(
-    tmp_path: Path, session: Recording, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, session: RecordedTest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fails(*_: object) -> None:
         raise RthybError("cannot be written")
@@ -163,7 +163,7 @@ def test_session_that_cannot_be_written_leaves_no_ring(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_folder_that_is_a_file_is_one_clear_message(tmp_path: Path, session: Recording) -> None:
+def test_folder_that_is_a_file_is_one_clear_message(tmp_path: Path, session: RecordedTest) -> None:
     (tmp_path / "rings").write_text("in the way")
     with pytest.raises(RthybError, match=r"no telemetry ring can be created here .*permissions"):
         Ring.create(tmp_path / "rings", session, capacity=8)
@@ -171,7 +171,7 @@ def test_folder_that_is_a_file_is_one_clear_message(tmp_path: Path, session: Rec
 
 @pytest.mark.parametrize("capacity", [0, -8, 24])
 def test_capacity_that_is_no_power_of_two_is_refused(
-    tmp_path: Path, session: Recording, capacity: int
+    tmp_path: Path, session: RecordedTest, capacity: int
 ) -> None:
     with pytest.raises(ValueError, match="power of two"):
         Ring.create(tmp_path, session, capacity=capacity)
@@ -212,7 +212,7 @@ def put_there_by_another_user(folder: Path) -> None:
 
 
 def test_ring_folder_that_another_user_has_put_there_is_refused(
-    shared: Path, session: Recording
+    shared: Path, session: RecordedTest
 ) -> None:
     """Its owner could have had any file of the victim's overwritten."""
     put_there_by_another_user(shared)
@@ -222,7 +222,7 @@ def test_ring_folder_that_another_user_has_put_there_is_refused(
 
 
 def test_ring_folder_that_leads_elsewhere_is_refused(
-    shared: Path, session: Recording, tmp_path: Path
+    shared: Path, session: RecordedTest, tmp_path: Path
 ) -> None:
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
@@ -234,7 +234,7 @@ def test_ring_folder_that_leads_elsewhere_is_refused(
 
 @pytest.mark.parametrize("mode", [0o777, 0o770, 0o755, 0o710])
 def test_ring_folder_with_rights_for_others_is_refused_with_the_remedy(
-    shared: Path, session: Recording, mode: int
+    shared: Path, session: RecordedTest, mode: int
 ) -> None:
     shared.mkdir()
     shared.chmod(mode)
@@ -245,7 +245,7 @@ def test_ring_folder_with_rights_for_others_is_refused_with_the_remedy(
 
 
 def test_ring_folder_that_is_missing_is_made_for_this_user_alone(
-    shared: Path, session: Recording
+    shared: Path, session: RecordedTest
 ) -> None:
     made = Ring.create(shared, session, 64)
     assert stat.S_IMODE(shared.stat().st_mode) == 0o700
@@ -273,7 +273,7 @@ def test_other_users_control_socket_is_not_taken_for_the_own_service(
 
 
 def test_name_that_leads_to_a_file_of_the_users_does_not_have_it_overwritten(
-    tmp_path: Path, session: Recording
+    tmp_path: Path, session: RecordedTest
 ) -> None:
     """The session's temporary name can be guessed by who may write beside it."""
     mine = tmp_path / "mine"
@@ -348,7 +348,7 @@ def test_lapped_reader_knows_what_it_lost(small: Ring) -> None:
     capacity=st.sampled_from([1, 2, 16]),
 )
 def test_whatever_the_pace_records_come_whole_in_order_or_are_counted_as_lost(
-    tmp_path: Path, session: Recording, steps: list[tuple[bool, int]], capacity: int
+    tmp_path: Path, session: RecordedTest, steps: list[tuple[bool, int]], capacity: int
 ) -> None:
     made = Ring.create(tmp_path, session, capacity=capacity)
     pushed = read = 0
@@ -374,7 +374,7 @@ def test_whatever_the_pace_records_come_whole_in_order_or_are_counted_as_lost(
 
 
 def test_readers_in_threads_get_whole_records_of_a_running_ring(
-    tmp_path: Path, session: Recording
+    tmp_path: Path, session: RecordedTest
 ) -> None:
     made = Ring.create(tmp_path, session, capacity=1024)
     total, chunk = 200_000, 10_000
@@ -461,7 +461,7 @@ def test_file_is_what_the_guide_says(small: Ring) -> None:
 
 
 def test_ring_stands_still_a_second_after_a_trip_while_the_status_page_goes_on(
-    tmp_path: Path, session: Recording
+    tmp_path: Path, session: RecordedTest
 ) -> None:
     made = Ring.create(tmp_path, session, capacity=4096)
     with RingReader(made.path) as reader:
@@ -485,7 +485,7 @@ def test_ring_stands_still_a_second_after_a_trip_while_the_status_page_goes_on(
 
 
 def test_reset_lets_the_ring_go_on_and_the_next_trip_freezes_it_again(
-    tmp_path: Path, session: Recording
+    tmp_path: Path, session: RecordedTest
 ) -> None:
     made = Ring.create(tmp_path, session, capacity=4096)
     with RingReader(made.path) as reader:
@@ -603,7 +603,7 @@ def test_damage_never_makes_a_reader_crash_or_hang(
         assert sum(reader.read().samples.size for _ in range(3)) <= 64
 
 
-def test_half_written_slot_is_left_out_and_stated(tmp_path: Path, session: Recording) -> None:
+def test_half_written_slot_is_left_out_and_stated(tmp_path: Path, session: RecordedTest) -> None:
     made = Ring.create(tmp_path, session, capacity=64)
     made.push(rows(0, 50))
     patch(made.path, slot_at(made.path, 20), struct.pack("<Q", 2 * (20 + 64) + 1))
@@ -624,7 +624,7 @@ def test_half_written_slot_is_left_out_and_stated(tmp_path: Path, session: Recor
 )
 def test_process_killed_between_two_instructions_costs_its_last_tick_at_most(
     tmp_path: Path,
-    session: Recording,
+    session: RecordedTest,
     stamp: object,
     counted: bool,
     rows_held: tuple[int, int],
@@ -740,14 +740,14 @@ damping_ratio = 0.02
 
 
 @pytest.fixture(scope="module")
-def whole() -> Recording:
+def whole() -> RecordedTest:
     """A test of 2 s from its first tick in IDLE to its last."""
     test = config.parse_test(TEST)
     return virtual_time.run(experiment.prepare(test, config.load_rig(config.find_rig(test.rig))))
 
 
 @pytest.fixture(scope="module")
-def tested(whole: Recording) -> Recording:
+def tested(whole: RecordedTest) -> RecordedTest:
     """The test proper alone, counted from its own first tick."""
     samples = whole.samples[whole.running()]
     samples["tick"] -= samples["tick"][0]
@@ -755,7 +755,7 @@ def tested(whole: Recording) -> Recording:
 
 
 def test_recovered_test_is_the_test_and_replays_bit_for_bit(
-    tmp_path: Path, whole: Recording
+    tmp_path: Path, whole: RecordedTest
 ) -> None:
     tested = whole
     made = Ring.create(tmp_path, tested)
@@ -779,7 +779,7 @@ def test_recovered_test_is_the_test_and_replays_bit_for_bit(
 
 
 def test_lapped_ring_gives_a_recording_from_the_first_row_that_is_left(
-    tmp_path: Path, tested: Recording
+    tmp_path: Path, tested: RecordedTest
 ) -> None:
     made = Ring.create(tmp_path, tested, capacity=1024)
     made.push(tested.samples)
@@ -796,7 +796,7 @@ def test_lapped_ring_gives_a_recording_from_the_first_row_that_is_left(
 
 
 def test_long_wait_before_the_test_does_not_cost_its_reference(
-    tmp_path: Path, tested: Recording
+    tmp_path: Path, tested: RecordedTest
 ) -> None:
     made = Ring.create(tmp_path, tested, capacity=4096)
     made.push(rows(0, 3000, IDLE))
@@ -810,7 +810,7 @@ def test_long_wait_before_the_test_does_not_cost_its_reference(
     made.remove()
 
 
-def test_gap_within_the_test_costs_its_reference(tmp_path: Path, tested: Recording) -> None:
+def test_gap_within_the_test_costs_its_reference(tmp_path: Path, tested: RecordedTest) -> None:
     made = Ring.create(tmp_path, tested)
     made.push(tested.samples)
     patch(made.path, slot_at(made.path, 700), bytes(8 * 19))
@@ -825,7 +825,7 @@ def test_gap_within_the_test_costs_its_reference(tmp_path: Path, tested: Recordi
 
 
 def test_blind_rows_come_back_as_skips_and_a_hold_as_interruption(
-    tmp_path: Path, session: Recording
+    tmp_path: Path, session: RecordedTest
 ) -> None:
     made = Ring.create(tmp_path, session, capacity=128)
     records = rows(0, 100)
@@ -840,7 +840,7 @@ def test_blind_rows_come_back_as_skips_and_a_hold_as_interruption(
     made.remove()
 
 
-def test_renewed_session_is_the_one_that_is_recovered(small: Ring, session: Recording) -> None:
+def test_renewed_session_is_the_one_that_is_recovered(small: Ring, session: RecordedTest) -> None:
     small.push(rows(0, 5))
     tared = replace(session.replay, tares={"displacement_m": 0.25, "force_n": -3.0})
     small.renew_session(replace(session, replay=tared))
@@ -864,7 +864,7 @@ def test_ring_without_its_session_is_refused(small: Ring) -> None:
 
 def test_recover_writes_a_recording_and_says_what_is_missing(
     tmp_path: Path,
-    tested: Recording,
+    tested: RecordedTest,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
@@ -1055,7 +1055,7 @@ def test_the_ring_asks_the_kernel_nothing_after_its_start(tmp_path: Path) -> Non
 
 
 def test_rings_that_lie_about_are_listed_whatever_is_wrong_with_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rthyb: Rthyb, session: Recording
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rthyb: Rthyb, session: RecordedTest
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(ring, "_SERVICE", tmp_path / "service")
@@ -1081,7 +1081,7 @@ def test_rings_that_lie_about_are_listed_whatever_is_wrong_with_them(
 
 
 def test_ring_that_goes_while_rings_are_looked_for_is_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, session: Recording
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, session: RecordedTest
 ) -> None:
     """The recorder looks for rings all the time, while daemons delete theirs."""
     stays, goes = (Ring.create(tmp_path, session, 64) for _ in range(2))

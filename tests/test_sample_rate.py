@@ -21,7 +21,7 @@ from rthyb_rt.diagnose import reading
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import braking, experiment, realtime, virtual_time
 from rthyb_rt.record import mat_csv, recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import render
 
 ROOT = Path(__file__).parents[1]
@@ -73,7 +73,7 @@ def prepared(
     return experiment.prepare(config.parse_test(text), config.parse_rig(rig + actuator))
 
 
-def running(rec: Recording) -> np.ndarray:
+def running(rec: RecordedTest) -> np.ndarray:
     return rec.samples[rec.samples["state"] == STATE["RUNNING"]]
 
 
@@ -316,7 +316,7 @@ def test_an_actuator_is_as_late_at_every_rate(rate_hz: float) -> None:
     t, f = np.arange(round(8 * rate_hz)) / rate_hz, 1.0
     lag = 2 * 0.7 / (2 * np.pi * 40) + 0.004 + 0.5 / rate_hz
     for actuator, delay_s in ((DELAY.format(8), 8 / 1024), (LAG, lag)):
-        rig = core.Rig(prepared(rate_hz, actuator=actuator).virtual_rig)
+        rig = core.VirtualRig(prepared(rate_hz, actuator=actuator).virtual_rig)
         x, _ = rig.run(np.sin(2 * np.pi * f * t))
         turn = np.angle(np.sum((x * np.exp(-2j * np.pi * f * t))[t >= 2])) + np.pi / 2
         assert -turn / (2 * np.pi * f) == pytest.approx(delay_s, rel=2e-3)
@@ -413,7 +413,7 @@ def test_the_reference_of_a_yielding_structure_converges_to_the_equations() -> N
 
 
 @pytest.fixture(scope="module")
-def fast() -> Recording:
+def fast() -> RecordedTest:
     """Section 5 at 4096 Hz, with a sensor's noise."""
     test = config.load_test(
         ROOT / "examples" / "section5-T0.5.toml",
@@ -428,7 +428,7 @@ def fast() -> Recording:
 
 
 @pytest.mark.long
-def test_a_recording_at_4096_hz_replays_and_is_reported(fast: Recording, tmp_path: Path) -> None:
+def test_a_recording_at_4096_hz_replays_and_is_reported(fast: RecordedTest, tmp_path: Path) -> None:
     recording.write(tmp_path / "recording.h5", fast)
     rec = recording.read(tmp_path / "recording.h5")
     assert rec.fs_hz == 4096.0
@@ -449,7 +449,7 @@ def test_a_recording_at_4096_hz_replays_and_is_reported(fast: Recording, tmp_pat
 
 @pytest.mark.long
 def test_a_recording_at_4096_hz_is_diagnosed_with_its_rig_file(
-    fast: Recording, tmp_path: Path, rthyb: Rthyb
+    fast: RecordedTest, tmp_path: Path, rthyb: Rthyb
 ) -> None:
     recording.write(tmp_path / "recording.h5", fast)
     (tmp_path / "rig.toml").write_text(fast.rig_toml, encoding="utf-8")
@@ -542,18 +542,18 @@ def test_a_station_and_a_rig_of_two_rates_are_not_joined() -> None:
     setup = prepared(4096.0)
     station = core.Station(experiment.station_config(setup), setup.ag_mps2)
     with pytest.raises(core.CoreError, match="must be equal"):
-        core.Virtual(station, core.Rig(experiment.rig_config(setup.rig)))
+        core.Virtual(station, core.VirtualRig(experiment.rig_config(setup.rig)))
 
 
 @pytest.mark.parametrize("rate_hz", [256.0, 4096.0])
 def test_the_longest_delay_and_window_fit_at_every_rate(rate_hz: float) -> None:
     setup = prepared(rate_hz, "[controller]\nrfc = { window_samples = 1024 }\n", DELAY.format(1000))
     assert setup.controller.rfc.window == rate_hz
-    rig = core.Rig(setup.virtual_rig)
+    rig = core.VirtualRig(setup.virtual_rig)
     step = np.ones(round(1.5 * rate_hz))
     x, _ = rig.run(step)
     assert np.flatnonzero(x)[0] / rate_hz == 1000 / 1024
     slow = 'kind = "second-order"\nnatural_frequency_hz = 40\ndamping_ratio = 1\ndelay_s = 1\n'
-    x, _ = core.Rig(prepared(rate_hz, actuator=slow).virtual_rig).run(step)
+    x, _ = core.VirtualRig(prepared(rate_hz, actuator=slow).virtual_rig).run(step)
     assert x[round(rate_hz) :].max() > 0.9
     assert np.abs(x[: round(rate_hz)]).max() == 0.0

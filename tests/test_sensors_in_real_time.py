@@ -31,7 +31,7 @@ from rthyb_rt.core.library import STATUS
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import axes_experiment, experiment, extra_frames, realtime, sensor_wires
 from rthyb_rt.lab.realtime import RefusedError, station_replay
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig import identify_axes, virtual_rig
 from rthyb_rt.rig.commissioning import certificate, guide
 from rthyb_rt.rig.commissioning.guided_motion import Reach
@@ -143,7 +143,7 @@ def through(
     text: str = DEFAULTS,
     test: str = SHORT,
     **more: Any,
-) -> tuple[Recording, Between]:
+) -> tuple[RecordedTest, Between]:
     with between(text) as (opened, way):
         way.axis, way.change = NAMES.index(SENSORS[name][0]), change
         for key, value in more.items():
@@ -154,13 +154,13 @@ def through(
     return rec, way
 
 
-def assert_replays(rec: Recording) -> None:
+def assert_replays(rec: RecordedTest) -> None:
     again = station_replay.replay(rec)
     assert again.identical, (again.first_row, again.field)
     assert again.rows == rec.samples.size
 
 
-def sensor_of(rec: Recording) -> tuple[str, str | None]:
+def sensor_of(rec: RecordedTest) -> tuple[str, str | None]:
     """The cause of the last row, and the sensor that it names."""
     last = core.placed_cause(int(rec.samples["cause"][-1]))
     names = ("wire", "column")
@@ -449,7 +449,7 @@ def with_dbc(folder: Path, *, cell: str = "64|16@1- (4,0) [-80000|80000]", fd: b
     return text
 
 
-def over_dbc(text: str, raw: Callable[[int], int | None]) -> Recording:
+def over_dbc(text: str, raw: Callable[[int], int | None]) -> RecordedTest:
     """The test over sockets with the frames of the files; the cell's 16 bits can be replaced."""
     given = read(text)
     with ExitStack() as owned:

@@ -31,7 +31,7 @@ from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import axes_experiment, virtual_time, zeroing
 from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record import mat_csv
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig import identify_axes, virtual_rig
 from rthyb_rt.rig.links import opening
 
@@ -800,7 +800,7 @@ def test_a_name_that_a_recording_has_already_is_refused(name: str) -> None:
 
 
 def test_the_name_of_a_variable_of_exported_files_is_refused(
-    bare: Recording, tmp_path: Path
+    bare: RecordedTest, tmp_path: Path
 ) -> None:
     mat_csv.to_mat(bare, tmp_path / "bare.mat")
     own = {name for name, _, _ in scipy.io.whosmat(tmp_path / "bare.mat")}
@@ -932,28 +932,28 @@ def test_the_tares_of_the_sensors_are_told_by_name() -> None:
 # ---- whole tests --------------------------------------------------------------------------------
 
 
-def completed(text: str, test: str = TEST) -> Recording:
+def completed(text: str, test: str = TEST) -> RecordedTest:
     rec = virtual_time.run(axes_experiment.prepare(files.parse_test(test, "test.toml"), read(text)))
     assert rec.meta["end_reason"] == "completed"
     return rec
 
 
 @pytest.fixture(scope="module")
-def bare() -> Recording:
+def bare() -> RecordedTest:
     return completed(RIG)
 
 
 @pytest.fixture(scope="module")
-def celled() -> Recording:
+def celled() -> RecordedTest:
     return completed(WITH_CELL)
 
 
 @pytest.fixture(scope="module")
-def wired() -> Recording:
+def wired() -> RecordedTest:
     return completed(WITH_WIRE)
 
 
-def axes_of(rec: Recording, key: str) -> Floats:
+def axes_of(rec: RecordedTest, key: str) -> Floats:
     return np.column_stack([rec.axis(n)[key][rec.running()] for n in NAMES])
 
 
@@ -966,7 +966,7 @@ def test_a_test_follows_its_reference(which: str, request: pytest.FixtureRequest
         assert direction.response_nrmse < 0.05
 
 
-def test_the_force_at_the_interface_is_the_sum_of_all_cells(celled: Recording) -> None:
+def test_the_force_at_the_interface_is_the_sum_of_all_cells(celled: RecordedTest) -> None:
     """Against the elastic specimen; the column carries 0.4 of the force along x."""
     rows = celled.running()
     f, pose = axes_of(celled, "f_meas_n"), axes_of(celled, "x_meas_m") @ np.linalg.inv(MATRIX).T
@@ -978,7 +978,7 @@ def test_the_force_at_the_interface_is_the_sum_of_all_cells(celled: Recording) -
     assert np.abs(column_n - 0.4 * wanted[:, 0]).max() < 0.02 * np.abs(wanted[:, 0]).max()
 
 
-def test_three_readings_give_two_directions_by_least_squares(wired: Recording) -> None:
+def test_three_readings_give_two_directions_by_least_squares(wired: RecordedTest) -> None:
     """Without noise all agree; with it, the pose of all three is what the summary judges."""
     rows = wired.running()
     x, wire = axes_of(wired, "x_meas_m"), wired.samples["wire"][rows]
@@ -997,7 +997,7 @@ def test_three_readings_give_two_directions_by_least_squares(wired: Recording) -
 
 
 def test_the_results_have_the_peak_of_each_sensor_and_what_the_others_say_of_it(
-    celled: Recording, wired: Recording
+    celled: RecordedTest, wired: RecordedTest
 ) -> None:
     (cell,), (wire,) = (analysis.summarize(rec).sensors for rec in (celled, wired))
     assert (cell.name, cell.of_force, wire.name, wire.of_force) == ("column", True, "wire", False)
@@ -1015,7 +1015,7 @@ def test_the_results_have_the_peak_of_each_sensor_and_what_the_others_say_of_it(
 
 @pytest.mark.parametrize("which", ["celled", "wired"])
 def test_the_energies_of_the_structure_add_up(
-    which: str, bare: Recording, request: pytest.FixtureRequest
+    which: str, bare: RecordedTest, request: pytest.FixtureRequest
 ) -> None:
     """The recording has no force of the interface: it follows from all load cells again."""
     found, wanted = (
@@ -1054,7 +1054,7 @@ def test_without_noise_redundant_sensors_change_nothing(text: str) -> None:
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-9 * np.ptp(b))
 
 
-def test_a_rig_without_sensors_is_recorded_as_before(bare: Recording) -> None:
+def test_a_rig_without_sensors_is_recorded_as_before(bare: RecordedTest) -> None:
     assert "sensor = " not in bare.rig_toml
     station = bare.replay.parameters[0]["values"]["station"]
     assert not {"sensors", "lone_channel", "lone_channel_count"} & set(station)
@@ -1087,7 +1087,7 @@ LINKED = LINKED.replace('unit = "N"\n', 'unit = "N"\nwire_step = 1e-3\n').replac
 )
 
 
-def over_links(text: str, faults: Any = (), test: str = TEST) -> Recording:
+def over_links(text: str, faults: Any = (), test: str = TEST) -> RecordedTest:
     setup = axes_experiment.prepare(files.parse_test(test, "test.toml"), read(text))
     mishaps = virtual_rig.parse_mishaps(faults, NAMES) if faults else ()
     return virtual_rig.run_faulty(setup, mishaps)

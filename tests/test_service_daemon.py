@@ -37,7 +37,7 @@ from rthyb_rt import config
 from rthyb_rt.core import FLAGS, loop, ticker
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring, session_path
 from rthyb_rt.rig import virtual_rig
 from rthyb_rt.rig.commissioning import certificate
@@ -140,7 +140,7 @@ class Lab:
     def await_state(self, state: str) -> None:
         until(lambda: self.status()["state"] == state or self.over(), state)
 
-    def recorded(self, run_id: str) -> Recording:
+    def recorded(self, run_id: str) -> RecordedTest:
         """Wait for the recording of a run."""
 
         def entry() -> dict[str, Any] | None:
@@ -187,7 +187,7 @@ def repeated(attempt: Callable[[Lab], None]) -> None:
     stalls.repeated(with_lab, ATTEMPTS)
 
 
-def assert_drive_heard(rec: Recording, log: np.ndarray) -> int:
+def assert_drive_heard(rec: RecordedTest, log: np.ndarray) -> int:
     """Hold every command of RUNNING against what the drive decoded under its number; how many.
 
     Numbers begin at another one on each side. Of two commands in one of its ticks the drive's log

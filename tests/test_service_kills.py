@@ -31,7 +31,7 @@ from test_service_daemon import Lab, assert_drive_heard, lab
 
 from rthyb_rt.core import FLAGS
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import FILE_NAME, Recording
+from rthyb_rt.record.recording import FILE_NAME, RecordedTest
 from rthyb_rt.service.control import Client, Refusal, UnreachableError
 from rthyb_rt.service.growing import PART_NAME
 from rthyb_rt.service.ring_recorder import read_status
@@ -87,7 +87,7 @@ class Tally:
 # ---- what the rig says --------------------------------------------------------------------------
 
 
-def answered_ticks(rec: Recording, log: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def answered_ticks(rec: RecordedTest, log: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows with a fresh reading, and the tick of the rig that each is of.
 
     The count in a frame is the low byte of the rig's tick; where it began, the readings say.
@@ -116,7 +116,7 @@ def same_readings(rows: np.ndarray, entries: np.ndarray) -> np.ndarray:
     return np.asarray(x & f)
 
 
-def compare(rec: Recording, log: np.ndarray, tally: Tally) -> None:
+def compare(rec: RecordedTest, log: np.ndarray, tally: Tally) -> None:
     """Hold every reading and every command of a recording against the rig's log."""
     rows, ticks = answered_ticks(rec, log)
     same = same_readings(rec.samples[rows], log[ticks])
@@ -286,7 +286,7 @@ def rows_of(runs: Path, run_id: str) -> np.ndarray | None:
     return None
 
 
-def assert_whole(rec: Recording, files: list[np.ndarray]) -> None:
+def assert_whole(rec: RecordedTest, files: list[np.ndarray]) -> None:
     """No row is missing, and what a killed recorder had written stands as it was.
 
     Ticks that are slept through once TRIPPED are nothing to make up for: they have no row.

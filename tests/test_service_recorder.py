@@ -162,7 +162,7 @@ def test_ring_that_is_met_while_it_is_made_is_recorded_all_the_same(
     with recorder(place) as working:
         write_session = ring._write_session
 
-        def watched(path: Path, session: recording.Recording) -> None:
+        def watched(path: Path, session: recording.RecordedTest) -> None:
             working.turn()
             write_session(path, session)
             working.turn()

@@ -15,7 +15,7 @@ from rthyb_rt import core
 
 
 def measured(command: Floats, **servo: Any) -> Floats:
-    x, _ = core.Rig(core.RigConfig(core.ServoConfig(**servo))).run(command)
+    x, _ = core.VirtualRig(core.RigConfig(core.ServoConfig(**servo))).run(command)
     return x
 
 
@@ -157,7 +157,7 @@ def hydraulic_by_scipy(command: Floats, hold: str, k_specimen: float, **change: 
 def hydraulic(command: Floats, k_specimen: float = K_PLATE, **change: Any) -> Any:
     specimen = (core.element("stiffness", k_n_per_m=k_specimen),)
     servo = core.ServoConfig(**(HYDRAULIC | change))
-    return core.Rig(core.RigConfig(servo, specimen)).run(command)
+    return core.VirtualRig(core.RigConfig(servo, specimen)).run(command)
 
 
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
@@ -213,7 +213,7 @@ def test_mass_of_the_specimen_rides_on_the_table() -> None:
     command = smooth_motion(2.0, 7, peak_m=0.004)
     plate = core.element("stiffness", k_n_per_m=K_PLATE)
     heavy_table, _ = hydraulic(command, moving_mass_kg=145.0)
-    on_specimen = core.Rig(
+    on_specimen = core.VirtualRig(
         core.RigConfig(core.ServoConfig(**HYDRAULIC), (plate, core.element("inertia", m_kg=100.0)))
     )
     x, _ = on_specimen.run(command)
@@ -245,17 +245,17 @@ def test_mass_of_the_specimen_rides_on_the_table() -> None:
 )
 def test_actuator_setting_out_of_range_is_refused(servo: dict[str, Any]) -> None:
     with pytest.raises(core.CoreError):
-        core.Rig(core.RigConfig(core.ServoConfig(**servo)))
+        core.VirtualRig(core.RigConfig(core.ServoConfig(**servo)))
 
 
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 @pytest.mark.parametrize("name", [name for name in HYDRAULIC if name != "kind"])
 def test_hydraulic_setting_out_of_range_is_refused(name: str, value: float) -> None:
     with pytest.raises(core.CoreError):
-        core.Rig(core.RigConfig(core.ServoConfig(**(HYDRAULIC | {name: value}))))
+        core.VirtualRig(core.RigConfig(core.ServoConfig(**(HYDRAULIC | {name: value}))))
 
 
 @pytest.mark.parametrize("substeps", [0, 4097])
 def test_substeps_out_of_range_are_refused(substeps: int) -> None:
     with pytest.raises(core.CoreError):
-        core.Rig(core.RigConfig(core.ServoConfig(**HYDRAULIC, substeps=substeps)))
+        core.VirtualRig(core.RigConfig(core.ServoConfig(**HYDRAULIC, substeps=substeps)))

@@ -58,7 +58,7 @@ def test_a_held_command_is_answered_exactly(fs_hz: float) -> None:
     for n in range(8000):
         x[n], f[n] = s[3], 1e6 * s[2]
         s = step[:5, :5] @ s + step[:5, 5] * command[n]
-    found_x, found_f = core.Rig(quiet(period_s=1.0 / fs_hz)).run(command)
+    found_x, found_f = core.VirtualRig(quiet(period_s=1.0 / fs_hz)).run(command)
     # c of the rig file has seven digits.
     np.testing.assert_allclose(found_x, x, rtol=0, atol=1e-6 * np.abs(x).max())
     np.testing.assert_allclose(found_f, f, rtol=0, atol=1e-6 * np.abs(f).max())
@@ -78,7 +78,7 @@ def test_poles_are_the_published_ones() -> None:
 )  # fmt: skip
 def test_frequency_response_is_the_benchmarks(hz: float, gain: float, delay_ms: float) -> None:
     t = np.arange(8 * 4096) / 4096.0
-    x, _ = core.Rig(quiet()).run(1e-3 * np.sin(2 * np.pi * hz * t))
+    x, _ = core.VirtualRig(quiet()).run(1e-3 * np.sin(2 * np.pi * hz * t))
     last = slice(-5 * 4096, None)  # whole periods of every one of them
     wave = np.column_stack([np.sin(2 * np.pi * hz * t[last]), np.cos(2 * np.pi * hz * t[last])])
     sine, cosine = np.linalg.lstsq(wave, x[last], rcond=None)[0]
@@ -97,7 +97,7 @@ def test_a_yielding_specimen_is_the_same_in_finer_substeps() -> None:
     t = np.arange(2 * 4096) / 4096.0
     command = 4e-3 * np.sin(2 * np.pi * 3.0 * t)
     runs = {
-        n: core.Rig(replace(quiet(substeps=n), elements=tuple(rest))).run(command)
+        n: core.VirtualRig(replace(quiet(substeps=n), elements=tuple(rest))).run(command)
         for n in (8, 32, 128)
     }
     force = np.abs(runs[128][1]).max()
@@ -109,10 +109,10 @@ def test_a_yielding_specimen_is_the_same_in_finer_substeps() -> None:
 
 def test_the_drives_input_has_steps_and_an_end() -> None:
     command = np.full(4 * 4096, 0.05)
-    x, _ = core.Rig(quiet(command_range_m=0.01)).run(command)
-    unlimited, _ = core.Rig(quiet()).run(command)
+    x, _ = core.VirtualRig(quiet(command_range_m=0.01)).run(command)
+    unlimited, _ = core.VirtualRig(quiet()).run(command)
     assert x[-1] == pytest.approx(0.2 * unlimited[-1], rel=1e-9)
-    coarse, _ = core.Rig(quiet(command_lsb_m=0.04)).run(command)
+    coarse, _ = core.VirtualRig(quiet(command_lsb_m=0.04)).run(command)
     assert coarse[-1] == pytest.approx(0.8 * unlimited[-1], rel=1e-9)
 
 
@@ -134,7 +134,7 @@ def test_the_drives_own_loop_is_the_benchmarks_pi_by_tustins_rule(fs_hz: float) 
         u1, e1 = u, error
         s = step[:5, :5] @ s + step[:5, 5] * u
     loop = quiet(period_s=1.0 / fs_hz, loop_kp=2.0, loop_ki_per_s=95.0)
-    found, _ = core.Rig(loop).run(command)
+    found, _ = core.VirtualRig(loop).run(command)
     np.testing.assert_allclose(found, x, rtol=0, atol=1e-5 * np.abs(x).max())
 
 
@@ -142,19 +142,21 @@ def test_the_loop_hears_the_sensor_with_its_noise_and_its_steps() -> None:
     noisy = replace(
         quiet(loop_kp=2.0, loop_ki_per_s=95.0), displacement=core.SensorConfig(noise_std=1e-5)
     )
-    still, _ = core.Rig(replace(noisy, displacement=core.SensorConfig())).run(np.zeros(40000))
+    still, _ = core.VirtualRig(replace(noisy, displacement=core.SensorConfig())).run(
+        np.zeros(40000)
+    )
     assert not still.any()
-    rig = core.Rig(noisy)
+    rig = core.VirtualRig(noisy)
     true = np.array([(rig.step(0.0), rig.true_displacement_m)[1] for _ in range(40000)])
     assert 1e-8 < np.std(true) < 1e-5
     stuck = replace(noisy, displacement=core.SensorConfig(lsb=1.0))
-    deaf, _ = core.Rig(stuck).run(np.full(400, 1e-4))
+    deaf, _ = core.VirtualRig(stuck).run(np.full(400, 1e-4))
     assert not deaf.any()
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_a_loop_with_a_senseless_command_stays_finite(bad: float) -> None:
-    rig = core.Rig(quiet(loop_kp=1e3, loop_ki_per_s=1e6))
+    rig = core.VirtualRig(quiet(loop_kp=1e3, loop_ki_per_s=1e6))
     for n in range(20000):
         x, f, _ = rig.step(bad if n % 7 == 0 else 1e3)
         assert np.isfinite([x, f]).all()
@@ -162,7 +164,7 @@ def test_a_loop_with_a_senseless_command_stays_finite(bad: float) -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e300])
 def test_a_senseless_command_is_not_taken(bad: float) -> None:
-    rig, good = core.Rig(quiet()), core.Rig(quiet())
+    rig, good = core.VirtualRig(quiet()), core.VirtualRig(quiet())
     for n in range(2000):
         wrong = n % 5 == 4
         x, f, code = rig.step(bad if wrong else 1e-3)
@@ -171,7 +173,7 @@ def test_a_senseless_command_is_not_taken(bad: float) -> None:
 
 
 def test_a_rig_that_runs_off_stops_at_its_guard() -> None:
-    rig = core.Rig(quiet(gain=-1e3, leakage_per_s=0.0, velocity_feedback_n_s_per_m2=0.0))
+    rig = core.VirtualRig(quiet(gain=-1e3, leakage_per_s=0.0, velocity_feedback_n_s_per_m2=0.0))
     for _ in range(20000):
         x, f, _ = rig.step(1e3)
         assert np.isfinite([x, f]).all()
@@ -196,7 +198,7 @@ def test_a_rig_that_runs_off_stops_at_its_guard() -> None:
 )
 def test_a_plant_that_means_nothing_is_refused(changes: dict[str, Any]) -> None:
     with pytest.raises(core.CoreError):
-        core.Rig(quiet(**changes))
+        core.VirtualRig(quiet(**changes))
 
 
 def test_a_valve_without_a_mass_to_push_is_refused_by_the_file() -> None:

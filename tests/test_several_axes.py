@@ -22,7 +22,7 @@ from rthyb_rt.core import RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_experiment, realtime, virtual_time
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 ROOT = Path(__file__).parents[1]
 SHORT = TEST + "[ground_motion]\npga_g = 0.05\nduration_s = 8\n"
@@ -35,7 +35,7 @@ def rig(text: str = RIG) -> AxesRig:
     return found
 
 
-def conducted(test: str = SHORT, given: str = RIG) -> Recording:
+def conducted(test: str = SHORT, given: str = RIG) -> RecordedTest:
     return virtual_time.run(
         axes_experiment.prepare(config.parse_test(test, "test.toml"), rig(given))
     )
@@ -169,7 +169,7 @@ def test_any_axis_and_any_direction_ends_the_test_for_all(
 # ---- compensation by matrices --------------------------------------------------------------------
 
 
-def frame(**overrides: str) -> Recording:
+def frame(**overrides: str) -> RecordedTest:
     given = {key.replace("__", "."): value for key, value in overrides.items()}
     test = config.load_test(
         ROOT / "examples" / "two-actuator-frame.toml", {"ground_motion.duration_s": "8", **given}

@@ -59,7 +59,7 @@ class Bench(Courses):
     def __post_init__(self) -> None:
         self.station = core.Station(config(**self.changes), shaking(self.seconds))
         specimen = core.element("stiffness", k_n_per_m=K_N_PER_M)
-        self.rig = core.Rig(
+        self.rig = core.VirtualRig(
             core.RigConfig(core.ServoConfig("pure-delay", delay_samples=6), (specimen,))
         )
         self.at_drive = OFFSET_M
@@ -136,7 +136,7 @@ def test_running_part_is_what_the_controller_alone_computes() -> None:
     rows = bench.rows()
     rows = rows[rows["state"] == core.STATES.index("RUNNING")]
     alone = core.Controller(config().controller)
-    rig = core.Rig(
+    rig = core.VirtualRig(
         core.RigConfig(
             core.ServoConfig("pure-delay", delay_samples=6),
             (core.element("stiffness", k_n_per_m=K_N_PER_M),),

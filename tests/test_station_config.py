@@ -333,7 +333,7 @@ class Bench:
 
     def __init__(self, setup: experiment.Setup, reading: Reading = lambda n, x, f: (x, f)) -> None:
         self.station = core.Station(experiment.station_config(setup), setup.ag_mps2)
-        self.rig = core.Rig(setup.virtual_rig)
+        self.rig = core.VirtualRig(setup.virtual_rig)
         self.reading = reading
         self.at_drive = 0.0
         self.rows: list[np.ndarray] = []

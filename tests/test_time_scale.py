@@ -168,12 +168,14 @@ def test_every_element_has_the_same_force_on_the_same_motion_in_slow_motion(kind
     t = np.arange(2048) * h
     w = 2 * np.pi * 2.0
     x, v, a = 0.02 * np.sin(w * t), 0.02 * w * np.cos(w * t), -0.02 * w**2 * np.sin(w * t)
-    fast = np.asarray(core.Element(element).run(x, v, a, h))
-    slowly = core.Element(timescale.slowed(element, slow)).run(x, v / slow, a / slow**2, h * slow)
+    fast = np.asarray(core.CoreElement(element).run(x, v, a, h))
+    slowly = core.CoreElement(timescale.slowed(element, slow)).run(
+        x, v / slow, a / slow**2, h * slow
+    )
     assert np.abs(fast).max() > 0.0
     assert np.allclose(slowly, fast, rtol=1e-9, atol=1e-9 * np.abs(fast).max())
     # And those without a rate in them need nothing.
-    unscaled = np.asarray(core.Element(element).run(x, v / slow, a / slow**2, h * slow))
+    unscaled = np.asarray(core.CoreElement(element).run(x, v / slow, a / slow**2, h * slow))
     same = np.allclose(unscaled, fast, rtol=1e-9, atol=1e-9 * np.abs(fast).max())
     assert same is not timescale.rate_dependent(element)
 

@@ -15,7 +15,7 @@ from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import RthybError
 from rthyb_rt.lab import end_reasons, experiment, realtime, virtual_time
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 STATE = {name: number for number, name in enumerate(STATES)}
 TEST = """schema = "rthyb-test/1"
@@ -57,11 +57,11 @@ def prepared(test: str = "", rig: str = "", **limits: object) -> experiment.Setu
     return experiment.prepare(config.parse_test(text), config.parse_rig(RIG + rig))
 
 
-def proper(rec: Recording) -> np.ndarray:
+def proper(rec: RecordedTest) -> np.ndarray:
     return rec.samples[rec.samples["state"] == STATE["RUNNING"]]
 
 
-def states(rec: Recording) -> list[str]:
+def states(rec: RecordedTest) -> list[str]:
     numbers = rec.samples["state"]
     return [STATES[n] for n in numbers[np.flatnonzero(np.diff(numbers, prepend=255))]]
 
@@ -93,7 +93,7 @@ def test_test_proper_is_that_of_the_controller_alone_at_the_same_rig() -> None:
     rows = proper(virtual_time.run(setup))
     alone = np.zeros(setup.ticks, core.RECORD_DTYPE)
     done, _ = core.Controller(setup.controller).run_virtual(
-        core.Rig(setup.virtual_rig), setup.ag_mps2, alone
+        core.VirtualRig(setup.virtual_rig), setup.ag_mps2, alone
     )
     assert done == rows.size
     for name in ("ag_mps2", "x_num_m", "x_plc_m", "x_cmd_m", "x_meas_m", "f_meas_n", "alpha"):
@@ -138,7 +138,7 @@ def test_replay_finds_a_row_that_was_altered() -> None:
 FORCE_N = 800
 
 
-def limited(action: str, **more: object) -> Recording:
+def limited(action: str, **more: object) -> RecordedTest:
     return virtual_time.run(
         prepared(force_n=f'{{ value = {FORCE_N}, action = "{action}" }}', **more)
     )
@@ -291,7 +291,7 @@ def test_command_line_leaves_with_six_after_a_limit(
 # ---- faults on demand ---------------------------------------------------------------------------
 
 
-def rehearsed(rthyb: Any, folder: Path, *faults: str, **limits: object) -> tuple[int, Recording]:
+def rehearsed(rthyb: Any, folder: Path, *faults: str, **limits: object) -> tuple[int, RecordedTest]:
     """Run a test of 4 s with faults; return its exit code and its recording."""
     written(folder, **limits)
     options = [part for fault in faults for part in ("--fault", fault)]

@@ -54,7 +54,7 @@ class Lab:
             experiment.station_config(self.setup, real=True), **self.station_changes
         )
         self.station = core.Station(self.config, self.setup.ag_mps2)
-        self.rig = core.Rig(self.setup.virtual_rig)
+        self.rig = core.VirtualRig(self.setup.virtual_rig)
         self.at_drive = 0.0
 
     def step(self, command: core.Command = "none", skipped: int = 0) -> core.StationTick:

@@ -13,7 +13,7 @@ from pathlib import Path
 from rthyb_rt import config, report
 from rthyb_rt.analysis import summary
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report.figures import draw_all
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
@@ -21,7 +21,7 @@ MARGIN = 8.0
 FONT = "font-family: system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 
 
-def run(test: Path) -> Recording:
+def run(test: Path) -> RecordedTest:
     """Return the recording of a test file on the rig that it names."""
     loaded = config.load_test(test)
     return virtual_time.run(
@@ -29,7 +29,7 @@ def run(test: Path) -> Recording:
     )
 
 
-def draw(rec: Recording, prefix: str, keys: tuple[str, ...]) -> None:
+def draw(rec: RecordedTest, prefix: str, keys: tuple[str, ...]) -> None:
     """Write figures of the report as SVG files."""
     for plate in draw_all(rec, summary.summarize(rec)):
         if plate.key not in keys:
@@ -48,7 +48,7 @@ def on_paper(svg: str) -> str:
     return f"{head} {size}>{paper}{rest}\n"
 
 
-def photograph(rec: Recording) -> None:
+def photograph(rec: RecordedTest) -> None:
     """Write the top of the report as report.png, if there is a browser for it."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:

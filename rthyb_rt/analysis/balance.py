@@ -25,7 +25,7 @@ from rthyb_rt.config.testfile import PRESCRIBED
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.summary import SummarySettings
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class EnergyBalance:
         return float(np.max(np.abs(self.rest_j), initial=0.0)) / whole if whole else float("nan")
 
 
-def of_recording(rec: Recording, given: SummarySettings) -> EnergyBalance | None:
+def of_recording(rec: RecordedTest, given: SummarySettings) -> EnergyBalance | None:
     """Return the balance of a recording; None if mass, damping or stiffness are not known.
 
     A structure with many degrees of freedom is handled by `structure_balance`. Only rows up to the
@@ -115,7 +115,7 @@ def of_recording(rec: Recording, given: SummarySettings) -> EnergyBalance | None
     )  # fmt: skip
 
 
-def uninterrupted(rec: Recording) -> NDArray[np.intp]:
+def uninterrupted(rec: RecordedTest) -> NDArray[np.intp]:
     """Return the row numbers of the test proper up to its first interruption."""
     rows = np.flatnonzero(rec.running())
     breaks = np.flatnonzero(np.diff(rows) > 1)

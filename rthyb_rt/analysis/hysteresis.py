@@ -22,7 +22,7 @@ from rthyb_rt.config.testfile import TestFile
 from rthyb_rt.core import RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import histories
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class Amplitude:
         return self.loops[-1]
 
 
-def amplitudes(rec: Recording) -> tuple[Amplitude, ...]:
+def amplitudes(rec: RecordedTest) -> tuple[Amplitude, ...]:
     """Return the loops of a recording by amplitude, in their order.
 
     Args:
@@ -99,7 +99,7 @@ def amplitudes(rec: Recording) -> tuple[Amplitude, ...]:
     return tuple(Amplitude(sizes[step], tuple(loops)) for step, loops in found.items())
 
 
-def plan_of(rec: Recording) -> histories.HistoryPlan | None:
+def plan_of(rec: RecordedTest) -> histories.HistoryPlan | None:
     """Return the history that a recording followed; None if it has none that can be read."""
     try:
         raw = documents.toml(rec.test_toml)

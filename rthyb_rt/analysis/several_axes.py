@@ -28,7 +28,7 @@ from rthyb_rt.config.testfile import MATRIX
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError
 from rthyb_rt.numbers import number, percent, quantity
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]
 
@@ -189,12 +189,12 @@ class AxesSummary:
         }
 
 
-def summarize_any(rec: Recording) -> Summary | AxesSummary:
+def summarize_any(rec: RecordedTest) -> Summary | AxesSummary:
     """Return the results of a recording, of one axis or of several; see both `summarize`."""
     return summarize(rec) if rec.axis_names else summary.summarize(rec)
 
 
-def summarize(rec: Recording) -> AxesSummary:
+def summarize(rec: RecordedTest) -> AxesSummary:
     """Return the results of a recording of several axes.
 
     Raises:
@@ -246,7 +246,7 @@ def summarize(rec: Recording) -> AxesSummary:
     )
 
 
-def files(rec: Recording) -> tuple[AxesRig, config.TestFile]:
+def files(rec: RecordedTest) -> tuple[AxesRig, config.TestFile]:
     """Return rig and test file from a recording of several axes.
 
     Raises:
@@ -264,12 +264,12 @@ def axes_judge(rig: AxesRig, reference: AxesReference, fs_hz: float) -> AxesJudg
     return AxesJudge(rig.names, fs_hz, peak_m)
 
 
-def reference(rec: Recording, rig: AxesRig, test: config.TestFile) -> AxesReference:
+def reference(rec: RecordedTest, rig: AxesRig, test: config.TestFile) -> AxesReference:
     """Return the reference simulation over the ground motion of a recording."""
     return reference_of(test, rig, derive_axes(test, rig).structure, rec.ag_mps2)
 
 
-def _not_finite_rows(rec: Recording, axes: int) -> int:
+def _not_finite_rows(rec: RecordedTest, axes: int) -> int:
     fine = np.ones(len(rec.samples), dtype=bool)
     for i in range(axes):
         own = rec.axis(i)
@@ -278,7 +278,7 @@ def _not_finite_rows(rec: Recording, axes: int) -> int:
     return int(np.count_nonzero(~fine))
 
 
-def _signals(rec: Recording, rig: AxesRig, whole: AxesReference) -> Signals:
+def _signals(rec: RecordedTest, rig: AxesRig, whole: AxesReference) -> Signals:
     running = rec.running()
     n = int(np.count_nonzero(running))
     if n == 0:
@@ -330,7 +330,7 @@ def _peak(values: Floats) -> float:
     return float(np.nanmax(np.abs(values)))
 
 
-def _of_axis(rec: Recording, signals: Signals, i: int, name: str, by_law: bool) -> AxisRows:
+def _of_axis(rec: RecordedTest, signals: Signals, i: int, name: str, by_law: bool) -> AxisRows:
     wanted, measured = signals.wanted_m[:, i], signals.measured_m[:, i]
     running = rec.running()
     alpha = rec.samples["alpha"] if i == 0 else rec.samples[f"alpha_{i}"]

@@ -30,7 +30,7 @@ from rthyb_rt.core.sparse import GROUND, RESPONSES_MAX, Response, SparseConfig
 if TYPE_CHECKING:
     from rthyb_rt.config.own_structure import OwnStructure
     from rthyb_rt.config.sparse_structure import SparseStructure
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]
 PartConfig = DenseConfig | SparseConfig
@@ -39,7 +39,7 @@ _BLOCK: Final = 1024
 """Rows whose degrees of freedom are kept in memory at a time."""
 
 
-def of_recording(rec: Recording) -> EnergyBalance | None:
+def of_recording(rec: RecordedTest) -> EnergyBalance | None:
     """Return the balance of a recording of a structure; None for others, or if it never ran.
 
     Only rows up to the first interruption of the test proper, less the last row, are used.
@@ -55,7 +55,7 @@ def of_recording(rec: Recording) -> EnergyBalance | None:
     return balance(structure.part, rec.time_s()[rows], s["ag_mps2"], x_num, x_meas, f_meas)
 
 
-def of_axes(rec: Recording, structure: SparseStructure | OwnStructure) -> EnergyBalance | None:
+def of_axes(rec: RecordedTest, structure: SparseStructure | OwnStructure) -> EnergyBalance | None:
     """Return the balance of a recording of several axes.
 
     None if it never ran, or if the energies within a user-defined part are not known.

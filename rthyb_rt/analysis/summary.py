@@ -32,7 +32,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import trips
 from rthyb_rt.lab.trips import Met
 from rthyb_rt.numbers import count, delay, number, percent, quantity
-from rthyb_rt.record.recording import OMITTED, Recording
+from rthyb_rt.record.recording import OMITTED, RecordedTest
 
 Floats = NDArray[np.float64]
 NAN = float("nan")
@@ -108,7 +108,7 @@ class SummarySettings:
     omitted: tuple[str, ...] = ()
 
 
-def setup(rec: Recording) -> SummarySettings:
+def setup(rec: RecordedTest) -> SummarySettings:
     """Return the settings that the measures need from the two resolved files.
 
     Tolerant, since a recording of another version must still give a report.
@@ -191,13 +191,13 @@ def setup(rec: Recording) -> SummarySettings:
     )
 
 
-def omitted(rec: Recording) -> tuple[str, ...]:
+def omitted(rec: RecordedTest) -> tuple[str, ...]:
     """Return the notes on values that the rig file of a recording omitted."""
     found = rec.meta.get(OMITTED)
     return tuple(map(str, found)) if isinstance(found, list) else ()
 
 
-def recorded_structure(rec: Recording) -> Structure | SparseStructure | None:
+def recorded_structure(rec: RecordedTest) -> Structure | SparseStructure | None:
     """Return the numerical part of a recording if it has many degrees of freedom, else None."""
     test, rig = map(documents.toml_if_valid, (rec.test_toml, rec.rig_toml))
     k_e = _positive(_get(rig, "rig", "elastic_stiffness_n_per_m"))
@@ -272,7 +272,7 @@ def _limits(test: dict[str, Any]) -> dict[str, float]:
     return {key: value for key, value in values.items() if value is not None}
 
 
-def _reference_peak(rec: Recording, name: str) -> float | None:
+def _reference_peak(rec: RecordedTest, name: str) -> float | None:
     peak = NAN if rec.reference is None else _peak(rec.reference[name])
     return peak if peak > 0.0 else None
 
@@ -352,7 +352,7 @@ class Live:
     remedy: str
 
 
-def live(rec: Recording) -> Live | None:
+def live(rec: RecordedTest) -> Live | None:
     """Return how a test in real time went; None for a test in virtual time."""
     facts = rec.meta.get("real_time")
     if not isinstance(facts, dict):
@@ -381,7 +381,7 @@ def live(rec: Recording) -> Live | None:
     )
 
 
-def _motion(rec: Recording) -> NDArray[np.bool_]:
+def _motion(rec: RecordedTest) -> NDArray[np.bool_]:
     """Return which rows contain motion, including ramps, shape (n,)."""
     mask: NDArray[np.bool_] = np.isin(rec.samples["state"], _MOVING)
     return mask
@@ -482,7 +482,7 @@ def _bare(found: Summary) -> Summary:
     return replace(found, duration_s=0.0, attention=(), **_NEVER)
 
 
-def ending(rec: Recording, running: int) -> str:
+def ending(rec: RecordedTest, running: int) -> str:
     """Return the limit that ended a test, with its value, from a recording without its rows.
 
     Args:
@@ -497,7 +497,7 @@ def ending(rec: Recording, running: int) -> str:
     return "" if met is None else trips.sentence(replace(met, time_s=running / rec.fs_hz), given)
 
 
-def reference_pair(rec: Recording) -> tuple[NDArray[np.intp], Floats] | None:
+def reference_pair(rec: RecordedTest) -> tuple[NDArray[np.intp], Floats] | None:
     """Return the rows with a reference and the reference displacement at these rows, m.
 
     Row k of the reference belongs to the k-th row of the test proper. None without a reference.
@@ -523,7 +523,7 @@ def subject(given: SummarySettings, fs_hz: float) -> Subject:
     )
 
 
-def summarize(rec: Recording) -> Summary:
+def summarize(rec: RecordedTest) -> Summary:
     """Return the results of a recording.
 
     The energy error is computed from the recorded signals, not taken from the core's running value,
@@ -842,7 +842,7 @@ class SummaryRow(NamedTuple):
     formula: str
 
 
-def result_table(rec: Recording) -> list[SummaryRow]:
+def result_table(rec: RecordedTest) -> list[SummaryRow]:
     """Return the result table of a recording: label, value with unit, definition.
 
     Definitions and sources are given in `rthyb_rt.analysis.measures`.

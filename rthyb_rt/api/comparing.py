@@ -118,7 +118,7 @@ class Comparison:
         return "".join(lines)
 
 
-def _given(one: Recording | Test | Sweep | Place) -> raw.Recording | Setup | Path:
+def _given(one: Recording | Test | Sweep | Place) -> raw.RecordedTest | Setup | Path:
     """Return what is to be compared: a recording, a prepared test, or a path.
 
     Raises:

@@ -321,9 +321,9 @@ class Recording(Mapping[str, NDArray[Any]]):
     """
 
     def __init__(
-        self, raw: files.Recording, path: Path | None = None, notes: tuple[str, ...] = ()
+        self, raw: files.RecordedTest, path: Path | None = None, notes: tuple[str, ...] = ()
     ) -> None:
-        if not isinstance(raw, files.Recording):
+        if not isinstance(raw, files.RecordedTest):
             raise InputError(
                 f"found {in_words(raw)}; a recording is made by run(test), or read by open(path)",
                 "Recording",
@@ -617,7 +617,7 @@ class Recording(Mapping[str, NDArray[Any]]):
         return Plots(self)
 
     @property
-    def raw(self) -> files.Recording:
+    def raw(self) -> files.RecordedTest:
         """The internal recording object; not part of the stable interface."""
         return self._raw
 

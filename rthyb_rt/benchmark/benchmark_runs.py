@@ -13,7 +13,7 @@ from rthyb_rt.campaign import pools
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 NOMINAL: Final = 0
 """Used instead of a seed for the plant without perturbation."""
@@ -165,7 +165,7 @@ def prepared(run: BenchmarkRun) -> Setup:
     return experiment.prepare(test, rig, record=cases.motion(run.motion))
 
 
-def recorded(setup: Setup) -> Recording:
+def recorded(setup: Setup) -> RecordedTest:
     """Carry out a run in virtual time, with the additional data that `figures_of` requires."""
     return virtual_time.run(setup, truth=True, freedoms=True)
 
@@ -204,7 +204,7 @@ def reference(setup: Setup) -> tuple[criteria.Floats, ...]:
     return structure.whole_reference(elements, setup.ag_mps2)
 
 
-def figures_of(setup: Setup, rec: Recording) -> dict[str, float]:
+def figures_of(setup: Setup, rec: RecordedTest) -> dict[str, float]:
     """Return the figures of a completed run over the whole record, including rest."""
     rows = rec.samples[rec.running()][: setup.ticks]
     storeys_m = reference(setup)[3][: rows.size]

@@ -16,7 +16,7 @@ from rthyb_rt.campaign.plan import COMPLETED, Measure, Plan, PlannedRun, Row
 from rthyb_rt.config.campaignfile import BENCHMARK_KEYS, CampaignFile, Scalar
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 MEASURES: Final = (
     Measure("true", "Tracking without noise", "%", 1.0),
@@ -58,11 +58,11 @@ class BenchmarkCase(PlannedRun):
         """Return the test, ready to run."""
         return benchmark_runs.prepared(self.run)
 
-    def recorded(self, setup: Setup) -> Recording:
+    def recorded(self, setup: Setup) -> RecordedTest:
         """Run it in virtual time, with the additional data that the figures require."""
         return benchmark_runs.recorded(setup)
 
-    def measured(self, setup: Setup, rec: Recording) -> Row:
+    def measured(self, setup: Setup, rec: RecordedTest) -> Row:
         """Return ``ending``, ``cause`` and the figures of `criteria.MEANINGS`.
 
         ``beyond`` is returned for a run that reached its force limit: whether no law could avoid

@@ -11,7 +11,7 @@ from rthyb_rt.campaign.plan import FAILED, STOPPED, PlannedRun, Row, program
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import storing
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import write_report
 
 FOLDERS: Final = "runs"
@@ -55,7 +55,7 @@ def carry_out(case: PlannedRun, keep: str = "nothing", folder: str = "", wanted:
     return row
 
 
-def _kept(case: PlannedRun, setup: Setup, rec: Recording, folder: Path) -> Row:
+def _kept(case: PlannedRun, setup: Setup, rec: RecordedTest, folder: Path) -> Row:
     """Store recording, settings and report of a run; return the links to them."""
     place = folder / FOLDERS / f"{case.number:06d}"
     shutil.rmtree(place, ignore_errors=True)  # what a process began that was killed

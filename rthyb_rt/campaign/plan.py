@@ -29,7 +29,7 @@ from rthyb_rt.documents import flat
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import axes_experiment, virtual_time
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 Row = dict[str, Any]
 """Result of one run: ``case``, its chosen and drawn values, ``ending``, measures."""
@@ -132,11 +132,11 @@ class PlannedRun:
         test = Path(self.test) if self.test else None
         return load_any_both(test, self.rig or None, self.settings)
 
-    def recorded(self, setup: Setup) -> Recording:
+    def recorded(self, setup: Setup) -> RecordedTest:
         """Carry it out in virtual time."""
         return virtual_time.run(setup)
 
-    def measured(self, setup: Setup, rec: Recording) -> Row:
+    def measured(self, setup: Setup, rec: RecordedTest) -> Row:
         """Return ``ending``, ``cause`` and measures: those of ``rthyb run --json``.
 
         Those of an axis or a direction begin with its name, ``axes.upper.tracking_nrmse``. A
@@ -151,7 +151,7 @@ class PlannedRun:
         return ended(rec, found) | measures
 
 
-def ended(rec: Recording, found: summary.Summary | AxesSummary | None = None) -> Row:
+def ended(rec: RecordedTest, found: summary.Summary | AxesSummary | None = None) -> Row:
     """Return how a run ended: ``ending``, and ``cause`` in words.
 
     Args:

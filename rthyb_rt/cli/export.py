@@ -11,7 +11,7 @@ from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.inputs import AxisOption, RecordingArgument
 
 if TYPE_CHECKING:
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 
 def export(
@@ -83,7 +83,7 @@ def export(
         _note_extras(rec)
 
 
-def _note_extras(rec: Recording) -> None:
+def _note_extras(rec: RecordedTest) -> None:
     from rthyb_rt.record.mat_csv import without_extras
 
     note = without_extras(rec)

@@ -18,7 +18,7 @@ from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 _TAKEN = (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR)
 _STAGE = re.compile(r"\..+\.(\d{1,9})\.part", re.DOTALL)
@@ -136,7 +136,7 @@ def publish(stage: Path, target: Path, *, numbered: bool) -> Path:
         number += 1
 
 
-def report_beside(rec: Recording, folder: Path) -> Path | None:
+def report_beside(rec: RecordedTest, folder: Path) -> Path | None:
     """Write the report of a run beside its recording, or print which packages it needs."""
     from rthyb_rt.report import write_report
 

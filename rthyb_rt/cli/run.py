@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rthyb_rt.core.loop import Clock, Fault
     from rthyb_rt.lab.experiment import Progress, Setup
     from rthyb_rt.lab.realtime import Session
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 SCHEMA = "rthyb-run/1"
 LIMIT_TRIP = 6
@@ -125,8 +125,8 @@ def run(
         facts = _commissioned(rig or test_file.rig, rig_file) if realtime else {}
 
         def conduct(
-            setup: Setup, progress: Progress, keep: Callable[[Recording], Path]
-        ) -> tuple[Recording, Path]:
+            setup: Setup, progress: Progress, keep: Callable[[RecordedTest], Path]
+        ) -> tuple[RecordedTest, Path]:
             if realtime:
                 return _run_live(setup, clock, progress, keep, facts)
             return _run_faulty(setup, mishaps, progress, keep)
@@ -141,7 +141,7 @@ def run(
     target = out or Path("runs") / f"{test_file.test.name}-{started:%Y%m%dT%H%M%SZ}"
     with staged(target) as stage:
 
-        def keep(rec: Recording) -> Path:
+        def keep(rec: RecordedTest) -> Path:
             # A completed test is always saved; and HDF5's callbacks would swallow a Ctrl-C.
             with interrupts.held():
                 storing.store(stage, setup, rec)
@@ -213,9 +213,9 @@ def _run_live(
     setup: Setup,
     clock: Clock | None,
     progress: Progress,
-    keep: Callable[[Recording], Path],
+    keep: Callable[[RecordedTest], Path],
     facts: dict[str, Any],
-) -> tuple[Recording, Path]:
+) -> tuple[RecordedTest, Path]:
     """Run the test over the rig's link or on a separate virtual rig; return where it is saved."""
     from rthyb_rt.lab import realtime
 
@@ -257,8 +257,8 @@ def _run_faulty(
     setup: Setup,
     mishaps: tuple[Fault, ...],
     progress: Progress,
-    keep: Callable[[Recording], Path],
-) -> tuple[Recording, Path]:
+    keep: Callable[[RecordedTest], Path],
+) -> tuple[RecordedTest, Path]:
     """Run the test on a virtual rig with the given faults; return where it is saved."""
     from rthyb_rt.lab import realtime
     from rthyb_rt.rig import virtual_rig

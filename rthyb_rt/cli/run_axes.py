@@ -15,10 +15,10 @@ from rthyb_rt.cli.folders import publish, refuse_taken, report_beside, staged
 if TYPE_CHECKING:
     from rthyb_rt.analysis.several_axes import AxesSummary
     from rthyb_rt.lab.experiment import Progress, Setup
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
-    Keep = Callable[[Recording], Path]
-    Conduct = Callable[[Setup, Progress, Keep], tuple[Recording, Path]]
+    Keep = Callable[[RecordedTest], Path]
+    Conduct = Callable[[Setup, Progress, Keep], tuple[RecordedTest, Path]]
 
 SCHEMA: Final = "rthyb-run/1"
 LIMIT_TRIP: Final = 6
@@ -46,7 +46,7 @@ def run(
     target = out or Path("runs") / f"{setup.test.test.name}-{started:%Y%m%dT%H%M%SZ}"
     with staged(target) as stage:
 
-        def keep(rec: Recording) -> Path:
+        def keep(rec: RecordedTest) -> Path:
             with interrupts.held():
                 storing.store(stage, setup, rec)
                 return publish(stage, target, numbered=out is None)
@@ -64,7 +64,7 @@ def run(
         raise typer.Exit(status)
 
 
-def _status(rec: Recording) -> int:
+def _status(rec: RecordedTest) -> int:
     """Return the exit status: a stop by the operator is a regular end of a real-time test."""
     from rthyb_rt.lab.realtime import TIMING_CAUSES
 
@@ -80,7 +80,7 @@ def _status(rec: Recording) -> int:
 
 
 def _print_outcome(
-    setup: Setup, rec: Recording, folder: Path, *, report: bool, as_json: bool
+    setup: Setup, rec: RecordedTest, folder: Path, *, report: bool, as_json: bool
 ) -> None:
     from rthyb_rt.analysis import several_axes as measured
     from rthyb_rt.analysis.notices import omission_notices
@@ -106,7 +106,7 @@ def _print_outcome(
 
 
 def _document(
-    rec: Recording, result: AxesSummary | None, folder: Path, report: Path | None
+    rec: RecordedTest, result: AxesSummary | None, folder: Path, report: Path | None
 ) -> dict[str, Any]:
     from rthyb_rt.analysis import several_axes as measured
 

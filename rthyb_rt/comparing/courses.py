@@ -17,7 +17,7 @@ from rthyb_rt.errors import InputError, Problem
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.mapping import Wish
     from rthyb_rt.lab.experiment import Setup
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class Course:
 
 
 def read(
-    given: Sequence[Recording | Setup | str | Path],
+    given: Sequence[RecordedTest | Setup | str | Path],
     options: Sequence[str] = (),
     axis: str | None = None,
 ) -> list[Course]:
@@ -97,7 +97,7 @@ def read(
     missed: list[dict[str, Problem]] = []
     for one in given:
         label: str | None = None
-        what: Recording | list[Course]
+        what: RecordedTest | list[Course]
         if isinstance(one, Setup):
             what = [simulation_of(one, axis)]
         elif isinstance(one, (str, Path)):
@@ -153,7 +153,7 @@ def _place_name(place: Path) -> str | None:
     return (place.name if place.is_dir() else place.parent.name) or None
 
 
-def beside_reference(rec: Recording, course: Course) -> list[Course]:
+def beside_reference(rec: RecordedTest, course: Course) -> list[Course]:
     """Return a recording after its own reference simulation.
 
     Raises:
@@ -170,7 +170,7 @@ def beside_reference(rec: Recording, course: Course) -> list[Course]:
 
 def _at(
     place: Path, wishes: Sequence[Wish], axis: str | None, missed: list[dict[str, Problem]]
-) -> Recording | list[Course]:
+) -> RecordedTest | list[Course]:
     from rthyb_rt.campaign.book import PLAN
     from rthyb_rt.record.recording import open_run
 
@@ -184,7 +184,7 @@ def _at(
     return open_run(place)
 
 
-def recorded(rec: Recording, label: str | None = None, axis: str | None = None) -> Course:
+def recorded(rec: RecordedTest, label: str | None = None, axis: str | None = None) -> Course:
     """Return the course of a recording, or of a named axis.
 
     Raises:
@@ -211,7 +211,7 @@ def recorded(rec: Recording, label: str | None = None, axis: str | None = None) 
     )
 
 
-def simulated(rec: Recording, label: str, axis: str = "") -> Course | None:
+def simulated(rec: RecordedTest, label: str, axis: str = "") -> Course | None:
     """Return the reference simulation of a recording, or None."""
     from rthyb_rt.comparing import of_axis
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rthyb_rt.lab.experiment import Setup
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 
 def number_of(names: Sequence[str], axis: str | None, where: str) -> int:
@@ -37,7 +37,7 @@ def number_of(names: Sequence[str], axis: str | None, where: str) -> int:
     return list(names).index(axis)
 
 
-def recorded(rec: Recording, label: str | None, axis: str | None) -> Course:
+def recorded(rec: RecordedTest, label: str | None, axis: str | None) -> Course:
     """Return the course of an axis of a recording.
 
     Raises:
@@ -69,7 +69,7 @@ def recorded(rec: Recording, label: str | None, axis: str | None) -> Course:
     )
 
 
-def simulated(rec: Recording, label: str, axis: str) -> Course:
+def simulated(rec: RecordedTest, label: str, axis: str) -> Course:
     """Return the reference simulation of an axis of a recording; ``label``: with the axis."""
     found, k = several_axes.summarize(rec), rec.axis_names.index(axis)
     reference = found.signals.reference

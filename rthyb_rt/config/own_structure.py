@@ -102,7 +102,7 @@ class OwnStructure:
         shape, count = (ag.size, len(self.stiffness)), len(self.part.responses)
         x, v, force = np.empty(shape), np.empty(shape), np.empty(shape)
         values = np.empty((ag.size, count))
-        elements = [(along, core.Element(one)) for along, one in model.elements]
+        elements = [(along, core.CoreElement(one)) for along, one in model.elements]
         for i, excitation in enumerate(ag.tolist()):
             x[i], v[i], a = part.motion()
             force[i] = model.stiffness @ x[i] + model.damping @ v[i] + model.mass @ a

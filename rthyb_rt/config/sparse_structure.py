@@ -234,7 +234,7 @@ def joint_reference(
         damped = joined.damping_n_s_per_m
         assert damped is not None
         joined = replace(joined, damping_n_s_per_m=more(damped, less))
-    elements = [(along, core.Element(one)) for along, one in model.elements]
+    elements = [(along, core.CoreElement(one)) for along, one in model.elements]
     return _run_joint(SparsePart(joined), model, elements, ag, m)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.group import controller_mapping
-from rthyb_rt.core.kernels import Rig
+from rthyb_rt.core.kernels import VirtualRig
 from rthyb_rt.core.library import CoreError, FloatArray, RecordArray, check, doubles, reading
 from rthyb_rt.core.pending import raise_pending
 from rthyb_rt.core.rows import record_dtype, records_pointer
@@ -90,7 +90,7 @@ class Controller:
         return int(self._c.tick)
 
     def run_virtual(
-        self, rig: Rig, excitation: FloatArray, records: RecordArray
+        self, rig: VirtualRig, excitation: FloatArray, records: RecordArray
     ) -> tuple[int, int]:
         """Fill ``records`` with the next ticks against ``rig``.
 

@@ -314,7 +314,7 @@ def element_array(elements: Sequence[ElementConfig]) -> Any:
     return array
 
 
-class Element:
+class CoreElement:
     """One specimen element with its history; raises ``CoreError``."""
 
     def __init__(self, config: ElementConfig) -> None:
@@ -349,7 +349,7 @@ class Element:
         return tuple(self._c.state)
 
 
-class Rig:
+class VirtualRig:
     """The virtual rig in this process; raises ``CoreError``."""
 
     def __init__(self, config: RigConfig) -> None:

@@ -633,7 +633,7 @@ class Drive:
 
     def __init__(
         self,
-        rig: core.Rig | CoupledRig,
+        rig: core.VirtualRig | CoupledRig,
         codec: Codec,
         link: Link,
         *,

@@ -342,7 +342,7 @@ class JitterRun:
         self._kept: list[object] = [ring]
         self._c.ring = ffi.NULL if ring is None else ring.pointer
         if controller is not None and rig is not None:
-            pair = core.Controller(controller), core.Rig(rig)
+            pair = core.Controller(controller), core.VirtualRig(rig)
             self._kept += pair
             self._c.controller, self._c.rig = pair[0]._c, pair[1]._c
             self._c.excitation = ffi.from_buffer("double[]", self._excitation)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.core.group import plant_of
-from rthyb_rt.core.kernels import Rig
+from rthyb_rt.core.kernels import VirtualRig
 from rthyb_rt.core.library import (
     CoreError,
     FloatArray,
@@ -39,7 +39,7 @@ class Virtual:
     def __init__(
         self,
         station: Station,
-        rig: Rig | CoupledRig,
+        rig: VirtualRig | CoupledRig,
         stop_decel_m_per_s2: float = 1.0,
         truth: bool = False,
         freedoms: int = 0,

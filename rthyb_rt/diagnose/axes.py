@@ -15,7 +15,7 @@ from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.config import AxesRig
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ class OfAxis:
                 where,
             )
 
-    def signals(self, rec: Recording) -> dict[str, Floats]:
+    def signals(self, rec: RecordedTest) -> dict[str, Floats]:
         """Return the channels of the axis in the rows of the test, (n,) each.
 
         ``f_meas`` is its load cell less the force due to the motion of the others, by this rig.
@@ -75,13 +75,13 @@ class OfAxis:
         del found["t"]
         return found
 
-    def force_of_others(self, rec: Recording) -> Floats:
+    def force_of_others(self, rec: RecordedTest) -> Floats:
         """Return the force on the axis due to the motion of the others, N, (rows of the test,)."""
         from rthyb_rt.record.axis_export import force_of_others
 
         return force_of_others(rec, self.name, self.rig)
 
-    def zero_error_n(self, rec: Recording) -> float:
+    def zero_error_n(self, rec: RecordedTest) -> float:
         """Return the standard error of the zero of ``f_meas``, N; 0: not known.
 
         The displacements of the other axes were zeroed over the same rows, and their errors

@@ -14,7 +14,7 @@ from rthyb_rt.core.diagnosis_models import ActuatorModel, Hold
 
 if TYPE_CHECKING:
     from rthyb_rt.config import RigFile
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]
 Family = Literal["drive", "ground", "forced", "loop"]
@@ -100,13 +100,13 @@ class Model:
         """Return the restoring force along displacements of shape (n,), N."""
         if self.bouc_wen is None:
             return self.k * x
-        return core.Element(self.bouc_wen.element(self.k)).run(x)
+        return core.CoreElement(self.bouc_wen.element(self.k)).run(x)
 
     def further(self, x: Floats, v: Floats, a: Floats) -> Floats:
         """Return the force of elements other than spring, dashpot and mass, N."""
         total = np.zeros_like(x)
         for config in self.extra:
-            total += core.Element(config).run(x, v, a, 1.0 / self.fs_hz)
+            total += core.CoreElement(config).run(x, v, a, 1.0 / self.fs_hz)
         return total
 
     def force(self, x: Floats, v: Floats, a: Floats) -> Floats:
@@ -123,7 +123,7 @@ class Model:
         return [spring, core.element("viscous", c_n_s_per_m=self.c), *self.extra]
 
 
-def tare_rows(rec: Recording) -> NDArray[np.int64]:
+def tare_rows(rec: RecordedTest) -> NDArray[np.int64]:
     """Return the indices of the rows over which a recording of this program was zeroed."""
     rows = rec.samples
     zeroed = np.flatnonzero(rows["state"] == STATES.index("ZEROED"))
@@ -162,7 +162,7 @@ class Case:
     channels: dict[str, Floats]
     rows: NDArray[np.bool_]
     notes: list[str] = field(default_factory=list)
-    own: Recording | None = None
+    own: RecordedTest | None = None
     folder: str = ""
     further: dict[str, Floats] = field(default_factory=dict)
     axis: str = ""

@@ -22,7 +22,7 @@ from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import end_reasons, experiment, trips, virtual_time
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.virtual_time import Bench
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 Law = Callable[[float, float], float]
 
@@ -66,7 +66,7 @@ class ClosedLoop:
         }
 
 
-def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = None) -> ClosedLoop:
+def resimulate(rec: RecordedTest, given: str, augmented: str, law: Law | None = None) -> ClosedLoop:
     """Simulate a recorded test with the model as given and with the effects found in it.
 
     Args:
@@ -109,7 +109,7 @@ def resimulate(rec: Recording, given: str, augmented: str, law: Law | None = Non
     )  # fmt: skip
 
 
-def _as_recorded(rec: Recording, count: int) -> tuple[Setup, core.StationConfig | None]:
+def _as_recorded(rec: RecordedTest, count: int) -> tuple[Setup, core.StationConfig | None]:
     """Return the recorded test with this duration, and its station settings if recorded."""
     test = config.parse_test(rec.test_toml, "recording: test")
     rig = config.parse_rig(rec.rig_toml, "recording: rig")
@@ -140,7 +140,7 @@ class _Beside(Bench):
         self, setup: Setup, rig: core.RigConfig, settings: core.StationConfig | None, law: Law
     ) -> None:
         super().__init__(setup, rig, settings)
-        self._rig, self._law = core.Rig(rig), law
+        self._rig, self._law = core.VirtualRig(rig), law
         self._command_m = 0.0
         self._was_m = self._rig.true_displacement_m
 
@@ -181,7 +181,7 @@ def _errors(made: dict[str, Floats], recorded: dict[str, Floats]) -> dict[str, f
     return out
 
 
-def same_actuator(model: Model, rec: Recording) -> Model:
+def same_actuator(model: Model, rec: RecordedTest) -> Model:
     """Return the model with the recording's own rig where it does not describe one.
 
     A baseline file has at most a second-order actuator; without one, the rig of the recording is

@@ -27,7 +27,7 @@ from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 __all__ = ["find_model", "model_of_rig", "read_case", "read_model"]
 
@@ -118,7 +118,7 @@ def axes_of(path: Path) -> tuple[str, ...]:
     return () if rec is None else rec.axis_names
 
 
-def _opened(path: Path) -> Recording | None:
+def _opened(path: Path) -> RecordedTest | None:
     if not path.is_dir() and path.suffix not in (".h5", ".hdf5"):
         return None
     from rthyb_rt.record.recording import open_run
@@ -126,7 +126,7 @@ def _opened(path: Path) -> Recording | None:
     return open_run(path)
 
 
-def _run(path: Path, of: OfAxis | None) -> Recording | None:
+def _run(path: Path, of: OfAxis | None) -> RecordedTest | None:
     """Return a recording of this program; None if the file is an external one."""
     rec = _opened(path)
     names = () if rec is None else rec.axis_names
@@ -144,7 +144,7 @@ _EXTRA_OF = {"x_meas": "m", "f_meas": "N", "ag": "m/s^2"}
 
 
 def _take_extras(
-    rec: Recording,
+    rec: RecordedTest,
     wishes: Sequence[Wish],
     channels: dict[str, Floats],
     notes: list[str],
@@ -208,7 +208,7 @@ def _take_extras(
         )
 
 
-def _at_rest(rec: Recording, values: Floats) -> float:
+def _at_rest(rec: RecordedTest, values: Floats) -> float:
     """Return what a sensor read at rest; 0: not known. The test's own sensors are tared."""
     from rthyb_rt.core import STATES
 
@@ -219,7 +219,7 @@ def _at_rest(rec: Recording, values: Floats) -> float:
     return float(own.mean()) if own.size else 0.0
 
 
-def _own(rec: Recording, of: OfAxis | None) -> tuple[Floats, dict[str, Floats], list[str]]:
+def _own(rec: RecordedTest, of: OfAxis | None) -> tuple[Floats, dict[str, Floats], list[str]]:
     from rthyb_rt.core import FLAGS
 
     mask = rec.running()

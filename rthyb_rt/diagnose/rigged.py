@@ -61,7 +61,7 @@ def as_given(case: Case) -> ComputedMotion | None:
     rig = case.model.rig
     assert rig is not None
     made = ComputedMotion(
-        *core.Rig(experiment.rig_config(rig, case.fs_hz)).motion(
+        *core.VirtualRig(experiment.rig_config(rig, case.fs_hz)).motion(
             estimate.filled(case.channels["x_cmd"])
         )
     )
@@ -137,7 +137,7 @@ def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Float
     if not set(augment.specimen(model).lost) <= known:
         return None
     try:
-        rig = core.Rig(config_of(model))
+        rig = core.VirtualRig(config_of(model))
     except core.CoreError:
         return None
     x, f = rig.run(other["x_cmd"])
@@ -248,7 +248,7 @@ class RigBody(Body):
         """
         made = self._made.get(rig)
         if made is None:
-            made = core.Rig(rig).run(self.simulated)
+            made = core.VirtualRig(rig).run(self.simulated)
             with self.lock:
                 self._made[rig] = made
                 while len(self._made) > KEPT:
@@ -261,6 +261,6 @@ class RigBody(Body):
         plain = _with_nuisance(base, problem, fit)
         own = Augmented(plain, base, fit.members, fit.betas, None, self.ctx.all_ranges)
         try:
-            return ComputedMotion(*core.Rig(config_of(own)).motion(self.command))
+            return ComputedMotion(*core.VirtualRig(config_of(own)).motion(self.command))
         except core.CoreError:
             return None

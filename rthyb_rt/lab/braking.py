@@ -174,5 +174,7 @@ def _force(setup: Setup, course: BrakingCourse, n: int, most_m_per_s2: float) ->
         np.concatenate([before[: n + 1], after])
         for before, after in zip((course.x, course.v, course.a), way, strict=True)
     )
-    total = sum(core.Element(one).run(x, v, a, h) for one in experiment.reference_elements(setup))
+    total = sum(
+        core.CoreElement(one).run(x, v, a, h) for one in experiment.reference_elements(setup)
+    )
     return float(np.abs(np.asarray(total)[n:]).max(initial=0.0)) if np.size(total) > 1 else 0.0

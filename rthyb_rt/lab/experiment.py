@@ -178,7 +178,7 @@ def prepare(
     )
     try:
         core.Controller(setup.controller)
-        core.Rig(setup.virtual_rig)
+        core.VirtualRig(setup.virtual_rig)
         expected = reference(setup)
     except core.CoreError as error:
         # The checks of the files come first, so this is a combination that they do not cover.
@@ -246,7 +246,7 @@ def _prepare_history(test: TestFile, rig: RigFile, real_time: bool) -> Setup:
     )
     try:
         core.Controller(setup.controller)
-        core.Rig(setup.virtual_rig)
+        core.VirtualRig(setup.virtual_rig)
     except core.CoreError as error:
         raise InputError(
             f"{error}; check the largest and smallest values of both files",
@@ -263,7 +263,7 @@ def _along(rig: RigFile, plan: histories.HistoryPlan) -> NDArray[np.void]:
     v, a = np.gradient(x, h), np.zeros_like(x)
     a[1:-1] = np.diff(x, 2) / h**2
     elements = (*specimen_elements(rig), *table_elements(rig))
-    force = np.sum([core.Element(one).run(x, v, a, h) for one in elements], axis=0)
+    force = np.sum([core.CoreElement(one).run(x, v, a, h) for one in elements], axis=0)
     return _rows_of_reference(x, v, np.asarray(force))
 
 
@@ -1015,14 +1015,14 @@ def table_elements(rig: RigFile) -> list[core.ElementConfig]:
 # ---- the recording ------------------------------------------------------------------------------
 
 
-def blank(setup: Setup, clock: str) -> recording.Recording:
+def blank(setup: Setup, clock: str) -> recording.RecordedTest:
     """Return the recording of a test before its first sample.
 
     Args:
         setup: the test.
         clock: "virtual", or a clock of `rthyb_rt.core.ticker`.
     """
-    return recording.Recording(
+    return recording.RecordedTest(
         samples=np.zeros(0, dtype=core.row_dtype(setup.channels, setup.controller.axis_count)),
         channels=setup.channels,
         fs_hz=setup.derived.fs_hz,
@@ -1099,7 +1099,7 @@ class Replay:
     same_build: bool
 
 
-def compare(rec: recording.Recording, again: core.RecordArray) -> Replay:
+def compare(rec: recording.RecordedTest, again: core.RecordArray) -> Replay:
     """Compare every recorded field with the rows that were computed again, shape (n,)."""
     samples = rec.samples
     first_row: int | None = None

@@ -31,7 +31,7 @@ from rthyb_rt.core.ticker import (
     Timing,
     unlock_memory,
 )
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring, RingReader, claim, default_folder
 
 SCHEMA: Final = "rthyb-jitter/2"
@@ -176,8 +176,8 @@ def telemetry_ring(rate: Rate = STANDARD) -> Iterator[Ring]:
         yield ring
 
 
-def _bare_session(rate: Rate) -> Recording:
-    return Recording(
+def _bare_session(rate: Rate) -> RecordedTest:
+    return RecordedTest(
         np.zeros(0, core.RECORD_DTYPE), rate.hz, np.zeros(0), {}, None, test_toml="", rig_toml=""
     )
 

@@ -15,7 +15,7 @@ from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.lab import experiment, trips
 from rthyb_rt.lab.end_reasons import end_reason
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 AT_REST: Final = ("IDLE", "ZEROED", "ARMED", "TRIPPED")
 """States in which this program does not move anything."""
@@ -57,7 +57,7 @@ class Run:
     setup: Setup
     config: core.StationConfig
     station: core.Station
-    bare: Recording
+    bare: RecordedTest
     parameters: list[dict[str, Any]]
     commands: list[dict[str, Any]] = field(default_factory=list)
     running: int = 0
@@ -141,7 +141,7 @@ class Run:
 
     # ---- for the recording ----------------------------------------------------------------------
 
-    def known(self) -> Recording:
+    def known(self) -> RecordedTest:
         """Return the recording without its rows, with the current tares and commands."""
         x_m, f_n = self.station.tare
         further = self.station.tares if self.config.controller.axis_count > 1 else ()

@@ -7,10 +7,10 @@ from pathlib import Path
 from rthyb_rt import config
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 
-def store(folder: Path, setup: Setup, rec: Recording) -> None:
+def store(folder: Path, setup: Setup, rec: RecordedTest) -> None:
     """Write recording, test and rig to an existing folder; the test refers to that rig file.
 
     Raises:

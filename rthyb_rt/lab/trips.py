@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.core import RUNNING, STATES, STATUS
 from rthyb_rt.numbers import delay, number
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 if TYPE_CHECKING:
     from rthyb_rt.analysis.summary import SummarySettings
@@ -146,7 +146,7 @@ def figures(
     return f"{watched.name} {text} (limit {limit * watched.factor:g} {watched.unit})"
 
 
-def found(rec: Recording, given: SummarySettings) -> Met | None:
+def found(rec: RecordedTest, given: SummarySettings) -> Met | None:
     """Return what interrupted or ended a recorded test, None if nothing did.
 
     For older recordings without these figures, the value is taken from the rows and the limit from
@@ -175,7 +175,7 @@ def facts_of(meta: dict[str, Any]) -> dict[str, Any]:
     return {}
 
 
-def _row(rec: Recording) -> int:
+def _row(rec: RecordedTest) -> int:
     """Return the last row before the test was interrupted."""
     off = np.isin(rec.samples["state"], _OFF_COURSE)
     started = np.flatnonzero(rec.samples["state"] == RUNNING)

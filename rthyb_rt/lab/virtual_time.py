@@ -18,7 +18,7 @@ from rthyb_rt.lab.end_reasons import RefusedError
 from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.runs import Run
 from rthyb_rt.lab.sequence import REST_TICKS, STEP_TICKS, Sequence
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 WAY_OUT_S: Final = 120.0
 """Time for which a ramp-out is followed: after divergence without limits it would take hours."""
@@ -86,13 +86,13 @@ class Bench:
 
     def _plant(
         self, setup: Setup, rig: core.RigConfig | None, extras: int
-    ) -> core.Rig | CoupledRig:
+    ) -> core.VirtualRig | CoupledRig:
         """Return the virtual rig, whose extra sensors are recorded from that channel on."""
-        virtual: core.Rig | CoupledRig
+        virtual: core.VirtualRig | CoupledRig
         if setup.group is not None:
             virtual = CoupledRig(setup.group.virtual_rig)
         else:
-            virtual = core.Rig(rig or setup.virtual_rig)
+            virtual = core.VirtualRig(rig or setup.virtual_rig)
         if any(one.sensors.extra for one in setup.rigs):
             virtual.record_extras(self.run.station, extras)
         return virtual
@@ -188,7 +188,7 @@ class Bench:
         """All records so far, (n,)."""
         return self._rows[: self._count]
 
-    def recording(self) -> Recording:
+    def recording(self) -> RecordedTest:
         """Return the recording of the whole run."""
         self.run.take(self.rows)
         rec = self.run.known()
@@ -206,7 +206,7 @@ def run(
     *,
     truth: bool = False,
     freedoms: bool = False,
-) -> Recording:
+) -> RecordedTest:
     """Run the test with the virtual rig as fast as possible.
 
     Args:

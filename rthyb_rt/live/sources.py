@@ -25,7 +25,7 @@ from rthyb_rt.lab import realtime
 from rthyb_rt.lab.end_reasons import in_words, shown_of
 from rthyb_rt.live.shown_rows import CHANNELS, History, Tally, channels
 from rthyb_rt.record import recording, ring
-from rthyb_rt.record.recording import Recording, open_run
+from rthyb_rt.record.recording import RecordedTest, open_run
 from rthyb_rt.service.control import SOCKET, Client, Refusal, UnreachableError
 from rthyb_rt.service.peers import Peer, Rights, Role
 
@@ -192,7 +192,7 @@ class _Session:
     tie: Kinematics | None = None
 
     @classmethod
-    def of(cls, rec: Recording, identity: _Identity) -> _Session:
+    def of(cls, rec: RecordedTest, identity: _Identity) -> _Session:
         """Return the data from the session file beside the ring."""
         if rec.axis_names:
             rig, test = several_axes.files(rec)
@@ -686,7 +686,7 @@ class PastSource:
 
     past = True
 
-    def __init__(self, rec: Recording) -> None:
+    def __init__(self, rec: RecordedTest) -> None:
         samples = rec.samples
         self.socket: Path | None = None
         if not samples.size:

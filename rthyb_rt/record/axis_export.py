@@ -15,7 +15,7 @@ from rthyb_rt.config.own_tables import core_element
 from rthyb_rt.config.rigfile import InertiaElement, StiffnessElement, ViscousElement
 from rthyb_rt.errors import InputError
 from rthyb_rt.record.mat_csv import write_columns
-from rthyb_rt.record.recording import Recording, replacing
+from rthyb_rt.record.recording import RecordedTest, replacing
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ NOT_ALONE: Final = (
 """The load cell of a redundant axis also measures by how much the actuators oppose each other."""
 
 
-def axis_signals(rec: Recording, name: str, rig: AxesRig | None = None) -> dict[str, Floats]:
+def axis_signals(rec: RecordedTest, name: str, rig: AxesRig | None = None) -> dict[str, Floats]:
     """Return the signals of an axis in the rows of the test proper, SI units, (n,) each.
 
     Args:
@@ -67,7 +67,7 @@ def axis_signals(rec: Recording, name: str, rig: AxesRig | None = None) -> dict[
     }
 
 
-def force_of_others(rec: Recording, name: str, rig: AxesRig) -> Floats:
+def force_of_others(rec: RecordedTest, name: str, rig: AxesRig) -> Floats:
     """Return the force on an axis that is due to the measured motion of the others, N, (n,).
 
     Args:
@@ -103,7 +103,7 @@ def from_others(rig: AxesRig, k: int, x_m: Floats, dt_s: float) -> Floats:
     back = np.linalg.inv(rig.core_kinematics().jacobian())
     for one in rig.specimen.element:
         along = back[rig.directions.index(one.along)]
-        element = core.Element(core_element(one.law))
+        element = core.CoreElement(core_element(one.law))
         total += along[k] * element.run(x_m @ along, v @ along, a @ along, dt_s)
     return total
 
@@ -132,7 +132,7 @@ def alone(rig: AxesRig, name: str) -> RigFile:
     return found.model_copy(update={"specimen": elements})
 
 
-def to_csv(rec: Recording, path: Path, name: str) -> Path:
+def to_csv(rec: RecordedTest, path: Path, name: str) -> Path:
     """Write `axis_signals` as CSV, and beside it the rig of that axis; return the rig's path.
 
     Raises:
@@ -148,7 +148,7 @@ def to_csv(rec: Recording, path: Path, name: str) -> Path:
     return model
 
 
-def rig_of(rec: Recording) -> AxesRig:
+def rig_of(rec: RecordedTest) -> AxesRig:
     """Return the rig file of a recording with several axes.
 
     Raises:

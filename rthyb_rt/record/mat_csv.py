@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError
-from rthyb_rt.record.recording import UNITS, Recording, replacing
+from rthyb_rt.record.recording import UNITS, RecordedTest, replacing
 
 INTERCHANGE: dict[str, str] = {
     "ag": "ag_mps2",
@@ -23,7 +23,7 @@ INTERCHANGE: dict[str, str] = {
 """Columns of the interchange format other than ``t``, and the fields from which they come."""
 
 
-def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
+def to_csv(rec: RecordedTest, path: str | Path, *, full: bool = False) -> None:
     """Write a recording as CSV, SI units, one header row, numbers that read back exactly.
 
     Args:
@@ -55,7 +55,7 @@ def to_csv(rec: Recording, path: str | Path, *, full: bool = False) -> None:
     write_columns(dict(zip(header, (one[rows] for one in columns), strict=True)), path)
 
 
-def without_extras(rec: Recording) -> str:
+def without_extras(rec: RecordedTest) -> str:
     """Return a note on the extra channels that the interchange format does not have; "": none."""
     names = [one.name for one in rec.extras()]
     if not names:
@@ -72,7 +72,7 @@ def write_columns(columns: Mapping[str, NDArray[Any]], path: str | Path) -> None
         file.writelines(",".join(map(repr, row)) + "\n" for row in zip(*values, strict=True))
 
 
-def to_mat(rec: Recording, path: str | Path) -> None:
+def to_mat(rec: RecordedTest, path: str | Path) -> None:
     """Write a recording as a MAT file (version 5), one column vector for each field.
 
     The variables are ``t_s``, every field of the samples under its own name, ``x_ref_m`` and the
@@ -111,13 +111,13 @@ def to_mat(rec: Recording, path: str | Path) -> None:
         savemat(file, variables, do_compression=True, oned_as="column", long_field_names=True)
 
 
-def _values(rec: Recording, name: str) -> NDArray[Any]:
+def _values(rec: RecordedTest, name: str) -> NDArray[Any]:
     """Return a field of the samples, a channel in its unit, (n,)."""
     is_channel = any(channel.name == name for channel in rec.channels)
     return rec.channel(name) if is_channel else np.asarray(rec.samples[name])
 
 
-def _excitation(rec: Recording) -> str:
+def _excitation(rec: RecordedTest) -> str:
     """Return the kind of excitation of a test: a prescribed history is a displacement."""
     return "history_m" if "excitation" in rec.ground_motion else "ag_mps2"
 

@@ -180,7 +180,7 @@ def _converted(rows: Rows, version: int) -> Rows:
 
 
 UNITS: dict[str, str] = {name: field.unit for name, field in fields_of(VERSION).items()}
-"""Unit of each field of `Recording.samples`; a recording must have all of them."""
+"""Unit of each field of `RecordedTest.samples`; a recording must have all of them."""
 
 
 def units_of(axis_count: int = 1) -> dict[str, str]:
@@ -192,7 +192,7 @@ def units_of(axis_count: int = 1) -> dict[str, str]:
 
 
 REFERENCE_UNITS: dict[str, str] = {"x_ref_m": "m", "v_ref_mps": "m/s", "f_ref_n": "N"}
-"""Unit of each field of `Recording.reference`."""
+"""Unit of each field of `RecordedTest.reference`."""
 BESIDE_SAMPLES: frozenset[str] = frozenset(REFERENCE_UNITS) | {
     *("t_s", "fs_hz", "test_toml", "rig_toml", "units", "flag_bits", "state_names"),
     *("ground_motion", "history_m", "meta"),
@@ -229,7 +229,7 @@ class ReplayData:
 
 
 @dataclass
-class Recording:
+class RecordedTest:
     """A recorded hybrid test.
 
     Row n holds the commands for instant t_n and what was measured at t_n.
@@ -387,7 +387,7 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def write(path: str | Path, rec: Recording) -> None:
+def write(path: str | Path, rec: RecordedTest) -> None:
     """Write a recording atomically: a temporary file in the same folder, which is then renamed.
 
     Args:
@@ -418,7 +418,7 @@ def _made_anew(path: Path) -> BinaryIO:
     return os.fdopen(os.open(path, flags, 0o666), "wb")
 
 
-def fill(file: Any, rec: Recording, *, growing: bool = False) -> None:
+def fill(file: Any, rec: RecordedTest, *, growing: bool = False) -> None:
     """Write a recording to an open, empty HDF5 file.
 
     ``growing``: without its samples, whose data set can grow in blocks of `BLOCK_ROWS`; a complete
@@ -521,7 +521,7 @@ def _text(file: Any, name: str, text: str) -> None:
     file.create_dataset(name, data=text, dtype=h5py.string_dtype("utf-8"))
 
 
-def read(path: str | Path, *, rows: bool = True) -> Recording:
+def read(path: str | Path, *, rows: bool = True) -> RecordedTest:
     """Read a recording.
 
     Args:
@@ -565,7 +565,7 @@ def _why_unreadable(path: Path, error: Exception) -> str:
     return f"the file is damaged ({detail}); copy it again or use another run"
 
 
-def _load(file: Any, where: str, rows: bool) -> Recording:
+def _load(file: Any, where: str, rows: bool) -> RecordedTest:
     """Read the open file as a recording; an exception of h5py indicates damage."""
     version = _version(file, where)
     samples_set = file["samples"]
@@ -579,7 +579,7 @@ def _load(file: Any, where: str, rows: bool) -> Recording:
         reference = file["reference"][()]
     motion = file["ground_motion/ag_mps2"]
     replay = file["replay"]
-    return Recording(
+    return RecordedTest(
         samples=_converted(samples, version),
         channels=_channels(samples_set),
         fs_hz=float(samples_set.attrs["fs_hz"]),
@@ -644,7 +644,7 @@ def _take_program(which: str) -> str:
     return f"pip install 'rthyb-rt{which}'"
 
 
-def require_replayable(rec: Recording) -> None:
+def require_replayable(rec: RecordedTest) -> None:
     """Refuse to replay a recording of a version whose rows do not contain all inputs.
 
     Raises:
@@ -678,7 +678,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def open_run(path: str | Path) -> Recording:
+def open_run(path: str | Path) -> RecordedTest:
     """Read the recording of a run.
 
     Args:

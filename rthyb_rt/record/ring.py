@@ -50,7 +50,7 @@ from rthyb_rt.core.mapped_ring import (
 )
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 _MODE = 0o640
 _SESSION = ".session.h5"
@@ -205,7 +205,7 @@ class Ring:
         self._producer: RingProducer | None = producer
 
     @classmethod
-    def create(cls, folder: Path, session: Recording, capacity: int = CAPACITY) -> Ring:
+    def create(cls, folder: Path, session: RecordedTest, capacity: int = CAPACITY) -> Ring:
         """Create a ring and its session file; all memory is allocated, locked and written once.
 
         Args:
@@ -266,7 +266,7 @@ class Ring:
             channels = np.stack([records[name] for name in names], axis=-1)
         self._writing.push(source, channels)
 
-    def renew_session(self, session: Recording) -> None:
+    def renew_session(self, session: RecordedTest) -> None:
         """Replace the session file atomically, with new tares, commands and parameters.
 
         Raises:
@@ -290,7 +290,7 @@ class Ring:
         delete(self.path)
 
 
-def _description(session: Recording) -> dict[str, Any]:
+def _description(session: RecordedTest) -> dict[str, Any]:
     return {
         "rthyb_version": __version__,
         "fields": _fields(session.channels, session.axis_count),
@@ -355,7 +355,7 @@ def _take_memory(fd: int, path: Path, size: int) -> mmap.mmap:
         ) from error
 
 
-def _write_session(ring: Path, session: Recording) -> None:
+def _write_session(ring: Path, session: RecordedTest) -> None:
     bare = replace(
         session, samples=np.zeros(0, dtype=row_dtype(session.channels, session.axis_count))
     )
@@ -613,7 +613,7 @@ class RecoveredRecording:
         alive: the test was still running.
     """
 
-    recording: Recording
+    recording: RecordedTest
     rows: tuple[int, int]
     missing_rows: list[list[int]]
     missing_ticks: list[list[int]]
@@ -660,7 +660,7 @@ def recover(path: str | Path) -> RecoveredRecording:
     return found
 
 
-def _session(ring: Path) -> Recording:
+def _session(ring: Path) -> RecordedTest:
     path = session_path(ring)
     if not path.is_file():
         raise InputError(
@@ -670,7 +670,7 @@ def _session(ring: Path) -> Recording:
     return recording.read(path)
 
 
-def _join(session: Recording, samples: RecordArray, first_row: int) -> Recording:
+def _join(session: RecordedTest, samples: RecordArray, first_row: int) -> RecordedTest:
     """Return the session with its samples, and without data that no longer match them."""
     held = bool((samples["state"] == STATES.index("HOLD")).any())
     return replace(

@@ -16,7 +16,7 @@ from rthyb_rt.analysis.summary import (
 )
 from rthyb_rt.numbers import percent, quantity
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import axes_report
 from rthyb_rt.report.html import environment, extra_needed, sheets, write_page
 
@@ -36,7 +36,7 @@ _SHOWN_ELSEWHERE = (
 )
 
 
-def write_report(rec: Recording, path: str | Path) -> None:
+def write_report(rec: RecordedTest, path: str | Path) -> None:
     """Write the report of a recording as one self-contained HTML file.
 
     Args:
@@ -52,7 +52,7 @@ def write_report(rec: Recording, path: str | Path) -> None:
     write_page(path, lambda: of_rig(rec))
 
 
-def render(rec: Recording) -> str:
+def render(rec: RecordedTest) -> str:
     """Return the report of a recording as HTML.
 
     Raises:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rthyb_rt.analysis import several_axes
 from rthyb_rt.analysis.several_axes import NOT_COMPUTED, AxesSummary, OfDirection
 from rthyb_rt.numbers import percent
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report.html import environment, extra_needed, sheets
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-def render(rec: Recording) -> str:
+def render(rec: RecordedTest) -> str:
     """Return the report of a recording with several axes as HTML.
 
     Raises:
@@ -46,7 +46,7 @@ def render(rec: Recording) -> str:
     )
 
 
-def draw_all(rec: Recording, s: AxesSummary) -> list[Plate]:
+def draw_all(rec: RecordedTest, s: AxesSummary) -> list[Plate]:
     """Return the figures of every direction and every axis, and the total energy."""
     from matplotlib import rc_context
 
@@ -69,7 +69,7 @@ def draw_all(rec: Recording, s: AxesSummary) -> list[Plate]:
     return plates
 
 
-def draw_balance(rec: Recording, s: AxesSummary | None) -> Plate:
+def draw_balance(rec: RecordedTest, s: AxesSummary | None) -> Plate:
     """Draw the figure `balance` alone, as in the report."""
     from matplotlib import rc_context
 
@@ -79,7 +79,7 @@ def draw_balance(rec: Recording, s: AxesSummary | None) -> Plate:
         return balance(rec, s)
 
 
-def balance(rec: Recording, s: AxesSummary | None) -> Plate:
+def balance(rec: RecordedTest, s: AxesSummary | None) -> Plate:
     """Draw the energy balance of all directions together.
 
     Args:

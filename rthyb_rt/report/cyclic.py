@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rthyb_rt.analysis.hysteresis import Amplitude, MeasuredCycle
 from rthyb_rt.core import RUNNING
 from rthyb_rt.numbers import count, percent, quantity
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import drawing as draw
 
 Floats = NDArray[np.float64]
@@ -20,7 +20,7 @@ SHOWN_LOOPS = 8
 """Largest number of loops in the figure, as more would overlap; the table has all."""
 
 
-def plates(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> list[draw.Plate]:
+def plates(rec: RecordedTest, amplitudes: tuple[Amplitude, ...]) -> list[draw.Plate]:
     """Return the figures of a recording's loops, in the order of the report."""
     if not amplitudes:
         return []
@@ -30,7 +30,7 @@ def plates(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> list[draw.Plate
     return found
 
 
-def loops(rec: Recording, amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
+def loops(rec: RecordedTest, amplitudes: tuple[Amplitude, ...]) -> draw.Plate:
     """Return the last loop of each amplitude, superimposed."""
     picked = np.unique(np.linspace(0, len(amplitudes) - 1, SHOWN_LOOPS).round().astype(int))
     columns = min(picked.size, SHOWN_LOOPS // 2)

@@ -8,14 +8,14 @@ from matplotlib import rc_context
 from rthyb_rt.analysis import balance as of
 from rthyb_rt.analysis.summary import Summary
 from rthyb_rt.numbers import percent, quantity
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report.decimate import robust_limit
 
 TITLE = "Energy balance"
 
 
-def balance(rec: Recording, summary: Summary) -> draw.Plate:
+def balance(rec: RecordedTest, summary: Summary) -> draw.Plate:
     """Draw how the input energy is stored and dissipated, as stacked layers."""
     found = of.of_recording(rec, summary.setup)
     if found is None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from rthyb_rt.numbers import number
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report.decimate import robust_limit
 
 
-def plates(rec: Recording) -> list[draw.Plate]:
+def plates(rec: RecordedTest) -> list[draw.Plate]:
     """Return a figure of each such channel over time."""
     found = []
     t, running = rec.time_s(), rec.running()

@@ -19,7 +19,7 @@ from rthyb_rt.analysis.summary import (
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.laws import law_value
 from rthyb_rt.numbers import delay, number, quantity
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import cyclic, extra_figures, frequency
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report import energy as of_energy
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 
-def draw_all(rec: Recording, summary: Summary) -> list[draw.Plate]:
+def draw_all(rec: RecordedTest, summary: Summary) -> list[draw.Plate]:
     """Return the figures of a recording in the order of the report."""
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         figures = _Figures(rec, summary)
@@ -62,7 +62,7 @@ def draw_all(rec: Recording, summary: Summary) -> list[draw.Plate]:
     return [plate for plate in plates if plate is not None]
 
 
-def draw_one(rec: Recording, summary: Summary, key: str) -> draw.Plate | None:
+def draw_one(rec: RecordedTest, summary: Summary, key: str) -> draw.Plate | None:
     """Return one figure of the report by its key; None if the recording has no data for it."""
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         plate: draw.Plate | None = getattr(_Figures(rec, summary), _METHODS.get(key, key))()
@@ -88,7 +88,7 @@ def peak_window(summary: Summary, t: Floats) -> tuple[float, float]:
 class _Figures:
     """The signals of one recording in the units of the figures."""
 
-    def __init__(self, rec: Recording, summary: Summary) -> None:
+    def __init__(self, rec: RecordedTest, summary: Summary) -> None:
         self.rec, self.s = rec, summary
         samples = rec.samples
         self.t = rec.time_s()

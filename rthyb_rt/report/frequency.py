@@ -13,7 +13,7 @@ from rthyb_rt.analysis import response_spectrum as of_oscillators
 from rthyb_rt.analysis.spectra import SURE, FrequencyResponse, frequency_response
 from rthyb_rt.analysis.summary import Summary
 from rthyb_rt.numbers import number
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import drawing as draw
 
 if TYPE_CHECKING:
@@ -25,13 +25,13 @@ _TOO_LITTLE = "The test is too short, or the motion too small, for a spectrum."
 _G = 9.80665
 
 
-def answer(rec: Recording, given: str, got: str = "x_meas_m") -> FrequencyResponse | None:
+def answer(rec: RecordedTest, given: str, got: str = "x_meas_m") -> FrequencyResponse | None:
     """Return the frequency response between two signals of the test proper."""
     run = rec.samples[rec.running()]
     return frequency_response(run[given], run[got], rec.fs_hz)
 
 
-def transfer(rec: Recording, summary: Summary) -> draw.Plate:
+def transfer(rec: RecordedTest, summary: Summary) -> draw.Plate:
     """Draw gain, delay and coherence from command to measured, and of the actuator alone."""
     title = "From command to measured displacement"
     tracking = answer(rec, "x_num_m")
@@ -76,7 +76,7 @@ def transfer(rec: Recording, summary: Summary) -> draw.Plate:
         return paper.plate(title, note)
 
 
-def spectra(rec: Recording) -> draw.Plate:
+def spectra(rec: RecordedTest) -> draw.Plate:
     """Draw the spectra of command and measured displacement."""
     title = "Spectra of command and measured displacement"
     found = answer(rec, "x_num_m")
@@ -103,7 +103,7 @@ def spectra(rec: Recording) -> draw.Plate:
         return paper.plate(title, note)
 
 
-def response_spectrum(rec: Recording) -> draw.Plate:
+def response_spectrum(rec: RecordedTest) -> draw.Plate:
     """Draw the response spectra of the ground, and of the floor, commanded and measured."""
     title = "Response spectra"
     run = rec.samples[rec.running()]

@@ -11,7 +11,7 @@ from typing import Any, Final
 from rthyb_rt.analysis import several_axes
 from rthyb_rt.analysis import summary as of
 from rthyb_rt.documents import flat
-from rthyb_rt.record.recording import Recording, replacing
+from rthyb_rt.record.recording import RecordedTest, replacing
 from rthyb_rt.report.html import extra_needed
 
 KINDS: Final = ("svg", "pdf")
@@ -31,7 +31,7 @@ _POWERS: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _RAISED: Final = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 
 
-def write_files(rec: Recording, folder: Path) -> list[Path]:
+def write_files(rec: RecordedTest, folder: Path) -> list[Path]:
     """Write every figure of the report as SVG and PDF, its table as LaTeX and CSV.
 
     Args:

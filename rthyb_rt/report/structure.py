@@ -15,7 +15,7 @@ from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.core.own_library import Recorded
 from rthyb_rt.core.sparse import Response
 from rthyb_rt.numbers import number, percent
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report.decimate import robust_limit
 
@@ -29,7 +29,7 @@ _WORDS = {"m": "displacements", "N": "forces", "rad": "rotations"}
 
 
 def plates(
-    rec: Recording, structure: Structure | SparseStructure | OwnStructure
+    rec: RecordedTest, structure: Structure | SparseStructure | OwnStructure
 ) -> list[draw.Plate]:
     """Return the figures of a recording's structure, in the order of the report."""
     if isinstance(structure, OwnStructure):
@@ -81,7 +81,7 @@ def _share(mass: float) -> str:
     return percent(mass, 2) if mass >= 1e-4 else "< 0.01 %"
 
 
-def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
+def storeys(rec: RecordedTest, responses: Sequence[Response]) -> list[draw.Plate]:
     """Return the recorded peaks of storey drifts and shears over the storeys."""
     found = []
     running = rec.running()
@@ -114,7 +114,7 @@ def storeys(rec: Recording, responses: Sequence[Response]) -> list[draw.Plate]:
     return found
 
 
-def curves(rec: Recording, responses: Sequence[Response | Recorded]) -> list[draw.Plate]:
+def curves(rec: RecordedTest, responses: Sequence[Response | Recorded]) -> list[draw.Plate]:
     """Return recorded quantities over time: those with the largest motion for each unit."""
     found = []
     t, running = rec.time_s(), rec.running()
@@ -148,5 +148,5 @@ def _finite(values: Floats) -> Floats:
     return np.asarray(values[np.isfinite(values)])
 
 
-def _has(rec: Recording, one: Response | Recorded) -> bool:
+def _has(rec: RecordedTest, one: Response | Recorded) -> bool:
     return one.name in (rec.samples.dtype.names or ())

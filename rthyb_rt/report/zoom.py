@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.analysis.summary import Summary
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import colours
 from rthyb_rt.report.decimate import robust_limit
 
@@ -34,7 +34,9 @@ _UPLOT: Final = _HERE.parent / "live" / "static"
 """The live view's copy, together with its licence."""
 
 
-def parts(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> dict[str, str] | None:
+def parts(
+    rec: RecordedTest, summary: Summary, window_s: tuple[float, float]
+) -> dict[str, str] | None:
     """Return style, script and data of the chart; None if the test is too short for one."""
     if len(rec.samples) < 16:
         return None
@@ -84,7 +86,7 @@ figure, p {{ margin: 0; }}
 """
 
 
-def chart(rec: Recording, summary: Summary, window_s: tuple[float, float]) -> dict[str, Any]:
+def chart(rec: RecordedTest, summary: Summary, window_s: tuple[float, float]) -> dict[str, Any]:
     """Return the signals of the chart: 16 bits per value, scaled, of every n-th row.
 
     Args:

@@ -28,7 +28,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.realtime import Operator
 from rthyb_rt.numbers import delay
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig.commissioning import guided_motion, polarity
 from rthyb_rt.rig.commissioning.guided_motion import Connection, MotionResult
 
@@ -171,7 +171,7 @@ class IdentificationResult:
     link_delay_samples: float | None = None
     left_out: int = 0
     sample_rate_hz: float = STANDARD.hz
-    recording: Recording | None = field(default=None, repr=False, compare=False)
+    recording: RecordedTest | None = field(default=None, repr=False, compare=False)
 
     def as_json(self) -> dict[str, Any]:
         """Return everything except the recording as a JSON document."""

@@ -32,7 +32,7 @@ from rthyb_rt.rig.identification import (
 from rthyb_rt.rig.identify_axes import AxesResult, SweepRun, result_of_runs, sweep_of
 
 if TYPE_CHECKING:
-    from rthyb_rt.record.recording import Recording
+    from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]
 
@@ -145,7 +145,9 @@ def setup_of(rig: AxesRig, axis: int, command_m: Floats) -> Setup:
     )
 
 
-def _swept(connection: AxesConnection, axis: int, command: Floats, progress: Progress) -> Recording:
+def _swept(
+    connection: AxesConnection, axis: int, command: Floats, progress: Progress
+) -> RecordedTest:
     """Carry out a sweep; the drives are at rest afterwards.
 
     Raises:
@@ -174,7 +176,7 @@ def _swept(connection: AxesConnection, axis: int, command: Floats, progress: Pro
     return rec
 
 
-def _broken_off(rec: Recording, name: str, cause: str) -> RthybError:
+def _broken_off(rec: RecordedTest, name: str, cause: str) -> RthybError:
     message = f"the sweep of axis {name}: {rec.meta['end_reason']}"
     if cause in ("operator", "signal", "none"):
         return StoppedError(message)
@@ -186,7 +188,7 @@ def _broken_off(rec: Recording, name: str, cause: str) -> RthybError:
     )
 
 
-def _run_of(rec: Recording, rig: AxesRig, name: str, parts: list[SineRows]) -> SweepRun:
+def _run_of(rec: RecordedTest, rig: AxesRig, name: str, parts: list[SineRows]) -> SweepRun:
     """Return the signals of a sweep.
 
     Raises:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.errors import RthybError
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME, Recording
+from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME, RecordedTest
 from rthyb_rt.service import disk
 from rthyb_rt.service.ordered import OrderedFile
 
@@ -66,7 +66,7 @@ class GrowingFile:
         RthybError: the folder cannot be written.
     """
 
-    def __init__(self, folder: Path, session: Recording) -> None:
+    def __init__(self, folder: Path, session: RecordedTest) -> None:
         self.folder = folder
         self._path = folder / PART_NAME
         self._file: Any = None
@@ -91,7 +91,7 @@ class GrowingFile:
                 where=str(folder),
             ) from error
 
-    def _begin(self, session: Recording) -> None:
+    def _begin(self, session: RecordedTest) -> None:
         import h5py
 
         if disk.free_bytes(self.folder) < disk.KEPT_FREE_BYTES:
@@ -293,7 +293,7 @@ class GrowingFile:
         parts = [self._samples[at : at + step][name].copy() for at in range(0, self.rows, step)]
         return np.concatenate(parts) if parts else np.zeros(0)
 
-    def finish(self, session: Recording) -> Path:
+    def finish(self, session: RecordedTest) -> Path:
         """Complete the recording under its final name; return the path.
 
         Args:
@@ -354,7 +354,7 @@ class GrowingFile:
         self._well_begun()
 
 
-def _complete(path: Path, session: Recording) -> None:
+def _complete(path: Path, session: RecordedTest) -> None:
     import h5py
 
     with contextlib.closing(OrderedFile(path)) as under:

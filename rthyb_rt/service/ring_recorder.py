@@ -28,7 +28,7 @@ from rthyb_rt import config
 from rthyb_rt.core import RUNNING, STATES
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.record import recording, ring
-from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME, Recording
+from rthyb_rt.record.recording import BLOCK_ROWS, FILE_NAME, RecordedTest
 from rthyb_rt.service import disk
 from rthyb_rt.service.growing import (
     DAMAGED_NAME,
@@ -207,7 +207,7 @@ class Tape:
         RthybError: the folder cannot be written.
     """
 
-    def __init__(self, path: Path, folder: Path, session: Recording) -> None:
+    def __init__(self, path: Path, folder: Path, session: RecordedTest) -> None:
         self.path, self.run_id = path, str(session.meta["service"]["run_id"])
         self.reader = ring.RingReader(path)
         try:
@@ -324,7 +324,7 @@ class Tape:
         self.reader.close()
         return entry
 
-    def _completed(self, session: Recording, closed: bool) -> Recording:
+    def _completed(self, session: RecordedTest, closed: bool) -> RecordedTest:
         states = self.file.all_rows("state")
         self._ticks = self.file.all_rows("tick")
         meta = dict(session.meta)
@@ -362,7 +362,7 @@ class _NotOursError(InputError):
     """A ring that does not belong to a test of the service, and is not to be recorded."""
 
 
-def _session(path: Path) -> Recording:
+def _session(path: Path) -> RecordedTest:
     place = ring.session_path(path)
     if not place.is_file():
         raise InputError("the session file is missing beside the ring", str(path))
@@ -382,7 +382,7 @@ def _require_same(row: NDArray[np.void], file: GrowingFile, path: Path) -> None:
         )
 
 
-def _folder(runs: Path, session: Recording) -> Path:
+def _folder(runs: Path, session: RecordedTest) -> Path:
     """Return the folder of a run: the one that has its file, or a new one."""
     made = datetime.datetime.fromisoformat(str(session.meta["created_utc"]))
     name = f"{session.meta['test_name']}-{made:%Y%m%dT%H%M%SZ}"
@@ -411,7 +411,7 @@ def _run_id(folder: Path) -> str | None:
     return None if not any(folder.iterdir()) else ""
 
 
-def _write_settings(folder: Path, session: Recording) -> None:
+def _write_settings(folder: Path, session: RecordedTest) -> None:
     """Write the test and rig files that were used; the test refers to the rig file beside it."""
     # The recording contains both; on a full disk that must suffice.
     with contextlib.suppress(OSError, InputError):
@@ -422,7 +422,7 @@ def _write_settings(folder: Path, session: Recording) -> None:
 
 
 def _entry(
-    run_id: str, place: Path, rec: Recording, ticks: NDArray[Any], missing: list[list[int]]
+    run_id: str, place: Path, rec: RecordedTest, ticks: NDArray[Any], missing: list[list[int]]
 ) -> dict[str, Any]:
     return {
         "run_id": run_id,
@@ -563,7 +563,7 @@ class Recorder:
             with contextlib.closing(GrowingFile(part.parent, session)) as file:
                 self._finish_without_ring(file, session)
 
-    def _finish_without_ring(self, file: GrowingFile, session: Recording) -> None:
+    def _finish_without_ring(self, file: GrowingFile, session: RecordedTest) -> None:
         # Checked here, because opening the file truncated it to its last complete block.
         states, ticks = file.all_rows("state"), file.all_rows("tick")
         if not file.resumed:

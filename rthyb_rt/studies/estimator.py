@@ -65,7 +65,9 @@ def track(
             lead_enabled=lead_enabled,
         )
     )
-    rig = core.Rig(core.RigConfig(plant, displacement=core.SensorConfig(noise_std=noise_std_m)))
+    rig = core.VirtualRig(
+        core.RigConfig(plant, displacement=core.SensorConfig(noise_std=noise_std_m))
+    )
     records = np.zeros(command_m.size - 1, dtype=core.RECORD_DTYPE)
     controller.run_virtual(rig, command_m, records)
     return records

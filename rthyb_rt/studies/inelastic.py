@@ -105,7 +105,7 @@ def simulate(case: InelasticCase, ag: Floats) -> core.RecordArray:
             lead_enabled=case.law is not None,
         )
     )
-    rig = core.Rig(
+    rig = core.VirtualRig(
         core.RigConfig(
             core.ServoConfig("pure-delay", delay_samples=case.delay),
             (case.specimen,),

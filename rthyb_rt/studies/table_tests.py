@@ -11,7 +11,7 @@ import numpy as np
 from rthyb_rt import config, core
 from rthyb_rt.analysis.summary import stiffness_shares
 from rthyb_rt.lab import experiment, virtual_time
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.studies.results import Colour, Curve, Floats, Panel, Study, StudyRow, grouped, rms
 
 RIG = "shaking-table-portal-frame"
@@ -80,7 +80,7 @@ class CompletedTest:
     """A completed test with both benchmarks."""
 
     setup: experiment.Setup
-    rec: Recording
+    rec: RecordedTest
     calibrated: Floats
     naive: Floats
 

@@ -35,7 +35,7 @@ def write(folder: Path, seconds: float) -> tuple[Path, Path]:
         seed=5,
     )  # fmt: skip
     u = _command(rows)
-    x, f = core.Rig(config).run(u)
+    x, f = core.VirtualRig(config).run(u)
     recording, model = folder / "recording.csv", folder / "baseline.toml"
     np.savetxt(
         recording, np.column_stack([np.arange(rows) / core.FS_HZ, u, x, f]), delimiter=",",

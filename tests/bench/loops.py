@@ -132,7 +132,7 @@ def build(compiled: Callable[[Any], Any]) -> Loop:
     return hybrid_test
 
 
-def core_pair(config: core.RigConfig | None = None) -> tuple[core.Controller, core.Rig]:
+def core_pair(config: core.RigConfig | None = None) -> tuple[core.Controller, core.VirtualRig]:
     """Return the same test's controller and rig for the C core; ``config`` names another rig."""
     key = "delay_estimator.gain_per_mm2_per_sample"
     law = core.LawConfig("paper", {"alpha0": 0.0, key: GAIN_PER_MM2})
@@ -146,7 +146,7 @@ def core_pair(config: core.RigConfig | None = None) -> tuple[core.Controller, co
     servo = core.ServoConfig("pure-delay", delay_samples=DELAY)
     own = core.RigConfig(servo, (specimen,), load_cell="specimen")
     controller = core.Controller(core.ControllerConfig(law, rfc, motion))
-    return controller, core.Rig(config or own)
+    return controller, core.VirtualRig(config or own)
 
 
 def in_core(ag: np.ndarray, records: np.ndarray, rig: core.RigConfig | None = None) -> float:

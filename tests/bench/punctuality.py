@@ -60,7 +60,7 @@ def _timed(load: punctuality.Load, *, busy: bool) -> ticker.Ticker:
 
 
 def _loop(load: punctuality.Load) -> ticker.Ticker:
-    controller, rig = core.Controller(load.controller), core.Rig(load.rig)
+    controller, rig = core.Controller(load.controller), core.VirtualRig(load.rig)
     excitation = load.excitation.tolist()
     ticker.become_real_time()
     clock = ticker.Ticker(t0_ns=ticker.now_ns() + 10_000_000)

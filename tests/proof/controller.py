@@ -27,7 +27,7 @@ from proof import structure
 from rthyb_rt import core
 from rthyb_rt.core import loop, ticker, wire
 from rthyb_rt.lab import punctuality
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring, RingReader, default_folder
 
 NEXT: dict[str, core.Command] = {
@@ -134,7 +134,7 @@ def main(spec: dict[str, Any]) -> None:
     seconds = spec["seconds"]
     station = core.Station(structure.station(), structure.shaking(seconds + 5.0))
     link, end = loop.Link("can", spec["fd"]), wire.Wire(wire.can())
-    session = Recording(
+    session = RecordedTest(
         np.zeros(0, core.RECORD_DTYPE), core.FS_HZ, np.zeros(0), {}, None, test_toml="", rig_toml=""
     )
     default_folder().mkdir(mode=0o700, parents=True, exist_ok=True)

@@ -35,7 +35,7 @@ from service_bench import rig_file, short_test
 from rthyb_rt import config, core
 from rthyb_rt.lab import experiment
 from rthyb_rt.record import recording
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.service.control import Client, Refusal
 from rthyb_rt.service.daemon import record_of
 from rthyb_rt.service.ring_recorder import read_index
@@ -140,7 +140,7 @@ class Operator:
             shutil.rmtree(self.runs / entry["folder"])
 
 
-def unexplained(rec: Recording) -> int:
+def unexplained(rec: RecordedTest) -> int:
     """Return the number of ticks without a row; in a stall, `core.LOST_TICKS` have one each."""
     tick = rec.samples["tick"].astype(np.int64)
     blind = np.cumsum(rec.samples["flags"] & core.FLAGS["blind"] != 0)

@@ -35,9 +35,9 @@ def station() -> core.StationConfig:
     return core.StationConfig(controller, tare_ticks=64, ramp_in_ticks=256)
 
 
-def rig() -> core.Rig:
+def rig() -> core.VirtualRig:
     """A pure delay and a spring, with a little noise of both sensors."""
-    return core.Rig(
+    return core.VirtualRig(
         core.RigConfig(
             core.ServoConfig("pure-delay", delay_samples=DELAY),
             (core.element("stiffness", k_n_per_m=K_N_PER_M),),

@@ -24,7 +24,7 @@ from rthyb_rt import config
 from rthyb_rt.analysis import several_axes, summary
 from rthyb_rt.core import loop
 from rthyb_rt.lab import realtime
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 ROOT = Path(__file__).parents[2]
 SHORT = (
@@ -98,7 +98,7 @@ def log_of(file: Path, example: Example) -> list[np.ndarray]:
     return list(log.T) if example.axes else [log]
 
 
-def assert_sound(rec: Recording, example: Example) -> None:
+def assert_sound(rec: RecordedTest, example: Example) -> None:
     """A row for every tick, bit for bit repeatable, and every axis has heard its drive."""
     ticks = rec.samples["tick"].astype(np.int64)
     gaps = np.flatnonzero(np.diff(ticks) != 1)
@@ -114,7 +114,7 @@ def assert_sound(rec: Recording, example: Example) -> None:
         assert all(own["wire"]["pairs"] > 0 for own in facts["axes"].values())
 
 
-def assert_completed(rec: Recording, example: Example) -> None:
+def assert_completed(rec: RecordedTest, example: Example) -> None:
     assert rec.meta["end_reason"] == "completed"
     assert_sound(rec, example)
     running = rec.samples["state"] == STATE["RUNNING"]
@@ -127,13 +127,13 @@ def assert_completed(rec: Recording, example: Example) -> None:
     assert max(off) < 0.25
 
 
-def tripped_in_motion(rec: Recording) -> bool:
+def tripped_in_motion(rec: RecordedTest) -> bool:
     state = rec.samples["state"]
     first = np.flatnonzero(state == STATE["TRIPPED"])[:1]
     return bool((state[first - 1] == STATE["RUNNING"]).any())
 
 
-def assert_tripped_by(rec: Recording, logs: list[np.ndarray], axis: str) -> None:
+def assert_tripped_by(rec: RecordedTest, logs: list[np.ndarray], axis: str) -> None:
     """The bus of one axis was pulled out: all drives have stopped in time, and it is named."""
     assert (rec.meta["station"]["state"], rec.meta["station"]["cause"]) == ("TRIPPED", "link_down")
     assert rec.meta["end_reason"] == f"tripped: link down of axis {axis}"
@@ -169,7 +169,7 @@ class OnBuses(Lab):
             drives.process.terminate()
             assert drives.end()[0] == 0
 
-    def ended(self, out: str, controller: Process, begun_s: float) -> tuple[int, Recording]:
+    def ended(self, out: str, controller: Process, begun_s: float) -> tuple[int, RecordedTest]:
         status, _, err = controller.end()
         if not (self.folder / out).is_dir() and "drive" in err:
             raise Stalled(f"drive_stopped: {err}", begun_s, time.monotonic())

@@ -141,7 +141,7 @@ class Context:
 
     def unit(self, kind: str, **params: float) -> Floats:
         """Return the force of one element of the core along the motion, N."""
-        element = core.Element(core.element(kind, **params))
+        element = core.CoreElement(core.element(kind, **params))
         return element.run(self.x, self.v, self.a, self.dt)
 
 

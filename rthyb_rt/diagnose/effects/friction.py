@@ -449,7 +449,7 @@ def behind(
 
     ``start`` is the position in the play at the first row: 0 at its lower face, 1 at its upper one.
     """
-    element = core.Element(
+    element = core.CoreElement(
         core.element(
             "gap_friction", k_n_per_m=k, gap_m=gap, fc_up_n=up, fc_down_n=down, seat_m=seat
         )

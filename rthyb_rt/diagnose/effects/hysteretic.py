@@ -26,10 +26,10 @@ def plastic(ctx: Context, variant: str, xy: float) -> Floats:
         loop = core.element(
             "hysteresis", k_n_per_m=1.0, post_yield_ratio=0.0, a=1.0, b=0.5, c=0.5, eta=n
         )
-        return core.Element(loop).run(ctx.x / xy) * xy
+        return core.CoreElement(loop).run(ctx.x / xy) * xy
     if variant == "mp":
         bar = core.element("menegotto_pinto", k_n_per_m=1.0, post_yield_ratio=0.0, xy_m=1.0, **BAR)
-        return core.Element(bar).run(ctx.x / xy) * xy
+        return core.CoreElement(bar).run(ctx.x / xy) * xy
     spread = float(variant[4:])
     if spread == 0.0:
         return iwan(np.array([xy]), np.array([1.0]), ctx.x)
@@ -48,7 +48,7 @@ def hardened(ctx: Context, xy: float, shape: Sequence[float]) -> Floats:
         "chaboche", k_n_per_m=1.0, fy_n=1.0, kinematic_n_per_m=kinematic,
         recovery_per_m=recovery, isotropic_n=growth, isotropic_rate_per_m=rate,
     )  # fmt: skip
-    return core.Element(bar).run(ctx.x / xy) * xy
+    return core.CoreElement(bar).run(ctx.x / xy) * xy
 
 
 def contact(ctx: Context, xy: float) -> Floats:
@@ -57,7 +57,7 @@ def contact(ctx: Context, xy: float) -> Floats:
         "friction_pendulum", weight_n=1.0, radius_m=1e15, mu_slow=1.0, mu_fast=1.0,
         mu_rate_s_per_m=0.0, xy_m=1.0,
     )  # fmt: skip
-    return core.Element(slider).run(ctx.x / xy)
+    return core.CoreElement(slider).run(ctx.x / xy)
 
 
 BACKSTRESS = ((0.02, 0.01), (0.07, 0.1), (0.3, 0.3))
@@ -549,7 +549,7 @@ class WornColumn(Effect):
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the loop's force per unit of relative stiffness."""
         xy = trial.theta[0]
-        column = core.Element(self._element(ctx, trial, 1.0, 1.0))
+        column = core.CoreElement(self._element(ctx, trial, 1.0, 1.0))
         return [ctx.k_scale * xy * column.run(ctx.x / xy)]
 
     def _worn(self, ctx: Context, trial: Trial) -> tuple[float, float]:

@@ -93,7 +93,7 @@ class SecondMode(Effect):
         actuator has a peak of it after each corner of its command, which the rows sample at random.
         """
         f, zeta = trial.theta
-        mass = core.Element(core.element("second_mode", m2_kg=1.0, f2_hz=f, zeta2=zeta))
+        mass = core.CoreElement(core.element("second_mode", m2_kg=1.0, f2_hz=f, zeta2=zeta))
         return [mass.run(ctx.x, ctx.v, _from_velocity(ctx.v, ctx.dt), ctx.dt)]
 
     def by_stroke(self, ctx: Context, trial: Trial, change: float, like: Trial) -> Floats | None:

@@ -17,7 +17,7 @@ from rthyb_rt.lab.realtime.conductor import FEEDBACK_S
 from rthyb_rt.lab.realtime.messenger import Messenger
 from rthyb_rt.lab.realtime.session import Session
 from rthyb_rt.lab.sequence import Operator, Sequence
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 if TYPE_CHECKING:
     from rthyb_rt.rig.links.opened import Opened
@@ -41,13 +41,13 @@ def run(
     hold_s: float = math.inf,
     require_realtime: bool = False,
     warn: Callable[[str], None] = lambda _: None,
-    save: Callable[[Recording], None] | None = None,
+    save: Callable[[RecordedTest], None] | None = None,
     station: core.StationConfig | None = None,
     facts: Mapping[str, Any] | None = None,
     resets: bool = False,
     answered: Callable[[Session], None] = lambda _: None,
     zeroed: Callable[[Session], None] = lambda _: None,
-) -> Recording:
+) -> RecordedTest:
     """Conduct a test: zero, arm, start, and back to rest, whatever happens in between.
 
     Args:

@@ -17,7 +17,7 @@ from rthyb_rt.lab import experiment
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.lab.runs import Run
 from rthyb_rt.record import ring
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.record.ring import Ring, RingReader
 
 LOOK_BACK_TICKS: Final = 64
@@ -172,7 +172,7 @@ class LiveRun(Run):
         x_m = np.concatenate([np.zeros(0), *read])[-ticks:]
         return float(np.ptp(x_m)) if x_m.size else 0.0
 
-    def recording(self) -> Recording:
+    def recording(self) -> RecordedTest:
         """Return the recording of a run that keeps its rows, without the entries about its end."""
         rec = self.known()
         rec.samples = ring.joined(self._parts)

@@ -16,7 +16,7 @@ from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S, Collector
 from rthyb_rt.lab.realtime.conductor import Conductor
 from rthyb_rt.lab.realtime.live_run import LiveRun
 from rthyb_rt.lab.sequence import REST_TICKS
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 if TYPE_CHECKING:
     from rthyb_rt.rig.links.opened import Opened
@@ -132,7 +132,7 @@ class Session(Conductor):
         """Return why the tare did not end."""
         return InputError(self.why_not_zeroed(), self.opened.name)
 
-    def recording(self) -> Recording:
+    def recording(self) -> RecordedTest:
         """Return the recording of the whole session; call after `close`."""
         rec = self.run.recording()
         rec.meta |= self.ending(self.run)

@@ -19,10 +19,10 @@ from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import axis_wires, experiment, trips
 from rthyb_rt.lab.end_reasons import in_words
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.record.recording import Recording, require_replayable
+from rthyb_rt.record.recording import RecordedTest, require_replayable
 
 
-def replay(rec: Recording) -> experiment.Replay:
+def replay(rec: RecordedTest) -> experiment.Replay:
     """Run all inputs of a recorded test through a new station, and compare every field.
 
     Skipped ticks at the very end, after which no executed tick was recorded, are omitted: the ring
@@ -36,7 +36,7 @@ def replay(rec: Recording) -> experiment.Replay:
     return experiment.compare(rec, _padded(rows, rec.samples.size))
 
 
-def first_cause(rec: Recording) -> tuple[str, float, float]:
+def first_cause(rec: RecordedTest) -> tuple[str, float, float]:
     """Return what interrupted or ended a test, as determined by a new station.
 
     For rows of a test that is still running, or whose process did not record the cause.
@@ -53,7 +53,7 @@ def first_cause(rec: Recording) -> tuple[str, float, float]:
     return station.cause, station.cause_value, station.cause_limit
 
 
-def first_cause_in_words(rec: Recording) -> str:
+def first_cause_in_words(rec: RecordedTest) -> str:
     """Return that cause in words, with its figures and its axis; "" if there is none.
 
     Raises:
@@ -76,7 +76,7 @@ def first_cause_in_words(rec: Recording) -> str:
     return f"{whose}: {text}" if whose else text
 
 
-def _rerun(rec: Recording) -> tuple[NDArray[np.void], Recording, core.Station]:
+def _rerun(rec: RecordedTest) -> tuple[NDArray[np.void], RecordedTest, core.Station]:
     """Return the rows that a new station computes, the recording, and the final station."""
     require_replayable(rec)
     own = np.flatnonzero((rec.samples["flags"] & FLAGS["blind"]) == 0)
@@ -117,7 +117,7 @@ def _codecs(tables: bytes, axes: int) -> list[Codec | None]:
 
 
 def _settings(
-    rec: Recording, test: TestFile, rig: RigFile, values: Mapping[str, Any]
+    rec: RecordedTest, test: TestFile, rig: RigFile, values: Mapping[str, Any]
 ) -> core.StationConfig:
     """Return the initial settings of a recording: as stated in it, otherwise as derived."""
     if "station" in values:

@@ -18,7 +18,7 @@ from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import InputError, Problem, RthybError
 from rthyb_rt.lab import experiment, realtime
 from rthyb_rt.lab.experiment import Setup
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 
 if TYPE_CHECKING:
     from rthyb_rt.rig.links.opened import Opened
@@ -123,7 +123,7 @@ class MotionResult:
         recording: the complete recording.
     """
 
-    recording: Recording
+    recording: RecordedTest
 
     @property
     def _mean_ticks(self) -> int:

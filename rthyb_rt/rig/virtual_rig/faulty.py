@@ -11,7 +11,7 @@ from rthyb_rt.core import loop
 from rthyb_rt.lab import realtime
 from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.virtual_time import HOLD_S
-from rthyb_rt.record.recording import Recording
+from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig.links import opening
 from rthyb_rt.rig.virtual_rig.rig_plan import RigPlan, parse_faults
 from rthyb_rt.rig.virtual_rig.serving import in_step
@@ -35,8 +35,8 @@ def run(
     progress: Progress | None = None,
     operator: realtime.Operator | None = None,
     warn: Callable[[str], None] = lambda _: None,
-    save: Callable[[Recording], None] | None = None,
-) -> Recording:
+    save: Callable[[RecordedTest], None] | None = None,
+) -> RecordedTest:
     """Run a test with faults: frames, drive and watchdogs are as on a rig, but time is virtual.
 
     Limits that no file states act as they would on a rig, to show what would happen there.

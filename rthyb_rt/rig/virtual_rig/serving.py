@@ -168,7 +168,9 @@ def drive_of(rig: RigFile, codec: wire.Codec, link: loop.Link, plan: RigPlan) ->
     axis_wires.check(rig)
     seed = rig.rig.seed if plan.seed is None else plan.seed
     drive = loop.Drive(
-        core.Rig(dataclasses.replace(experiment.rig_config(rig, rate_of(rig, plan).hz), seed=seed)),
+        core.VirtualRig(
+            dataclasses.replace(experiment.rig_config(rig, rate_of(rig, plan).hz), seed=seed)
+        ),
         extra_frames.codec_of(rig, codec),
         link,
         stop_decel_m_per_s2=experiment.stop_decel_m_per_s2(rig),
