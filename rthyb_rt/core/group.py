@@ -373,7 +373,7 @@ def _interface(plain: Mapping[str, Any]) -> InterfaceConfig:
 
 
 def plant_of(rig: Any) -> Any:
-    """Return the ``rthyb_plant`` of a `VirtualRig` or a `CoupledRig`; the caller keeps the rig alive."""
+    """Return the ``rthyb_plant`` of a virtual rig, which the caller keeps alive."""
     kind = ffi.typeof(rig._c).item.cname
     number = {"rthyb_rig": lib.RTHYB_PLANT_RIG, "rthyb_coupled_rig": lib.RTHYB_PLANT_COUPLED_RIG}
     if kind not in number:
