@@ -174,7 +174,7 @@ def loop_rows(loop: LoopVerdict | None, *, swept: bool = False) -> list[tuple[st
     ]
 
 
-def limit_rows(setup: Setup, limits: list[dict[str, Any]]) -> list[tuple[str, str, str]]:
+def limit_rows(limits: list[dict[str, Any]], *, linked: bool) -> list[tuple[str, str, str]]:
     """Return the limits from the files; for a rig with a link also the derived ones."""
     words = {
         "test": "limit of the test",
@@ -184,7 +184,7 @@ def limit_rows(setup: Setup, limits: list[dict[str, Any]]) -> list[tuple[str, st
     }
     rows = []
     for limit in limits:
-        if limit["from"] in ("default", "derived") and setup.rig.link is None:
+        if limit["from"] in ("default", "derived") and not linked:
             continue
         action = limit["action"] if limit["enable"] else "off"
         if action == "none" and limit["key"] == "command_velocity_m_per_s":

@@ -70,7 +70,7 @@ class Examined:
             check_tables.link_rows(self.link),
             check_tables.commissioning_rows(self.commissioning),
             check_tables.calibration_rows(self.factors),
-            check_tables.limit_rows(setup, self.limits),
+            check_tables.limit_rows(self.limits, linked=setup.rig.link is not None),
             check_tables.run_on_rows(self.runs_on),
         )
         return [list(rows) for rows in all_tables if rows]
@@ -99,7 +99,7 @@ def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> E
     figures = figures_of(setup) if setup.plan is None else figures_of_history(setup)
     runs_on = braking.run_on(setup)
     loop = loop_stability.judge(setup)
-    commissioning = None if rig is None else facts.commissioning_of(setup, rig)
+    commissioning = None if rig is None else facts.commissioning_of(setup.rig, rig)
     notes, warnings = remarks.remarks(setup, figures)
     warnings += remarks.run_on_warnings(setup, figures, runs_on)
     remark = loop_stability.remark(setup, loop)
@@ -115,9 +115,9 @@ def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> E
         loop=loop,
         runs_on=runs_on,
         limits=facts.limits_of(setup),
-        link=facts.link_of(setup),
+        link=facts.link_of(setup.rig),
         commissioning=commissioning,
-        factors=facts.calibration_of(setup),
+        factors=facts.calibration_of(setup.rig),
         notes=notes,
         warnings=warnings,
     )

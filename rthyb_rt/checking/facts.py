@@ -1,4 +1,4 @@
-"""Data of a test for its check: limits, link, dates of commissioning, calibration."""
+"""Data of a test or a rig for its check: limits, link, dates of commissioning, calibration."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from rthyb_rt import config
-from rthyb_rt.config import Limit, LinkTable, busload
+from rthyb_rt.config import Limit, Limits, LinkTable, RigFile, busload
 from rthyb_rt.config.limits import unit_of
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axis_wires, extra_frames
@@ -16,21 +16,32 @@ from rthyb_rt.rig.commissioning import certificate
 
 def limits_of(setup: Setup) -> list[dict[str, Any]]:
     """Return every limit of test and rig combined: key, value, unit, action, origin."""
-    found = []
-    for key, source in setup.derived.limits.sources.items():
-        limit = getattr(setup.test.limits, key)
-        watched = isinstance(limit, Limit)
-        found.append(
-            {
-                "key": key,
-                "value": limit.value if watched else limit,
-                "unit": unit_of(key),
-                "action": (limit.action if limit.enable else "none") if watched else None,
-                "enable": limit.enable if watched else True,
-                "from": source,
-            }
-        )
+    found = [
+        _stated(key, getattr(setup.test.limits, key), source)
+        for key, source in setup.derived.limits.sources.items()
+    ]
     return found + _derived(setup)
+
+
+def limits_of_rig(limits: Limits) -> list[dict[str, Any]]:
+    """Return the limits that a rig file states, in the same form."""
+    return [
+        _stated(key, limit, "rig")
+        for key in type(limits).model_fields
+        if (limit := getattr(limits, key)) is not None
+    ]
+
+
+def _stated(key: str, limit: Any, source: str) -> dict[str, Any]:
+    watched = isinstance(limit, Limit)
+    return {
+        "key": key,
+        "value": limit.value if watched else limit,
+        "unit": unit_of(key),
+        "action": (limit.action if limit.enable else "none") if watched else None,
+        "enable": limit.enable if watched else True,
+        "from": source,
+    }
 
 
 def _derived(setup: Setup) -> list[dict[str, Any]]:
@@ -48,12 +59,12 @@ def _derived(setup: Setup) -> list[dict[str, Any]]:
     ]
 
 
-def link_of(setup: Setup) -> dict[str, Any] | None:
+def link_of(rig: RigFile) -> dict[str, Any] | None:
     """Return the rig's link, with the load of bus or line by its frames."""
-    link = setup.rig.link
+    link = rig.link
     if link is None:
         return None
-    load = _bus_load(link, len(setup.rig.sensors.extra))
+    load = _bus_load(link, len(rig.sensors.extra))
     return {**link.model_dump(), "bus_load": load}
 
 
@@ -73,23 +84,39 @@ def _bus_load(link: LinkTable, extras: int) -> float | None:
     )
 
 
-def commissioning_of(setup: Setup, name: str | None) -> dict[str, Any] | None:
-    """Return the checks made on the rig as its file is now; None without a link."""
-    if setup.rig.link is None:
+def commissioning_of(rig: RigFile, name: str | None, axis: str = "") -> dict[str, Any] | None:
+    """Return the checks made on the rig as its file is now; None without a link.
+
+    Args:
+        rig: the rig, or one axis of several.
+        name: path or name of the rig.
+        axis: name of the axis.
+    """
+    if rig.link is None:
         return None
     path = config.find_rig(name)
     try:
-        return certificate.standing(setup.rig, path).as_json()
+        return certificate.standing(rig, path, axis).as_json()
     except InputError as error:
         return {
-            "demanded": not setup.rig.link.virtual,
+            "demanded": not rig.link.virtual,
             "commissioned": False,
-            "certificate": str(certificate.place(path)),
+            "certificate": str(certificate.place(path, axis)),
             "why_not": str(error),
             "steps": dict.fromkeys(certificate.STEPS),
         }
 
 
-def calibration_of(setup: Setup) -> dict[str, float]:
+def calibration_of(rig: RigFile) -> dict[str, float]:
     """Return the conversion factors between wire and structure by name."""
-    return asdict(axis_wires.calibration(setup.rig))
+    return asdict(axis_wires.calibration(rig))
+
+
+def unread_frames(link: LinkTable | None) -> list[str]:
+    """Return a warning if the link's DBC file could not be read."""
+    if link is None or extra_frames.dbc_is_read(link):
+        return []
+    return [
+        "link.dbc was not read and its frames were not checked, so a test in real time will "
+        "be refused; reading a DBC file needs cantools: pip install 'rthyb-rt[wire]'"
+    ]

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 from typing import Final
 
 from rthyb_rt.analysis.margins import LITTLE_MARGIN, OSCILLATES
+from rthyb_rt.checking import facts
 from rthyb_rt.checking.check_figures import GAIN, Figures
 from rthyb_rt.checking.checked_history import HistoryFigures
 from rthyb_rt.config import STANDARD_HZ, Limit
-from rthyb_rt.lab import extra_frames
 from rthyb_rt.lab.braking import RunOn
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.numbers import delay, quantity
@@ -70,12 +70,7 @@ def _of_structure(setup: Setup, f: Figures, notes: list[str], warnings: list[str
 def _real_time_remarks(setup: Setup, f: Figures | HistoryFigures) -> tuple[list[str], list[str]]:
     """Return notes and warnings on conditions that are watched only in real time."""
     limits, noise = setup.test.limits, setup.derived.rest_noise_displacement_m
-    notes, warnings = list[str](), list[str]()
-    if setup.rig.link is not None and not extra_frames.dbc_is_read(setup.rig.link):
-        warnings.append(
-            "link.dbc was not read and its frames were not checked, so a test in real time will "
-            "be refused; reading a DBC file needs cantools: pip install 'rthyb-rt[wire]'"
-        )
+    notes, warnings = list[str](), facts.unread_frames(setup.rig.link)
     jump, spread = limits.sensor_jump_m, limits.rest_spread_m
     derived = setup.derived.limits.derived
     watched = [

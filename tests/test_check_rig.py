@@ -1,0 +1,127 @@
+"""`rthyb check --rig RIG`: a rig file alone, before there is a test."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import Rthyb
+
+from rthyb_rt import config
+from rthyb_rt.config import RigFile
+
+NEW = """schema = "rthyb-rig/1"
+[rig]
+name = "new"
+[actuator]
+kind = "pure-delay"
+delay_samples = 10
+[[specimen]]
+element = "stiffness"
+k_n_per_m = 666400
+[link]
+kind = "can"
+channel = "can0"
+bitrate = 1_000_000
+"""
+
+
+@pytest.fixture
+def new(tmp_path: Path) -> Path:
+    """A rig as a laboratory first writes it down: nothing measured, no limits."""
+    path = tmp_path / "new.toml"
+    path.write_text(NEW, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", config.shipped("rig"))
+def test_a_shipped_rig_says_what_its_file_says(rthyb: Rthyb, name: str) -> None:
+    answer = rthyb("check", "--rig", name, "--json")
+    assert answer.code == 0, answer.err
+    found, rig = json.loads(answer.out), config.load_any_rig(config.find_rig(name))
+    assert (found["schema"], found["ok"]) == ("rthyb-check-rig/1", True)
+    assert found["rig_name"] == name
+    views = {"": rig} if isinstance(rig, RigFile) else {n: rig.of_axis(n) for n in rig.names}
+    for axis, view in views.items():
+        said = found["axes"][axis] if axis else found
+        assert said["actuator"] == view.actuator.kind
+        assert view.identified is not None
+        assert said["identified"]["alpha"] == view.identified.alpha
+        k_e = view.rig.elastic_stiffness_n_per_m
+        assert said["elastic_stiffness_n_per_m"] == pytest.approx(k_e, rel=1e-9)
+        position = view.limits.command_position_m
+        assert [
+            limit["value"] for limit in said["limits"] if limit["key"] == "command_position_m"
+        ] == ([] if position is None else [position.value])
+        assert (said["link"] is None) == (view.link is None)
+        short = max(view.identified.frequency_hz) < 80
+        where = f"axis {axis}: the response is known up to" if axis else "the response is known up"
+        assert any(note.startswith(where) for note in found["notes"]) == short
+
+
+def test_a_rig_that_nobody_has_measured_is_told_what_comes_next(rthyb: Rthyb, new: Path) -> None:
+    answer = rthyb("check", "--rig", new)
+    assert answer.code == 0, answer.err
+    assert answer.out.startswith("new: no errors found")
+    lines = {line.split("  ")[0]: line for line in answer.out.splitlines()}
+    assert "not identified" in lines["Elastic stiffness"]
+    assert lines["Identified"].split() == ["Identified", "no"]
+    assert "can0, CAN, 1000000 bit/s" in lines["Link"]
+    assert "41.5 %" in lines["Bus load"]
+    assert "Warning: a test in real time will be refused: this rig has not been comm" in answer.out
+    both = "does not state limits.command_position_m and limits.force_n: `rthyb jog` and `rthyb"
+    assert both in answer.out
+    assert "Note: nothing is identified: run `rthyb identify RIG`" in answer.out
+
+
+def test_a_stated_limit_is_no_longer_missing(rthyb: Rthyb, new: Path) -> None:
+    answer = rthyb("check", "--rig", new, "--set", 'rig.limits.force_n="20 kN"')
+    assert "force_n            20000 N, trip" in answer.out
+    assert "does not state limits.command_position_m: " in answer.out
+
+
+def test_an_old_identification_without_a_sweep_asks_for_one(rthyb: Rthyb, new: Path) -> None:
+    old = "[identified]\nalpha = 10.0\ndelay_s = 0.0098\n"
+    new.write_text(NEW + old, encoding="utf-8")
+    answer = rthyb("check", "--rig", new)
+    assert "10 samples (9.77 ms)" in answer.out
+    assert "Note: no frequency response is identified" in answer.out
+    assert 'rthyb identify RIG --max-frequency "80 Hz"' in answer.out
+
+
+WRONG = {
+    "a key": ("rig.limits.force=3", "limits.force: unknown key"),
+    "a value": ("rig.actuator.delay_samples=-1", "delay_samples: found -1"),
+    "a key of a test": ("controller.w1=3", "controller.w1: unknown key"),
+    "a range that no frame carries": ('rig.sensors.force.range_n="5 MN"', "only up to 2147.48 kN"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_errors_of_the_file_are_told_as_with_a_test(rthyb: Rthyb, new: Path, what: str) -> None:
+    setting, said = WRONG[what]
+    answer = rthyb("check", "--rig", new, "--set", setting)
+    assert answer.code == 3
+    assert said in answer.err
+    assert not answer.out
+
+
+def test_values_that_only_the_core_refuses_are_told(rthyb: Rthyb) -> None:
+    stiff = ("--set", "rig.actuator.substeps=1", "--set", "rig.actuator.moving_mass_kg=1")
+    answer = rthyb("check", "--rig", "hydraulic-25kn", *stiff)
+    assert answer.code == 3
+    assert "substeps" in answer.err
+
+
+def test_neither_a_test_nor_a_rig_is_a_question(rthyb: Rthyb) -> None:
+    answer = rthyb("check")
+    assert answer.code == 2
+    assert "give a test, or only a rig with --rig RIG.toml" in answer.err
+
+
+def test_figures_need_a_test(rthyb: Rthyb, tmp_path: Path) -> None:
+    answer = rthyb("check", "--rig", "hydraulic-25kn", "--plot", tmp_path / "page.html")
+    assert answer.code == 2
+    assert "give TEST.toml too" in answer.err
+    assert not list(tmp_path.iterdir())
