@@ -7,24 +7,12 @@ from pathlib import Path
 
 import pytest
 from command_line import Rthyb
+from test_config_link import CAN, RIG
 
 from rthyb_rt import config
 from rthyb_rt.config import RigFile
 
-NEW = """schema = "rthyb-rig/1"
-[rig]
-name = "new"
-[actuator]
-kind = "pure-delay"
-delay_samples = 10
-[[specimen]]
-element = "stiffness"
-k_n_per_m = 666400
-[link]
-kind = "can"
-channel = "can0"
-bitrate = 1_000_000
-"""
+NEW = RIG.replace("elastic_stiffness_n_per_m = 666400\n", "") + CAN + "bitrate = 1_000_000\n"
 
 
 @pytest.fixture
@@ -63,7 +51,7 @@ def test_a_shipped_rig_says_what_its_file_says(rthyb: Rthyb, name: str) -> None:
 def test_a_rig_that_nobody_has_measured_is_told_what_comes_next(rthyb: Rthyb, new: Path) -> None:
     answer = rthyb("check", "--rig", new)
     assert answer.code == 0, answer.err
-    assert answer.out.startswith("new: no errors found")
+    assert answer.out.startswith("spring: no errors found")
     lines = {line.split("  ")[0]: line for line in answer.out.splitlines()}
     assert "not identified" in lines["Elastic stiffness"]
     assert lines["Identified"].split() == ["Identified", "no"]
