@@ -15,7 +15,7 @@ from rthyb_rt.diagnose import effects, engine, force, reading, remainder
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Member, Problem, refine, solve
+from rthyb_rt.diagnose.select import Member, ResidualProblem, refine, solve
 
 MASS, SPRING, DASHPOT = 6700.0, 4.5e5, 3600.0
 
@@ -228,7 +228,7 @@ def proposed(case: Case, name: str) -> force.Search:
     motion = engine.motion_of(case, None)
     assert motion is not None
     law = effects.catalogue()[name]
-    problem = Problem(case, engine.context_of(case, motion), motion, [law])
+    problem = ResidualProblem(case, engine.context_of(case, motion), motion, [law])
     null, best = solve(problem, [], []), refine(problem, [Member(law, Trial())])
     assert null is not None
     assert best is not None

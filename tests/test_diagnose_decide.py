@@ -15,12 +15,12 @@ from rthyb_rt.diagnose.decide import (
     NAMING,
     RANKING,
     Choice,
-    Drift,
+    DriftRates,
     Evidence,
     Hypothesis,
     Laws,
     Need,
-    Part,
+    SetMember,
     Setting,
     choose,
     gathered,
@@ -32,13 +32,13 @@ ROWS = 1000.0
 STATED = {"stiffness", "viscous", "bias"}
 
 
-def part(name: str, price: float = 20.0, count: int = 1, **more: Any) -> Part:
+def part(name: str, price: float = 20.0, count: int = 1, **more: Any) -> SetMember:
     law = effects.catalogue()[name]
     declared = {"sensor": law.sensor, "carries": law.carries, "dissipates": law.dissipates}
-    return Part(name, law.names, price, count, stated=name in STATED, **{**declared, **more})
+    return SetMember(name, law.names, price, count, stated=name in STATED, **{**declared, **more})
 
 
-def of(*parts: Part | str, chi2: float, **more: Any) -> Hypothesis:
+def of(*parts: SetMember | str, chi2: float, **more: Any) -> Hypothesis:
     return Hypothesis(tuple(part(p) if isinstance(p, str) else p for p in parts), chi2, **more)
 
 
@@ -141,7 +141,7 @@ def a_form_of_one() -> Evidence:
 RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
     "needed": (not_needed(), {}, ("coulomb",), ("coulomb", "cubic")),
     "off zero": (a_zero(), {"zero": 1.0}, (), ("bias",)),
-    "drift goes on": (a_drift(), {"drift": Drift(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
+    "drift goes on": (a_drift(), {"drift": DriftRates(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
     "driven": (the_cells_own_noise(), {"driven": (10.0,)}, (), ("viscous",)),
     "more laws": (more_laws(), {}, ("hysteresis",), ("cubic", "gap")),
     "yielding": (bristles(), {}, ("hysteresis",), ("lugre", "stiffness")),
@@ -347,7 +347,7 @@ def test_a_drift_that_no_half_shows_has_to_be_better_than_an_offset_by_an_effect
         of("coulomb", chi2=1300.0), of("drift", chi2=9000.0), of("bias", chi2=9000.0),
         of("coulomb", "drift", chi2=1000.0), of("bias", "coulomb", chi2=1003.0), naive=True,
     )  # fmt: skip
-    unsure = Drift(1.0, 0.9, 0.6)
+    unsure = DriftRates(1.0, 0.9, 0.6)
     found = decided(seen, drift=unsure)
     assert found.best.names == ("bias", "coulomb")
     assert found.equal == ()
@@ -355,7 +355,7 @@ def test_a_drift_that_no_half_shows_has_to_be_better_than_an_offset_by_an_effect
     assert (ruling.found, ruling.against) == (3.0, ("bias", "coulomb"))
     assert ruling.wanted == POLICY.several_price * 20.0
     # What the halves show, or the evidence of the whole recording, decides as before.
-    assert decided(seen, drift=Drift(1.0, 0.9, 0.1)).best.names == ("coulomb", "drift")
+    assert decided(seen, drift=DriftRates(1.0, 0.9, 0.1)).best.names == ("coulomb", "drift")
     worse = replace(seen, sets=(*seen.sets[:-1], of("bias", "coulomb", chi2=1030.0)))
     assert decided(worse, drift=unsure).best.names == ("coulomb", "drift")
     stated = replace(seen, setting=replace(seen.setting, naive=False))
@@ -412,7 +412,7 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
     return Evidence(setting, of(chi2=null), tuple(sets))
 
 
-FREE = {"part": None, "yielding": None, "drift": Drift(1.0, 0.9, 0.01), "beyond_forms": 50.0,
+FREE = {"part": None, "yielding": None, "drift": DriftRates(1.0, 0.9, 0.01), "beyond_forms": 50.0,
         "driven": (60.0, 60.0, 60.0), "driven_together": 180.0, "zero": 100.0}  # fmt: skip
 
 

@@ -38,7 +38,7 @@ def either(bench: Rig, low: float, high: float) -> float:
     return float(bench.random.choice([-1.0, 1.0]) * bench.random.uniform(low, high))
 
 
-def diagnosed(paths: Paths) -> engine.Diagnosis:
+def diagnosed(paths: Paths) -> engine.DiagnosisResult:
     return engine.diagnose(reading.read_case(paths[0], reading.read_model(paths[1])))
 
 
@@ -52,7 +52,7 @@ def in_turn(scenarios: Iterable[Scenario], *quick: Scenario) -> list[Any]:
     ]
 
 
-def begun(d: engine.Diagnosis) -> dict[str, float]:
+def begun(d: engine.DiagnosisResult) -> dict[str, float]:
     """Effects named that begin in mid-record, and when."""
     return {c.name: c.from_s for c in d.candidates if c.name in d.effects and c.from_s is not None}
 

@@ -16,7 +16,7 @@ from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import Gathered
 from rthyb_rt.diagnose.feedback import Driven
-from rthyb_rt.diagnose.select import Fit, Member, Problem, price, solve
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, price, solve
 
 FS_HZ, K, C, M = 512.0, 4e5, 1000.0, 300.0
 F_HZ, ZETA, LATE = 30.0, 0.8, 2
@@ -81,7 +81,7 @@ def hybrid_test(seed: int, friction_n: float = 0.0) -> dict[str, np.ndarray]:
     }
 
 
-def problem_of(noise_kg: float, dashpot_n_s_per_m: float) -> Problem:
+def problem_of(noise_kg: float, dashpot_n_s_per_m: float) -> ResidualProblem:
     """A specimen that noise moves at 60 Hz as well, which its cell shows of what it made it of.
 
     Args:
@@ -118,10 +118,12 @@ def problem_of(noise_kg: float, dashpot_n_s_per_m: float) -> Problem:
         whiten=lambda y: y / F_STD,
         pieces=None,
     )
-    return Problem(case, engine.context_of(case, found), found, effects.catalogue().values())
+    return ResidualProblem(
+        case, engine.context_of(case, found), found, effects.catalogue().values()
+    )
 
 
-def earned(problem: Problem, name: str, *theta: float) -> tuple[float, float, float]:
+def earned(problem: ResidualProblem, name: str, *theta: float) -> tuple[float, float, float]:
     """What an effect earns in all that is recorded, by the motion of the test, and its price."""
     effect = effects.catalogue()[name]
     member = Member(effect, Trial(theta))
@@ -155,7 +157,7 @@ def test_zero_error_of_the_displacement_is_no_offset_of_the_load_cell(zero, name
     found = replace(problem.estimate, force=problem.estimate.force + offset)
     assert (offset / F_STD) ** 2 * problem.y.size > 100.0  # plain to see in the force
     case = problem.case.with_model(replace(problem.case.model, x_std=x_std))
-    judged = Problem(case, problem.ctx, found, effects.catalogue().values())
+    judged = ResidualProblem(case, problem.ctx, found, effects.catalogue().values())
     assert force.search(judged).best.names == named
 
 
@@ -183,7 +185,7 @@ def test_together_effects_earn_no_less_than_one_of_them_beside_the_others():
     assert driven.together(both, (0, 1)) >= max(alone)
 
 
-def pushed(seed: int = 5) -> Problem:
+def pushed(seed: int = 5) -> ResidualProblem:
     """A body under a known force up to 3 Hz, without a load cell, as its model has it.
 
     Its displacement sensor is noisy from 25 to 30 Hz: the mass makes forces of that noise.
@@ -210,7 +212,9 @@ def pushed(seed: int = 5) -> Problem:
         found, motion=ComputedMotion(x, v, a), force=channels["f_in"], whiten=lambda y: y / F_STD,
         pieces=None,
     )  # fmt: skip
-    return Problem(case, engine.context_of(case, found), found, effects.catalogue().values())
+    return ResidualProblem(
+        case, engine.context_of(case, found), found, effects.catalogue().values()
+    )
 
 
 def test_noise_of_a_displacement_is_no_second_mass_of_a_body_without_a_load_cell():
@@ -228,7 +232,7 @@ def test_load_cell_has_noise_of_its_own_and_is_not_asked_for_the_motion_of_the_t
     assert not asked_for_motion(problem)
 
 
-def asked_for_motion(problem: Problem) -> bool:
+def asked_for_motion(problem: ResidualProblem) -> bool:
     """Whether each effect has to show in the motion that the test imposes."""
     null = solve(problem, [], [])
     assert null is not None

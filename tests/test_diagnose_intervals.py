@@ -17,7 +17,7 @@ from rthyb_rt.diagnose.form import neighbours, of_form
 LATE_S = 8.0e-5  # a normal offset in time, of the load cell
 
 
-def held(d: engine.Diagnosis, name: str, key: str) -> tuple[float, float]:
+def held(d: engine.DiagnosisResult, name: str, key: str) -> tuple[float, float]:
     """Return the ends of an interval."""
     low, high = next(c for c in d.candidates if c.name == name).ci95[key]
     return low, high

@@ -81,7 +81,7 @@ def under_voltage(seed: int, law: str, known: bool) -> Case:
 
 
 @cache
-def diagnosed(law: str, known: bool) -> engine.Diagnosis:
+def diagnosed(law: str, known: bool) -> engine.DiagnosisResult:
     return engine.diagnose(under_voltage(1, law, known))
 
 

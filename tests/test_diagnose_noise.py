@@ -38,7 +38,7 @@ def motion(fs_hz: float, late_s: float = LATE_S) -> tuple[np.ndarray, ...]:
     return t, u, x, v, a
 
 
-def written(folder: Path, columns: dict[str, np.ndarray], baseline: str) -> engine.Diagnosis:
+def written(folder: Path, columns: dict[str, np.ndarray], baseline: str) -> engine.DiagnosisResult:
     table = np.column_stack(list(columns.values()))
     np.savetxt(folder / "r.csv", table, delimiter=",", header=",".join(columns), comments="")
     (folder / "b.toml").write_text(baseline, encoding="utf-8")

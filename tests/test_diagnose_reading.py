@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rthyb_rt import cli, config
-from rthyb_rt.diagnose import engine, mapping, reading, table, units
+from rthyb_rt.diagnose import column_units, engine, mapping, reading, table
 from rthyb_rt.errors import InputError
 
 NAMES = ("t", "x_cmd", "x_meas", "f_meas")
@@ -283,15 +283,15 @@ def test_a_unit_of_another_kind_is_refused(tmp_path, columns):
     ],
 )  # fmt: skip
 def test_units_are_converted_exactly(text, factor, si):
-    found = units.read_unit(text)
+    found = column_units.read_unit(text)
     assert found is not None
     assert (float(found.factor), found.si) == (factor, si)
 
 
 def test_nine_millimetres_are_the_double_next_to_nine_thousandths():
-    found = units.read_unit("mm")
+    found = column_units.read_unit("mm")
     assert found is not None
-    assert units.in_si(np.array([9.0, 0.1]), found.factor).tolist() == [0.009, 0.0001]
+    assert column_units.in_si(np.array([9.0, 0.1]), found.factor).tolist() == [0.009, 0.0001]
 
 
 # ---- few rows ---------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from rthyb_rt.diagnose import effects, engine, estimate, force, reading, rigged
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Fit, Member, Problem
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem
 from rthyb_rt.lab import experiment, virtual_time
 from tests.test_diagnose_loop import SECTION_5, TABLE, answer_of, recorded, run
 
@@ -102,7 +102,7 @@ def test_sliding_within_the_noise_of_the_displacement_is_dry_friction(table_run)
     assert body.distinct(fit(dry, wide))
     assert body.distinct(fit(narrow))
     assert body.distinct(fit(dry, ("viscous", Trial())))
-    problem = Problem(case, ctx, found, laws.values())
+    problem = ResidualProblem(case, ctx, found, laws.values())
     mover = force._Mover(problem, body, force._Fitter(problem))
     assert mover.move(fit(dry, narrow)) is None
     assert body.runs == rigged.RUNS, "no simulation is spent on it"

@@ -16,7 +16,7 @@ from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.predict import Augmented, predict, start_of
-from rthyb_rt.diagnose.select import Fit, Member, Problem
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem
 from rthyb_rt.lab import experiment
 
 FS_HZ = 256.0
@@ -41,10 +41,12 @@ def lost(signal: np.ndarray, share: float = 0.1) -> np.ndarray:
     return np.where(gone, np.nan, signal)
 
 
-def problem_of(case: Case) -> Problem:
+def problem_of(case: Case) -> ResidualProblem:
     found = estimate.from_sensors(case)
     assert found is not None
-    return Problem(case, engine.context_of(case, found), found, effects.catalogue().values())
+    return ResidualProblem(
+        case, engine.context_of(case, found), found, effects.catalogue().values()
+    )
 
 
 # ---- lost rows -----------------------------------------------------------------------------------
@@ -107,7 +109,9 @@ def test_a_slider_beside_a_spring_that_nobody_knows_has_one_name():
     assert (d.verdict, d.effects, d.ambiguous_with) == ("explained", ["hysteresis"], [])
 
 
-def fit_of(problem: Problem, name: str, beta: float, *theta: float, variant: str = "") -> Fit:
+def fit_of(
+    problem: ResidualProblem, name: str, beta: float, *theta: float, variant: str = ""
+) -> Fit:
     member = Member(effects.catalogue()[name], Trial(theta, variant))
     return Fit((member,), (np.array([beta]),), 0.0, 1, np.zeros(len(problem.nuisances)))
 
@@ -137,7 +141,7 @@ def test_a_motion_simulated_late_counts_like_the_others():
         def __init__(self) -> None:
             pass
 
-        def refined(self, problem: Problem, fit: Fit) -> Fit:
+        def refined(self, problem: ResidualProblem, fit: Fit) -> Fit:
             return replace(fit, chi2=400.0 + 9.0, residual=np.full(100, 2.0))
 
     mover = force._Mover(problem, Still(), force._Fitter(problem))

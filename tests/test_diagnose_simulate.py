@@ -18,7 +18,7 @@ from rthyb_rt.core.diagnosis_models import (
     play,
 )
 from rthyb_rt.diagnose import effects
-from rthyb_rt.diagnose.case import BoucWen, Model
+from rthyb_rt.diagnose.case import Model, ModelBoucWen
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.effects.sensor import shifted
 from rthyb_rt.diagnose.estimate import white_noise
@@ -166,7 +166,7 @@ def test_a_softer_loop_moves_as_the_model_that_has_its_stiffness():
     n = 2048
     t = np.arange(n) / cases.FS
     push = 900.0 * np.sin(2 * np.pi * 1.5 * t)
-    loop = BoucWen(0.2, 3e-3, 2.0, 0.55, 0.45)
+    loop = ModelBoucWen(0.2, 3e-3, 2.0, 0.55, 0.45)
     model = Model("forced", cases.FS, 2e5, 300.0, 500.0, k_tol=0.01, c_tol=0.1, bouc_wen=loop)
     member = Member(effects.catalogue()["stiffness"], Trial())
     ranges = (1e-2, 0.1, 1.0)
@@ -223,7 +223,7 @@ def test_a_play_follows_after_its_gap_and_a_slider_slips_at_its_limit():
 
 
 def test_bouc_wen_is_that_of_the_interchange_format():
-    loop = BoucWen(0.2, 3e-3, 2.0, 0.55, 0.45)
+    loop = ModelBoucWen(0.2, 3e-3, 2.0, 0.55, 0.45)
     x = 8e-3 * np.sin(np.linspace(0.0, 20.0, 60000))
     force = core.CoreElement(loop.element(4e5)).run(x)
     z, expected = 0.0, np.zeros(x.size)

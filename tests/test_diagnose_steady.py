@@ -15,13 +15,15 @@ from rthyb_rt.diagnose import effects, engine, steady
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, Member, Problem, refine
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
 
 Force = Callable[[Floats, Floats, Floats], Floats]
 """A force that is left out, N, of time, displacement and velocity."""
 
 
-def fitted(force: Force, *names: str, seed: int = 1, kind: str = "sweep") -> tuple[Problem, Fit]:
+def fitted(
+    force: Force, *names: str, seed: int = 1, kind: str = "sweep"
+) -> tuple[ResidualProblem, Fit]:
     """The named set, in the shapes that fit best, along a motion that is known."""
     x, v, a = moved(command(kind))
     t = np.arange(x.size) / FS
@@ -32,7 +34,7 @@ def fitted(force: Force, *names: str, seed: int = 1, kind: str = "sweep") -> tup
     case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": f_meas}, rows)
     found = Estimate(ComputedMotion(x, v, a), f_meas, rows, lambda y: y / F_STD, F_STD, True)
     laws = effects.catalogue()
-    problem = Problem(case, engine.context_of(case, found), found, laws.values())
+    problem = ResidualProblem(case, engine.context_of(case, found), found, laws.values())
     shapes = product(*(laws[n].trials(problem.ctx) for n in names))
     sets = [[Member(laws[n], s) for n, s in zip(names, own, strict=True)] for own in shapes]
     return problem, min(filter(None, (refine(problem, m) for m in sets)), key=lambda f: f.chi2)

@@ -18,7 +18,7 @@ pytest.importorskip("matplotlib")
 
 import rthyb_rt as rt
 from rthyb_rt import cli
-from rthyb_rt.diagnose import catalogue, decide, engine, laws, page, reading, why, words
+from rthyb_rt.diagnose import catalogue, decide, engine, page, reading, residual_laws, why, words
 from rthyb_rt.diagnose.outcome import finish
 from rthyb_rt.report import drawing as draw
 
@@ -81,19 +81,23 @@ def test_what_no_effect_explains_is_unknown_and_located():
 
 
 def test_dry_friction_is_drawn_over_velocity_with_a_band_that_holds_the_truth():
-    (rest,) = laws.rests(diagnosed(friction))
+    (rest,) = residual_laws.rests(diagnosed(friction))
     law, half = rest.laws[0].of(rest.laws[0].parts)
     _, v, _ = cases.moved(cases.command())
     sliding = rest.rows & (np.abs(v) > 5e-3)
     truth = FRICTION_N * np.sign(v)
     assert np.all(np.abs(law - truth)[sliding] < 1.5 * half[sliding])
     assert half[sliding].max() < 0.03 * FRICTION_N
-    assert laws.line_share(law[rest.rows], rest.over["v"][0][rest.rows]) > laws.LINE
-    assert laws.line_share(law[rest.rows], rest.over["x"][0][rest.rows]) < laws.LINE
+    assert (
+        residual_laws.line_share(law[rest.rows], rest.over["v"][0][rest.rows]) > residual_laws.LINE
+    )
+    assert (
+        residual_laws.line_share(law[rest.rows], rest.over["x"][0][rest.rows]) < residual_laws.LINE
+    )
 
 
 def test_what_is_left_over_velocity_lies_around_the_law():
-    (rest,) = laws.rests(diagnosed(friction))
+    (rest,) = residual_laws.rests(diagnosed(friction))
     law, _ = rest.laws[0].of(rest.laws[0].parts)
     assert np.std((rest.left - law)[rest.rows]) == pytest.approx(cases.F_STD, rel=0.1)
 
@@ -102,10 +106,10 @@ def test_what_is_left_over_velocity_lies_around_the_law():
 def test_of_friction_beside_a_hardening_spring_each_is_drawn_alone():
     d = diagnosed(hardening)
     assert sorted(d.effects) == ["coulomb", "cubic"]
-    (rest,) = laws.rests(d)
-    assert [p.names for p in laws._elsewhere(rest, "v")] == [("cubic",)]
-    assert [p.names for p in laws._elsewhere(rest, "x")] == [("coulomb",)]
-    over_v = next(p for p in laws.draw_laws(d) if p.key == "law-force-v")
+    (rest,) = residual_laws.rests(d)
+    assert [p.names for p in residual_laws._elsewhere(rest, "v")] == [("cubic",)]
+    assert [p.names for p in residual_laws._elsewhere(rest, "x")] == [("coulomb",)]
+    over_v = next(p for p in residual_laws.draw_laws(d) if p.key == "law-force-v")
     assert "Without a cubic spring: it does not follow velocity." in over_v.note
 
 
@@ -113,8 +117,12 @@ def test_of_friction_beside_a_hardening_spring_each_is_drawn_alone():
 def test_a_forgotten_mass_is_a_line_over_acceleration():
     d = diagnosed(heavier)
     assert d.effects == ["inertia"]
-    assert [p.key for p in laws.draw_laws(d)] == ["law-force-v", "law-force-x", "law-force-a"]
-    (rest,) = laws.rests(d)
+    assert [p.key for p in residual_laws.draw_laws(d)] == [
+        "law-force-v",
+        "law-force-x",
+        "law-force-a",
+    ]
+    (rest,) = residual_laws.rests(d)
     slope = np.polyfit(rest.over["a"][0][rest.rows], rest.left[rest.rows], 1)[0]
     assert slope == pytest.approx(90.0, rel=0.02)
 
@@ -122,7 +130,7 @@ def test_a_forgotten_mass_is_a_line_over_acceleration():
 def test_a_late_actuator_is_a_line_over_the_velocity_of_its_model():
     d = diagnosed(None, late_s=0.004)
     assert d.effects == ["delay"]
-    (rest,) = laws.rests(d)
+    (rest,) = residual_laws.rests(d)
     assert (rest.channel, rest.unit) == ("disp", "mm")
     slope = np.polyfit(rest.over["v"][0][rest.rows], rest.left[rest.rows], 1)[0]
     assert slope == pytest.approx(-0.004, rel=0.05)
@@ -135,16 +143,16 @@ def test_a_late_actuator_is_a_line_over_the_velocity_of_its_model():
 def test_laws_that_fit_alike_are_drawn_beside_one_another():
     d = diagnosed(softer, kind="sine")
     assert d.verdict == "ambiguous"
-    (rest,) = laws.rests(d)
+    (rest,) = residual_laws.rests(d)
     assert {law.label for law in rest.laws} == {"a moving mass", "an error of the stiffness"}
-    plate = laws.draw_laws(d)[0]
+    plate = residual_laws.draw_laws(d)[0]
     assert "a moving mass" in plate.svg
     assert "stroke-dasharray" in plate.svg
 
 
 @pytest.mark.parametrize("law", [None, pytest.param(bump, marks=pytest.mark.long)])
 def test_without_an_answer_only_what_is_left_is_drawn(law):
-    plates = laws.draw_laws(diagnosed(law))
+    plates = residual_laws.draw_laws(diagnosed(law))
     assert [p.key for p in plates] == ["law-force-v", "law-force-x"]
     assert all("law found" not in p.svg and "darker: more rows" in p.note for p in plates)
 
@@ -193,11 +201,11 @@ def test_legends_stand_outside_of_the_curves():
 
 
 def test_large_forces_are_drawn_in_kn_with_their_laws_and_bands():
-    assert laws.force_unit(np.array([9999.0, np.nan]), np.zeros(3)) == (1.0, "N")
-    assert laws.force_unit(np.zeros(3), np.array([-1e4, np.inf])) == (1e-3, "kN")
-    assert laws.force_unit(np.array([np.nan])) == (1.0, "N")
-    part = laws.Part(("coulomb",), np.array([3e4, -3e4]), np.array([[1.0], [2.0]]))
-    law = laws.Law((part,), np.array([[1e6]]))
+    assert residual_laws.force_unit(np.array([9999.0, np.nan]), np.zeros(3)) == (1.0, "N")
+    assert residual_laws.force_unit(np.zeros(3), np.array([-1e4, np.inf])) == (1e-3, "kN")
+    assert residual_laws.force_unit(np.array([np.nan])) == (1.0, "N")
+    part = residual_laws.Contribution(("coulomb",), np.array([3e4, -3e4]), np.array([[1.0], [2.0]]))
+    law = residual_laws.FittedLaw((part,), np.array([[1e6]]))
     for given, scaled in zip(
         law.of([part]), law.times(1e-3).of(law.times(1e-3).parts), strict=True
     ):

@@ -103,24 +103,13 @@ def test_the_core_is_used_without_the_library_of_the_recordings() -> None:
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-# What stands for two things: how often each name occurs. A name may leave these lists, and none may
-# join them or occur more often.
-REPEATED_MODULES = {
-    "experiment": 2, "laws": 2, "sizes": 2, "units": 2,
-}  # fmt: skip
-REPEATED_CLASSES = {
-    "BoucWen": 2, "Channel": 2, "Column": 2, "Diagnosis": 2, "Drift": 2, "Entry": 2, "Fitter": 2,
-    "Law": 2, "Part": 4, "Problem": 2, "Table": 2, "_Unknown": 3,
-}  # fmt: skip
-
-
 def _repeated(names: Iterable[str]) -> dict[str, int]:
     return {name: n for name, n in sorted(Counter(names).items()) if n > 1}
 
 
 def test_a_module_name_stands_for_one_thing() -> None:
     names = (path.stem for path in PACKAGE.rglob("*.py") if not path.stem.startswith("__"))
-    assert _repeated(names) == REPEATED_MODULES
+    assert not _repeated(names)
 
 
 @pytest.mark.long
@@ -131,7 +120,7 @@ def test_a_class_name_stands_for_one_thing() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
         if isinstance(node, ast.ClassDef)
     )
-    assert _repeated(names) == REPEATED_CLASSES
+    assert not _repeated(names)
 
 
 HEADERS = sorted((PACKAGE.parent / "csrc").glob("rthyb_*.h"))

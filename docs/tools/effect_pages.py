@@ -19,7 +19,7 @@ from pictures import on_paper
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.case import Model
-from rthyb_rt.diagnose.catalogue import Entry, entries
+from rthyb_rt.diagnose.catalogue import EffectEntry, entries
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.words import KINDS
 from rthyb_rt.report import drawing as draw
@@ -120,7 +120,7 @@ Panel = tuple[np.ndarray, list[np.ndarray], str, str]
 """Abscissa, curves (before and after, or what is added), and the names of both axes."""
 
 
-def panels_of_force(entry: Entry) -> list[Panel]:
+def panels_of_force(entry: EffectEntry) -> list[Panel]:
     """Return force over displacement, then what the effect adds over what shows it."""
     ctx = context()
     trial, betas = EXAMPLES[entry.name]
@@ -147,12 +147,12 @@ def panels_of_force(entry: Entry) -> list[Panel]:
     ]
 
 
-def _first(entry: Entry) -> slice:
+def _first(entry: EffectEntry) -> slice:
     """Return the rows of the first panel."""
     return slice(None) if entry.name in WHOLE else CYCLE
 
 
-def panels_of_actuator(entry: Entry) -> list[Panel]:
+def panels_of_actuator(entry: EffectEntry) -> list[Panel]:
     """Return displacement over command, then what the effect adds along the model's motion."""
     u = command().x
     plain = actuator(ACTUATOR, u, FS)
@@ -166,7 +166,7 @@ def panels_of_actuator(entry: Entry) -> list[Panel]:
     ]
 
 
-def picture(entry: Entry) -> str:
+def picture(entry: EffectEntry) -> str:
     """Return the picture of an effect as SVG."""
     panels = (panels_of_actuator if entry.place == "actuator" else panels_of_force)(entry)
     with rc_context(draw.STYLE):
@@ -226,18 +226,18 @@ PLACES = {
 }
 
 
-def heading(entry: Entry) -> str:
+def heading(entry: EffectEntry) -> str:
     """Return the heading of an effect's section."""
     return f"{entry.name}: {entry.plain}"
 
 
-def anchor(entry: Entry) -> str:
+def anchor(entry: EffectEntry) -> str:
     """Return the anchor of that heading, as web sites make it."""
     kept = "".join(c for c in heading(entry).lower() if c.isalnum() or c in "_- ")
     return kept.replace(" ", "-")
 
 
-def section(entry: Entry, known: dict[str, Entry]) -> str:
+def section(entry: EffectEntry, known: dict[str, EffectEntry]) -> str:
     """Return the section of one effect."""
     kind, why = entry.shown_by
     lines = [

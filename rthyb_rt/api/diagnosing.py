@@ -41,7 +41,7 @@ class Diagnosis:
 
     def __init__(
         self,
-        found: engine.Diagnosis,
+        found: engine.DiagnosisResult,
         outcome: Outcome,
         checks: list[dict[str, Any]] | None,
         model: Path,

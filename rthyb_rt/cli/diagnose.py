@@ -17,7 +17,7 @@ from rthyb_rt.errors import InputError, RthybError
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.axes import OfAxis
     from rthyb_rt.diagnose.case import Case
-    from rthyb_rt.diagnose.engine import Diagnosis
+    from rthyb_rt.diagnose.engine import DiagnosisResult
     from rthyb_rt.diagnose.mapping import Wish
     from rthyb_rt.diagnose.outcome import Outcome
 
@@ -128,7 +128,7 @@ class _Asked:
 class _Answered:
     """Results: the diagnosis, the conclusions from it, the self-check, the ledger."""
 
-    found: Diagnosis
+    found: DiagnosisResult
     outcome: Outcome
     checks: list[dict[str, Any]] | None
     reasons: dict[str, Any]
@@ -305,7 +305,7 @@ def _writable(folder: Path) -> None:
 def _write_report(folder: Path, done: list[_Answered], model: Path) -> None:
     from rthyb_rt.diagnose import page
 
-    parts = [page.Part(one.found, one.outcome, one.checks, one.reasons) for one in done]
+    parts = [page.PagePart(one.found, one.outcome, one.checks, one.reasons) for one in done]
     if len(parts) > 1:
         paths = page.write_axes_report(folder, parts, model)
     else:
@@ -325,14 +325,16 @@ def _write_prediction(path: Path, prediction: Any) -> None:
         np.savetxt(temporary, table, fmt="%.9g", delimiter=",", header="t,f,x", comments="")
 
 
-def _reasons(found: Diagnosis, step: Any) -> dict[str, Any]:
+def _reasons(found: DiagnosisResult, step: Any) -> dict[str, Any]:
     from rthyb_rt.diagnose import why
 
     step("reasons")
     return why.to_json(found)
 
 
-def _print_answer(found: Diagnosis, answer: dict[str, Any], file: Any, outcome: Outcome) -> None:
+def _print_answer(
+    found: DiagnosisResult, answer: dict[str, Any], file: Any, outcome: Outcome
+) -> None:
     from rthyb_rt.diagnose import words
     from rthyb_rt.diagnose.why import lines
 

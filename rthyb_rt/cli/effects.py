@@ -11,7 +11,7 @@ from rthyb_rt.cli import terminal
 from rthyb_rt.cli.inputs import JsonOption
 
 if TYPE_CHECKING:
-    from rthyb_rt.diagnose.catalogue import Entry
+    from rthyb_rt.diagnose.catalogue import EffectEntry
 
 
 def effects(
@@ -48,7 +48,7 @@ def effects(
         _print_effect(known[name], known, file)
 
 
-def _print_effect(entry: Entry, known: dict[str, Entry], file: Any) -> None:
+def _print_effect(entry: EffectEntry, known: dict[str, EffectEntry], file: Any) -> None:
     from rthyb_rt.diagnose.words import KINDS
 
     kind, why = entry.shown_by

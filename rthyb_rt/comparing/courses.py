@@ -316,7 +316,7 @@ def table(path: Path, wishes: Sequence[Wish], missed: dict[str, Problem] | None 
     Raises:
         InputError: it cannot be read, or a required column or its unit is not named.
     """
-    from rthyb_rt.diagnose.lab import stated
+    from rthyb_rt.diagnose.external_table import stated
 
     unmet: dict[str, Problem] = {} if missed is None else missed
     t, channels, notes = stated(path, wishes, _COMPARED, ("t", "x_meas"), unmet)

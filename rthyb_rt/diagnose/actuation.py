@@ -333,7 +333,7 @@ class Actuation:
     def _from(
         self, effects: Sequence[ActuatorEffect], settings: dict[str, Any], start: Floats, row: float
     ) -> ActuatorFit | None:
-        unknown = _Unknown(self, effects, settings, row)
+        unknown = _ScaledParameters(self, effects, settings, row)
         found = unknown.least(unknown.first(start))
         if found is None:
             return None
@@ -423,7 +423,7 @@ class Actuation:
         return penalty(self.ln_n, effect.count)
 
 
-class _Unknown:
+class _ScaledParameters:
     """The parameters of some effects, scaled for least squares; the last one is the time offset."""
 
     def __init__(

@@ -36,7 +36,7 @@ CHANNELS: dict[str, str] = {
 
 
 @dataclass(frozen=True)
-class BoucWen:
+class ModelBoucWen:
     """F = k (alpha x + (1 - alpha) z), z' = v (1 - |z/xy|^n (beta + gamma sgn(v z)))."""
 
     alpha: float
@@ -77,7 +77,7 @@ class Model:
     moving_mass: float = 0.0
     k_tol: float | None = None
     c_tol: float | None = None
-    bouc_wen: BoucWen | None = None
+    bouc_wen: ModelBoucWen | None = None
     actuator: ActuatorModel | None = None
     mass: float = 0.0
     c_num: float = 0.0

@@ -15,7 +15,7 @@ Place = Literal["specimen", "load cell", "actuator"]
 
 
 @dataclass(frozen=True)
-class Entry:
+class EffectEntry:
     """One effect.
 
     Attributes:
@@ -177,7 +177,7 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
 """Effects that can be confused, and what separates them."""
 
 
-def entries() -> dict[str, Entry]:
+def entries() -> dict[str, EffectEntry]:
     """Return every effect by name: of the specimen, of the load cell, of the actuator."""
     laws = sorted(effects.catalogue().values(), key=lambda e: e.sensor)
     out = [_entry(e, "load cell" if e.sensor else "specimen") for e in (*laws, QUANTISATION)]
@@ -185,8 +185,8 @@ def entries() -> dict[str, Entry]:
     return {e.name: e for e in out}
 
 
-def _entry(e: Effect | ActuatorEffect, place: Place) -> Entry:
-    return Entry(
+def _entry(e: Effect | ActuatorEffect, place: Place) -> EffectEntry:
+    return EffectEntry(
         e.name, called(e.name), place, tuple(p.name for p in e.params), e.equation, e.fingerprint,
         e.shown_by, alike(e.name),
     )  # fmt: skip

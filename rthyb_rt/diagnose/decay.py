@@ -16,7 +16,7 @@ import numpy as np
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.freebody import Body, Loose
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Dictionary, Fit, Member, Problem, compatible, solve
+from rthyb_rt.diagnose.select import Dictionary, Fit, Member, ResidualProblem, compatible, solve
 
 MOST = 6
 """Number of pairs of damping laws refined with the spring, and of sets simulated first."""
@@ -52,7 +52,7 @@ class Swing(Body):
         """Return whether a set has elastic springs and damping only."""
         return all(m.effect.elastic or m.effect.dissipates for m in members)
 
-    def refined(self, problem: Problem, fit: Fit) -> Fit | None:
+    def refined(self, problem: ResidualProblem, fit: Fit) -> Fit | None:
         """Fit a set to the motion as `Body` does, starting with a dashpot that does not push.
 
         In the balance, laws of damping compensate for one another, even with a negative dashpot. A
@@ -87,7 +87,7 @@ def conservative(fit: Fit) -> tuple[Member, ...]:
 
 
 def explained(
-    problem: Problem, known: Callable[[Sequence[Member]], Fit | None], fit: Fit,
+    problem: ResidualProblem, known: Callable[[Sequence[Member]], Fit | None], fit: Fit,
     member: Member, null: Fit,
 ) -> float:  # fmt: skip
     """Return the misfit explained by a set, of the kind that one of its effects can explain.

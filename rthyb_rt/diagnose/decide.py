@@ -30,7 +30,7 @@ What = Literal[
 
 
 @dataclass(frozen=True)
-class Part:
+class SetMember:
     """One effect of a set.
 
     Attributes:
@@ -66,7 +66,7 @@ class Hypothesis:
         relaxes_rad: longest relaxation time times the motion's angular frequency; 0: none.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[SetMember, ...]
     chi2: float
     bent: frozenset[str] = frozenset()
     offset_sd: float = 0.0
@@ -174,7 +174,7 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class Drift:
+class DriftRates:
     """A drift in the two halves of a recording.
 
     Attributes:
@@ -196,7 +196,7 @@ class Need:
         what: "part", the set of some of its effects, as they are in it (Hypothesis, None if it
             is not a physical law); "yielding", the set with yielding in place of its bristles
             (likewise); "beyond forms", what an effect of the load cell earns if its other laws
-            may take any smooth form (chi-squared); "drift", its drift by halves (`Drift`);
+            may take any smooth form (chi-squared); "drift", its drift by halves (`DriftRates`);
             "driven", what each effect earns by the motion that the test imposes (chi-squared, a
             number for each; empty if nothing moves); "driven together", what those of ``which``
             earn together (likewise, one number); "size", its force relative to the recorded
@@ -274,7 +274,7 @@ class Choice:
     ledger: tuple[Ruling, ...]
 
 
-class _Unknown(Exception):
+class _UnknownNeed(Exception):
     def __init__(self, need: Need) -> None:
         self.need = need
 
@@ -298,7 +298,7 @@ class Court:
         """Return evidence that is gathered on demand."""
         need = Need(what, of, which)
         if need not in self.evidence.known:
-            raise _Unknown(need)
+            raise _UnknownNeed(need)
         return self.evidence.known[need]
 
     def refuse(self, rule: str, of: Hypothesis, **figures: Any) -> bool:
@@ -444,7 +444,7 @@ def goes_on(court: Court, of: Hypothesis) -> bool:
     """
     if court.laws.wanders.isdisjoint(of.names) or not court.setting.naive:
         return True
-    drift: Drift = court.ask("drift", of)
+    drift: DriftRates = court.ask("drift", of)
     if drift.sigma > court.policy.drift_unsure * abs(drift.whole):
         return _more_than_an_offset(court, of)
     within, wanted = drift.within / drift.whole, court.policy.drift_in_halves
@@ -783,7 +783,7 @@ def choose(evidence: Evidence, policy: Policy, less: Iterable[str] = ()) -> Choi
     court, gone = Court(evidence, policy), set(less)
     try:
         return _choose(court, gone)
-    except _Unknown as unknown:
+    except _UnknownNeed as unknown:
         return unknown.need
 
 

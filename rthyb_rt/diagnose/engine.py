@@ -37,7 +37,7 @@ from rthyb_rt.diagnose.predict import Augmented, followed
 from rthyb_rt.diagnose.select import (
     Fit,
     Member,
-    Problem,
+    ResidualProblem,
     leaning,
     refine,
 )
@@ -119,7 +119,7 @@ class Displacement:
 
 
 @dataclass
-class Diagnosis:
+class DiagnosisResult:
     """The complete result for a recording."""
 
     case: Case
@@ -322,7 +322,7 @@ def context_of(
     return Context(case.model, found.motion, case.t, found.force, other, ranges)
 
 
-def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
+def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult:
     """Find the physics that the model lacks.
 
     Args:
@@ -336,7 +336,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
     if found is not None and found.rows.sum() >= POLICY.least_rows_force:
         progress("force laws")
         ctx = context_of(case, found)
-        problem = Problem(case, ctx, found, effects.catalogue().values())
+        problem = ResidualProblem(case, ctx, found, effects.catalogue().values())
         if rigged.given(case):
             found, ctx, search = _in_the_rig(problem, progress)
             progress("verdict")
@@ -361,7 +361,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> Diagnosis:
 
         search = force.search(problem, progress, body, doubtful)
 
-        def anew(judged: Problem, known: list[tuple[Member, ...]]) -> force.Search:
+        def anew(judged: ResidualProblem, known: list[tuple[Member, ...]]) -> force.Search:
             return force.search(judged, progress, body, doubtful, known)
 
         # What the displacement and the load cell both show is not limited by the balance's noise.
@@ -391,7 +391,7 @@ def _in_its_noise(
     case: Case,
     found: Estimate,
     search: force.Search,
-    anew: Callable[[Problem, list[tuple[Member, ...]]], force.Search],
+    anew: Callable[[ResidualProblem, list[tuple[Member, ...]]], force.Search],
     progress: Progress,
 ) -> tuple[Estimate, force.Search]:
     """Search again with coloured noise, if a set together with such noise is likelier.
@@ -422,11 +422,13 @@ def _in_its_noise(
         return found, search
     progress("noise")
     now = replace(found, scatter=own.scatter).whitened(own.whiten, own.pieces, case.fs_hz)
-    problem = Problem(case, problem.ctx, now, effects.catalogue().values())
+    problem = ResidualProblem(case, problem.ctx, now, effects.catalogue().values())
     return now, anew(problem, [f.members for f in search.pool])
 
 
-def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context, force.Search]:
+def _in_the_rig(
+    problem: ResidualProblem, progress: Progress
+) -> tuple[Estimate, Context, force.Search]:
     """Search by the force balance, and evaluate its candidates by simulating the rig."""
     case, ctx, found = problem.case, problem.ctx, problem.estimate
     body = rigged.RigBody(case, ctx)
@@ -440,7 +442,7 @@ def _in_the_rig(problem: Problem, progress: Progress) -> tuple[Estimate, Context
     if along is None:
         return found, ctx, search
     now = context_of(case, along, ctx.all_ranges)
-    moved = Problem(case, now, along, effects.catalogue().values(), search.problem.blurred)
+    moved = ResidualProblem(case, now, along, effects.catalogue().values(), search.problem.blurred)
     return along, now, replace(search, problem=moved)
 
 
@@ -474,9 +476,9 @@ def _along_its_motion(
             if found is None or found.rows.sum() < POLICY.least_rows_force:
                 break
             now = context_of(case, found)
-            along = Problem(case, now, found, effects.catalogue().values())
+            along = ResidualProblem(case, now, found, effects.catalogue().values())
 
-            def anew(judged: Problem, known: list[tuple[Member, ...]]) -> force.Search:
+            def anew(judged: ResidualProblem, known: list[tuple[Member, ...]]) -> force.Search:
                 return force.search(judged, progress, seeds=known)
 
             found, again = _in_its_noise(case, found, force.search(along, progress), anew, progress)
@@ -547,7 +549,7 @@ def _verdict(
     found: Estimate | None,
     ctx: Context | None,
     search: force.Search | None,
-) -> Diagnosis:
+) -> DiagnosisResult:
     steps, search = _coarse(case, search)
     said = _judged(disp, ctx, search, steps)
     candidates: list[Found] = []
@@ -614,7 +616,7 @@ def _located(
     search: force.Search | None,
     said: Verdict,
     candidates: list[Found],
-) -> Diagnosis:
+) -> DiagnosisResult:
     n, verdict, names = case.t.size, said.said, list(said.names)
     sets = [list(names) for names in said.sets]
     motion = found.motion if found else (disp.best.motion if disp else None)
@@ -651,9 +653,9 @@ def _located(
     spans = localise.windows(mask, case.t)
     if verdict in ("explained", "unknown") and not spans:
         spans = [[float(case.t[0]), float(case.t[-1])]]
-    from rthyb_rt.diagnose.experiment import propose
+    from rthyb_rt.diagnose.next_experiment import propose
 
-    return Diagnosis(
+    return DiagnosisResult(
         case, verdict, channel, names, candidates, sets, spans, x_m, v_m_s,
         _errors(disp, found, search, verdict), propose(case, ctx, disp, search, verdict, sets),
         disp, search, found, ctx,
@@ -813,7 +815,7 @@ def _disp_found(disp: Displacement) -> list[Found]:
     return out
 
 
-def _work(d: Diagnosis, c: Found) -> dict[str, float]:
+def _work(d: DiagnosisResult, c: Found) -> dict[str, float]:
     """Return the work that a force of the answer removed from the motion, J.
 
     The parameters of a loop are not unique, but its energy is.
@@ -825,7 +827,7 @@ def _work(d: Diagnosis, c: Found) -> dict[str, float]:
     return {"energy_J": float(c.signal @ dx)}
 
 
-def to_json(d: Diagnosis) -> dict[str, Any]:
+def to_json(d: DiagnosisResult) -> dict[str, Any]:
     """Return the answer in the interchange format."""
     known = [c for c in d.candidates if d.verdict != "unknown"]
     return {
@@ -850,7 +852,7 @@ def to_json(d: Diagnosis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def augmented(d: Diagnosis) -> Augmented:
+def augmented(d: DiagnosisResult) -> Augmented:
     """Return the model with the effects found; for an unknown verdict, with refitted values."""
     model = d.case.model
     search = d.force
@@ -879,7 +881,7 @@ def augmented(d: Diagnosis) -> Augmented:
     return Augmented(fitted, model, members, betas, lag, ranges, skew, zeros, cell)
 
 
-def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Augmented:
+def in_newtons(d: DiagnosisResult, model: Augmented, wanted: Case | None = None) -> Augmented:
     """Return the model fitted again with the same weight for every newton of misfit.
 
     A naive model leaves a misfit far above the noise: plain least squares, not the weights of the
@@ -897,7 +899,7 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
     motion = followed(model, d.case, wanted) if wanted is not None else None
     if motion is not None:
         ctx = Context(ctx.model, motion, ctx.t, ctx.force, ctx.other, ctx.all_ranges)
-    problem = Problem(d.case, ctx, plain, effects.catalogue().values())
+    problem = ResidualProblem(d.case, ctx, plain, effects.catalogue().values())
     problem.rescale(max(1.0, float(np.mean(search.best.residual**2))))
     fit = refine(problem, search.best.members)
     if fit is None or not problem.sensible(fit):
@@ -924,7 +926,7 @@ def in_newtons(d: Diagnosis, model: Augmented, wanted: Case | None = None) -> Au
     return replace(model, model=fitted, members=fit.members, betas=fit.betas)
 
 
-def baseline(d: Diagnosis) -> Augmented:
+def baseline(d: DiagnosisResult) -> Augmented:
     """Return the model as given."""
     m = d.case.model
     return Augmented(m, m, (), (), m.actuator, None)

@@ -10,12 +10,12 @@ import numpy as np
 
 from rthyb_rt.diagnose.decide import (
     Choice,
-    Drift,
+    DriftRates,
     Evidence,
     Hypothesis,
     Laws,
     Need,
-    Part,
+    SetMember,
     Setting,
     times_price,
 )
@@ -28,7 +28,7 @@ from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
     Fit,
     Member,
-    Problem,
+    ResidualProblem,
     columns_of,
     inflation,
     leaning,
@@ -51,7 +51,7 @@ class Fitter(Protocol):
         witnessed: whether another channel verifies the load cell, see `redundant`.
     """
 
-    problem: Problem
+    problem: ResidualProblem
     by_names: dict[tuple[str, ...], Fit]
     stated: set[str]
     exact: bool
@@ -121,10 +121,10 @@ class Gathered:
             max(times) * omega,
         )
 
-    def _part(self, member: Member) -> Part:
+    def _part(self, member: Member) -> SetMember:
         effect = member.effect
         own = effect.settings(self.problem.ctx, member.trial)[1]
-        return Part(
+        return SetMember(
             member.name,
             effect.names,
             price(self.problem, effect, own),
@@ -201,24 +201,24 @@ class Gathered:
         ]
 
 
-def count(problem: Problem, fit: Fit) -> int:
+def count(problem: ResidualProblem, fit: Fit) -> int:
     """Return the number of parameters of a set."""
     return sum(m.effect.settings(problem.ctx, m.trial)[1] for m in fit.members)
 
 
-def cost(problem: Problem, fit: Fit) -> float:
+def cost(problem: ResidualProblem, fit: Fit) -> float:
     """Return the price of a set."""
     return sum(
         price(problem, m.effect, m.effect.settings(problem.ctx, m.trial)[1]) for m in fit.members
     )
 
 
-def to_earn(problem: Problem, fit: Fit) -> float:
+def to_earn(problem: ResidualProblem, fit: Fit) -> float:
     """Return what a set must earn to be named."""
     return times_price(POLICY, len(fit.members)) * cost(problem, fit)
 
 
-def bent(problem: Problem, fit: Fit) -> set[str]:
+def bent(problem: ResidualProblem, fit: Fit) -> set[str]:
     """Return the effects that a fit replaces by moving a stated value out of its tolerance."""
     return {
         n.effect
@@ -227,14 +227,14 @@ def bent(problem: Problem, fit: Fit) -> set[str]:
     }
 
 
-def offset_sd(problem: Problem, fit: Fit) -> float:
+def offset_sd(problem: ResidualProblem, fit: Fit) -> float:
     """Return a fit's time offset between the channels, in standard deviations."""
     pairs = zip(fit.nuisance, problem.nuisances, strict=True)
     skews = (abs(float(b)) / n.sigma for b, n in pairs if n.name == "skew" and n.sigma is not None)
     return max(skews, default=0.0)
 
 
-def contribution(problem: Problem, fit: Fit, member: int) -> Floats:
+def contribution(problem: ResidualProblem, fit: Fit, member: int) -> Floats:
     """Return the force of one effect of a fit along the recording, (n,), N."""
     cells = [m for m in fit.members if m.effect.carries and m is not fit.members[member]]
     columns = columns_of(problem.ctx, [fit.members[member], *cells])[0]
@@ -242,7 +242,7 @@ def contribution(problem: Problem, fit: Fit, member: int) -> Floats:
     return np.asarray(np.sum(parts, axis=0))
 
 
-def size(problem: Problem, fit: Fit) -> float:
+def size(problem: ResidualProblem, fit: Fit) -> float:
     """Return the size of a set relative to the recorded force."""
     total = sum(contribution(problem, fit, i) for i in range(len(fit.members)))
     rows = problem.rows
@@ -252,7 +252,7 @@ def size(problem: Problem, fit: Fit) -> float:
     )
 
 
-def left(problem: Problem, fit: Fit) -> float:
+def left(problem: ResidualProblem, fit: Fit) -> float:
     """Return the rms difference from the recorded force with a set, relative to that without it."""
     rows = problem.estimate.rows
     before = (problem.estimate.force - problem.ctx.total)[rows]
@@ -262,7 +262,7 @@ def left(problem: Problem, fit: Fit) -> float:
     return float(np.std(before - added[rows])) / max(float(np.std(before)), 1e-300)
 
 
-def beyond_forms(problem: Problem, fit: Fit, which: int) -> float:
+def beyond_forms(problem: ResidualProblem, fit: Fit, which: int) -> float:
     """Return what a load cell effect earns if the others may take any smooth form."""
     ctx, own = problem.ctx, problem.columns(fit.members[which])
     over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
@@ -281,7 +281,7 @@ def beyond_forms(problem: Problem, fit: Fit, which: int) -> float:
     return float(y @ y - left @ left)
 
 
-def drift(problem: Problem, fit: Fit, laws: Laws) -> Drift:
+def drift(problem: ResidualProblem, fit: Fit, laws: Laws) -> DriftRates:
     """Return the drift of a set as shown by the halves of the recording."""
     member = next(m for m in fit.members if m.name in laws.wanders)
     rest = [problem.columns(m) for m in fit.members if m is not member]
@@ -301,10 +301,10 @@ def drift(problem: Problem, fit: Fit, laws: Laws) -> Drift:
     weights = 1.0 / np.maximum(np.array(widths), 1e-300)
     within = float(np.sum(weights * np.array(rates)) / np.sum(weights))
     whole = float(fit.betas[fit.members.index(member)][0]) * float(size[0])
-    return Drift(whole, within, float(np.sum(weights)) ** -0.5)
+    return DriftRates(whole, within, float(np.sum(weights)) ** -0.5)
 
 
-def held_out_gain(problem: Problem, fit: Fit) -> float:
+def held_out_gain(problem: ResidualProblem, fit: Fit) -> float:
     """Return how much of a set's gain is confirmed on blocks to which it was not fitted.
 
     Blocks of a quarter of a second alternate between the folds, so that each fold contains part of

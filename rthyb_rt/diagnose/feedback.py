@@ -23,7 +23,7 @@ from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.estimate import low_passed
-from rthyb_rt.diagnose.select import Fit, Member, Problem, columns_of, solve
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, columns_of, solve
 
 
 def returns(case: Case) -> bool:
@@ -39,7 +39,7 @@ def inferred(case: Case) -> bool:
 class Driven:
     """What laws earn by the motion that a test imposes."""
 
-    def __init__(self, problem: Problem, cut_hz: float) -> None:
+    def __init__(self, problem: ResidualProblem, cut_hz: float) -> None:
         """Store a problem and the upper end of its motion's band."""
         ctx, fs_hz = problem.ctx, problem.case.fs_hz
         x, v, a = (low_passed(signal, fs_hz, cut_hz) for signal in (ctx.x, ctx.v, ctx.a))
@@ -47,7 +47,7 @@ class Driven:
         self.slow = replace(ctx, motion=ComputedMotion(x, v, a), ranges=ctx.all_ranges)
 
     @classmethod
-    def of(cls, problem: Problem) -> Driven | None:
+    def of(cls, problem: ResidualProblem) -> Driven | None:
         """Return the instance for a problem; None if the specimen does not move."""
         ends = noise.Lines(problem.estimate.rows, problem.case.fs_hz).band(problem.ctx.v)
         return None if ends is None or ends[1] <= 0.0 else cls(problem, ends[1])
@@ -75,7 +75,7 @@ class Driven:
         return [(one, blocks, whole.chi2) for one, blocks, whole in solved if whole is not None]
 
 
-_Way = tuple[Problem, list[Floats], float]
+_Way = tuple[ResidualProblem, list[Floats], float]
 """A problem, the columns of every effect of a set, each (rows, columns), and its chi-squared."""
 
 

@@ -20,7 +20,7 @@ from rthyb_rt.diagnose.select import (
     Dictionary,
     Fit,
     Member,
-    Problem,
+    ResidualProblem,
     Solved,
     compatible,
     inflation,
@@ -65,7 +65,7 @@ class Search:
         ledger: what each rule of `decide` did.
     """
 
-    problem: Problem
+    problem: ResidualProblem
     null: Fit
     fits: list[Fit]
     best: Fit
@@ -87,7 +87,7 @@ class Search:
 class _Fitter:
     """Refines each set once."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: ResidualProblem) -> None:
         self.problem = problem
         self.known: dict[tuple[tuple[str, str, tuple[float, ...]], ...], Fit | None] = {}
         self.by_names: dict[tuple[str, ...], Fit] = {}
@@ -209,7 +209,7 @@ class _Fitter:
 class _Mover(_Fitter):
     """Refines sets by the motion that they simulate."""
 
-    def __init__(self, problem: Problem, body: Body, first: _Fitter) -> None:
+    def __init__(self, problem: ResidualProblem, body: Body, first: _Fitter) -> None:
         super().__init__(problem)
         self.body, self.first = body, first
         self.tried: list[Fit] = []
@@ -342,7 +342,7 @@ class _Mover(_Fitter):
             fit = found
 
 
-def _without(problem: Problem, fit: Fit, member: int) -> Fit:
+def _without(problem: ResidualProblem, fit: Fit, member: int) -> Fit:
     """Return a set without one effect, whose part of a stated value is returned to that value."""
     gone, beta = fit.members[member], fit.betas[member]
     shift = [float(beta[0]) if n.effect == gone.name else 0.0 for n in problem.nuisances]
@@ -354,7 +354,7 @@ def _without(problem: Problem, fit: Fit, member: int) -> Fit:
     )
 
 
-def _stiff(problem: Problem) -> Problem:
+def _stiff(problem: ResidualProblem) -> ResidualProblem:
     """Return a problem with tight tolerances, so that an effect begins with all the misfit."""
     out = copy(problem)
     out.nuisances = [
@@ -363,7 +363,9 @@ def _stiff(problem: Problem) -> Problem:
     return out
 
 
-def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[Fit, _Mover] | None:
+def _linear(
+    problem: ResidualProblem, body: Body, fitter: _Fitter, null: Fit
+) -> tuple[Fit, _Mover] | None:
     """Evaluate nothing and each linear effect by its motion; None if that diverges.
 
     A set that contains one of them must be compared with it.
@@ -383,7 +385,7 @@ def _linear(problem: Problem, body: Body, fitter: _Fitter, null: Fit) -> tuple[F
     return _nothing(problem, body, mover, plain), mover
 
 
-def _nothing(problem: Problem, body: Body, mover: _Mover, plain: Fit) -> Fit:
+def _nothing(problem: ResidualProblem, body: Body, mover: _Mover, plain: Fit) -> Fit:
     """Return nuisance parameters only, started from the best effect if it reproduces the motion.
 
     The balance may start them too far off: then an effect of zero size would explain the
@@ -488,7 +490,7 @@ def _moved(
 
 
 def search(
-    problem: Problem,
+    problem: ResidualProblem,
     progress: Callable[[str], None] = lambda _: None,
     body: Body | None = None,
     doubtful: Callable[[Search], bool] = lambda _: False,
@@ -756,7 +758,7 @@ def _promising(dictionary: Dictionary, found: Solved, null: float) -> Solved:
 
 
 def _decide(
-    problem: Problem,
+    problem: ResidualProblem,
     fitter: _Fitter,
     null: Fit,
     plain: tuple[float, float, float],

@@ -26,7 +26,7 @@ from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
 from rthyb_rt.diagnose.select import (
     Fit,
     Member,
-    Problem,
+    ResidualProblem,
     clustered,
 )
 
@@ -177,7 +177,7 @@ class Body:
         at = abs(member.trial.theta[j])
         return (min(float(np.log(low / at)), 0.0), max(float(np.log(high / at)), 0.0))
 
-    def motion(self, problem: Problem, fit: Fit) -> ComputedMotion | None:
+    def motion(self, problem: ResidualProblem, fit: Fit) -> ComputedMotion | None:
         """Return the motion that a set simulates; None unless it equals the measured displacement.
 
         To within noise, or within the accuracy of friction laws: an estimate is less accurate. The
@@ -217,7 +217,7 @@ class Body:
         members = tuple(replace(m, trial=m.effect.sharp(m.trial)) for m in fit.members)
         return replace(fit, members=members) if members != fit.members else None
 
-    def _known(self, problem: Problem, fit: Fit) -> Floats:
+    def _known(self, problem: ResidualProblem, fit: Fit) -> Floats:
         """Return the loose quantities as an earlier fit has left them, in units of their priors.
 
         Values of mass and time offset from the force balance are not used.
@@ -234,12 +234,12 @@ class Body:
             ]
         )
 
-    def reproduced(self, problem: Problem, fit: Fit) -> bool:
+    def reproduced(self, problem: ResidualProblem, fit: Fit) -> bool:
         """Return whether a set, fitted, simulates the measured displacement to within its noise."""
         found = self.refined(problem, fit)
         return found is not None and found.chi2 < POLICY.motion_met * self.rows.size
 
-    def settled(self, problem: Problem, fit: Fit) -> Fit | None:
+    def settled(self, problem: ResidualProblem, fit: Fit) -> Fit | None:
         """Return a set as from `refined`, with or without a width of its dry friction.
 
         An estimated motion smooths the step, and a simulated body creeps because of its width when
@@ -281,7 +281,7 @@ class Body:
         x = motion.x - loose[1] * POLICY.offset_prior_s * motion.v
         return np.asarray((x - self.x)[self.rows] / self.sigma)
 
-    def refined(self, problem: Problem, fit: Fit) -> Fit | None:
+    def refined(self, problem: ResidualProblem, fit: Fit) -> Fit | None:
         """Fit a set's parameters to its simulated motion; None if it cannot be simulated.
 
         Stiffness, damping and the loose quantities are fitted as well, within what is known of
@@ -361,7 +361,7 @@ class Body:
                     prior.append((at / known * (1.0 + float(p[j])) - 1.0) / tolerance)
         return prior
 
-    def _nuisance(self, problem: Problem, best: Model, loose: Floats) -> Floats:
+    def _nuisance(self, problem: ResidualProblem, best: Model, loose: Floats) -> Floats:
         """Return the nuisance parameters for a model and loose quantities in prior units."""
         base = self.case.model
         moved = {of_number("k"): best.k / base.k - 1.0, of_number("c"): best.c - base.c}
@@ -370,7 +370,7 @@ class Body:
         return np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
 
 
-def _as_effects(problem: Problem, fit: Fit) -> Fit:
+def _as_effects(problem: ResidualProblem, fit: Fit) -> Fit:
     """Return a set whose linear effects include the changes of the corresponding stated values.
 
     The motion is the same; an unchanged stated value has no cost.
@@ -386,7 +386,7 @@ def _as_effects(problem: Problem, fit: Fit) -> Fit:
     return replace(fit, betas=tuple(betas), nuisance=nuisance, chi2=chi2)
 
 
-def _with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
+def _with_nuisance(model: Model, problem: ResidualProblem, fit: Fit) -> Model:
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
         # A nuisance mass is not a stated value, and a dashpot that pushes makes the motion diverge.
         if nuisance.number == "k" or (nuisance.number == "c" and model.c + float(b) > 0.0):

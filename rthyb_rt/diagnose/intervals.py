@@ -20,7 +20,7 @@ from rthyb_rt.diagnose.form import neighbours, of_form
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
     Fit,
-    Problem,
+    ResidualProblem,
     clustered,
     design_of,
     inflation,
@@ -138,7 +138,11 @@ def _half(ends: list[float]) -> float:
 
 
 def of_the_spring_there_is(
-    problem: Problem, fit: Fit, name: str, params: dict[str, float], ci: dict[str, list[float]]
+    problem: ResidualProblem,
+    fit: Fit,
+    name: str,
+    params: dict[str, float],
+    ci: dict[str, list[float]],
 ) -> None:
     """Express the loss of a spring relative to the stiffness found if the model's was wrong.
 

@@ -16,7 +16,7 @@ from rthyb_rt.diagnose import effects, evidence, force
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
-from rthyb_rt.diagnose.select import Fit, Problem, refine, solve, whole
+from rthyb_rt.diagnose.select import Fit, ResidualProblem, refine, solve, whole
 
 PASSES = 3
 STEP_S = 1e-5
@@ -55,7 +55,7 @@ def settled(
         along = replace(ctx, motion=late_by(late), ranges=ctx.all_ranges)
         # The entire offset remains a parameter of the fit: its prior is centred on zero.
         now = replace(found, motion=along.motion, force=found.force + late * rate)
-        anew = Problem(problem.case, along, now, effects.catalogue().values())
+        anew = ResidualProblem(problem.case, along, now, effects.catalogue().values())
         anew.late_as(rate)
         anew.rescale(problem.loudness**2)
         better = _refitted(done[2], anew)
@@ -74,7 +74,7 @@ def _without(fit: Fit, place: int) -> Fit:
     return replace(fit, nuisance=nuisance)
 
 
-def _refitted(search: force.Search, problem: Problem) -> force.Search | None:
+def _refitted(search: force.Search, problem: ResidualProblem) -> force.Search | None:
     """Return the result fitted to another problem; None if that is no better.
 
     An effect that no longer earns its price has only compensated for the time offset.

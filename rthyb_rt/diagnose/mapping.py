@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rthyb_rt.diagnose.case import CHANNELS
-from rthyb_rt.diagnose.table import TIME_NAMES, Column, Table, plain
-from rthyb_rt.diagnose.units import SI, USUAL, Stated, is_electric, read_unit, split_name
+from rthyb_rt.diagnose.column_units import SI, USUAL, Stated, is_electric, read_unit, split_name
+from rthyb_rt.diagnose.table import TIME_NAMES, ColumnTable, TableColumn, plain
 from rthyb_rt.errors import InputError, Problem
 
 EXAMPLE = '--map x_meas="LVDT 1 [mm]"'
@@ -120,7 +120,7 @@ def _of_file(name: str) -> list[Wish]:
 
 
 def sources(
-    table: Table, wishes: list[Wish], where: str, needed: bool
+    table: ColumnTable, wishes: list[Wish], where: str, needed: bool
 ) -> tuple[dict[str, Source], list[str]]:
     """Return the column of each channel of a table, and notes.
 
@@ -164,7 +164,7 @@ def sources(
     return found, notes + _unused(table, found)
 
 
-def _unused(table: Table, found: dict[str, Source]) -> list[str]:
+def _unused(table: ColumnTable, found: dict[str, Source]) -> list[str]:
     used = {source.column for source in found.values()}
     strange = [c.header for j, c in enumerate(table.columns) if j not in used and c.header]
     if not strange:
@@ -175,7 +175,7 @@ def _unused(table: Table, found: dict[str, Source]) -> list[str]:
     ]
 
 
-def _matches(table: Table, name: str, exactly: bool) -> list[int]:
+def _matches(table: ColumnTable, name: str, exactly: bool) -> list[int]:
     """Return the columns with a name: exact, or else ignoring case and spacing."""
     columns = table.columns
     if re.fullmatch(r"#\d{1,4}", name) and 1 <= int(name[1:]) <= len(columns):
@@ -193,7 +193,7 @@ def _matches(table: Table, name: str, exactly: bool) -> list[int]:
     return []
 
 
-def _wished(table: Table, wish: Wish, where: str) -> Source | None:
+def _wished(table: ColumnTable, wish: Wish, where: str) -> Source | None:
     """Return the column that the user assigned; None if the table does not have it."""
     text = wish.text.strip()
     for sign, rest in ((1, text), (-1 if text[0] == "-" else 1, text[1:].strip())):
@@ -218,7 +218,7 @@ def _wished(table: Table, wish: Wish, where: str) -> Source | None:
     return None
 
 
-def _stated(column: Column, j: int, wish: Wish, unit: str, sign: int) -> Source:
+def _stated(column: TableColumn, j: int, wish: Wish, unit: str, sign: int) -> Source:
     """Return an assigned column with the unit of the assignment, or else of the file."""
     unit = wish.unit or unit
     if not unit:
@@ -227,7 +227,7 @@ def _stated(column: Column, j: int, wish: Wish, unit: str, sign: int) -> Source:
     return Source(j, _fitting(unit, wish.channel, column, wish.where), sign)
 
 
-def _fitting(text: str, channel: str, column: Column, where: str) -> Stated:
+def _fitting(text: str, channel: str, column: TableColumn, where: str) -> Stated:
     """Return a unit that suits a channel.
 
     Raises:
@@ -250,12 +250,12 @@ def _fitting(text: str, channel: str, column: Column, where: str) -> Stated:
     )
 
 
-def _plainly(column: Column) -> str:
+def _plainly(column: TableColumn) -> str:
     """Return the name of a column for use in an option."""
     return (column.name or column.header).replace('"', "'")
 
 
-def _named(column: Column, j: int, channel: str, where: str) -> Source:
+def _named(column: TableColumn, j: int, channel: str, where: str) -> Source:
     """Return a column with the unit that its header states, if any."""
     own = Stated(SI[channel], read_unit(SI[channel]).factor, SI[channel])  # type: ignore[union-attr]
     if column.header == channel and not column.sure:
@@ -269,7 +269,7 @@ def _named(column: Column, j: int, channel: str, where: str) -> Source:
     return Source(j, None)
 
 
-def _by_name(table: Table, channel: str, taken: set[int], where: str) -> int | None:
+def _by_name(table: ColumnTable, channel: str, taken: set[int], where: str) -> int | None:
     """Return the column with a channel's name, or None."""
     free = [(j, c) for j, c in enumerate(table.columns) if j not in taken]
     names = (channel,) if channel != "t" else TIME_NAMES
@@ -289,12 +289,12 @@ def _by_name(table: Table, channel: str, taken: set[int], where: str) -> int | N
     return found[0] if found else None
 
 
-def missing(table: Table, wish: Wish, where: str) -> Problem | None:
+def missing(table: ColumnTable, wish: Wish, where: str) -> Problem | None:
     """Return the error for an assigned column that a table does not have; None: it has it."""
     return _missing(table, wish, where) if _wished(table, wish, where) is None else None
 
 
-def _missing(table: Table, wish: Wish, where: str) -> Problem:
+def _missing(table: ColumnTable, wish: Wish, where: str) -> Problem:
     headers = [c.header for c in table.columns if c.header]
     name = split_name(wish.text.lstrip("+-").strip())[0]
     near = difflib.get_close_matches(name, [*headers, *(c.name for c in table.columns)], 1, 0.5)
@@ -303,7 +303,7 @@ def _missing(table: Table, wish: Wish, where: str) -> Problem:
     return Problem(wish.where, f"{where} has no column {name!r}{hint}; its columns are {listed}")
 
 
-def proposals(table: Table, found: dict[str, Source], wanted: Iterable[str]) -> list[str]:
+def proposals(table: ColumnTable, found: dict[str, Source], wanted: Iterable[str]) -> list[str]:
     """Return options that would assign unrecognised columns to channels, by their units."""
     used = {source.column for source in found.values()}
     out = []

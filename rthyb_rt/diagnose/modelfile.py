@@ -10,7 +10,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import ActuatorModel
-from rthyb_rt.diagnose.case import BoucWen, Model
+from rthyb_rt.diagnose.case import Model, ModelBoucWen
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.errors import InputError
 
@@ -77,7 +77,7 @@ def _of_baseline(file: BaselineFile, strange: tuple[str, ...]) -> Model:
         moving_mass=s.moving_mass,
         k_tol=s.k_tol,
         c_tol=s.c_tol,
-        bouc_wen=BoucWen(**bouc_wen.model_dump()) if bouc_wen is not None else None,
+        bouc_wen=ModelBoucWen(**bouc_wen.model_dump()) if bouc_wen is not None else None,
         actuator=None
         if lag is None
         else ActuatorModel(
@@ -121,7 +121,7 @@ class _Plain:
     k: float
     c: float
     moving_mass: float
-    bouc_wen: BoucWen | None
+    bouc_wen: ModelBoucWen | None
     extra: tuple[core.ElementConfig, ...]
 
 
@@ -163,10 +163,10 @@ def _plain_of(rig: Any) -> _Plain:
     return _Plain(k, c, mass, bouc_wen, tuple(extra))
 
 
-def _yielding(p: dict[str, float]) -> BoucWen:
+def _yielding(p: dict[str, float]) -> ModelBoucWen:
     """Return the yielding of a hysteretic element with these parameters."""
     xy, eta = (p["b"] + p["c"]) ** (-1.0 / p["eta"]), p["eta"]
-    return BoucWen(p["post_yield_ratio"], xy, eta, p["c"] * xy**eta, p["b"] * xy**eta)
+    return ModelBoucWen(p["post_yield_ratio"], xy, eta, p["c"] * xy**eta, p["b"] * xy**eta)
 
 
 def model_of_rig(rig: Any, test: Any = None, fs_hz: float = core.FS_HZ) -> Model:

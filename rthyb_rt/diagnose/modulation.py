@@ -27,14 +27,14 @@ from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
 from rthyb_rt.diagnose.policy import POLICY
 
 if TYPE_CHECKING:
-    from rthyb_rt.diagnose.select import Fit, Member, Problem
+    from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem
 
 GOLDEN = 0.6180339887498949
 """Shift, relative to the recording (the golden section): no period occurs twice."""
 
 
 @dataclass(frozen=True)
-class Channel:
+class UnknownChannel:
     """A channel unknown to the model.
 
     Attributes:
@@ -59,7 +59,7 @@ class Modulated(Effect):
 
     begins = False
 
-    def __init__(self, effect: Effect, channel: Channel, bare: bool) -> None:
+    def __init__(self, effect: Effect, channel: UnknownChannel, bare: bool) -> None:
         """Store the law, the channel, and whether the law's mean is already free."""
         self.effect, self.channel, self.bare = effect, channel, bare
         self.name = f"{effect.name}*{channel.name}"
@@ -181,13 +181,13 @@ def _single(effect: Effect, ctx: Context, trial: Trial) -> bool:
     return len(signs) == 1 and pinned == (None,)
 
 
-def channels(further: dict[str, Floats]) -> list[Channel]:
+def channels(further: dict[str, Floats]) -> list[UnknownChannel]:
     """Return the additional channels that can be tried: the first few that vary."""
     out = []
     for name, values in further.items():
         good = values[np.isfinite(values)]
         if good.size > POLICY.numbers_least * values.size and np.std(good) > 0.0:
-            out.append(Channel(name, float(np.mean(good)), float(np.std(good))))
+            out.append(UnknownChannel(name, float(np.mean(good)), float(np.std(good))))
     return out[: POLICY.modulation_channels]
 
 
@@ -203,7 +203,7 @@ def forms(effects: Iterable[Effect], further: dict[str, Floats], free: set[str])
     return [Modulated(e, c, e.name in free) for c in channels(further) for e in laws]
 
 
-def modulated(problem: Problem, fit: Fit) -> list[tuple[Member, ...]]:
+def modulated(problem: ResidualProblem, fit: Fit) -> list[tuple[Member, ...]]:
     """Return a set with one of its laws, or one that is always present, modulated by a channel."""
     from rthyb_rt.diagnose.select import Member
 
@@ -229,7 +229,7 @@ def modulated(problem: Problem, fit: Fit) -> list[tuple[Member, ...]]:
     return out
 
 
-def holds(problem: Problem, fit: Fit) -> bool:
+def holds(problem: ResidualProblem, fit: Fit) -> bool:
     """Return whether each modulation of a set is due to its channel; see the module."""
     return all(
         _holds(problem, fit, i)
@@ -238,7 +238,7 @@ def holds(problem: Problem, fit: Fit) -> bool:
     )
 
 
-def _holds(problem: Problem, fit: Fit, which: int) -> bool:
+def _holds(problem: ResidualProblem, fit: Fit, which: int) -> bool:
     member = fit.members[which]
     effect = member.effect
     assert isinstance(effect, Modulated)

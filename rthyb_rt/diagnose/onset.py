@@ -15,7 +15,7 @@ from rthyb_rt.diagnose.select import (
     Dictionary,
     Fit,
     Member,
-    Problem,
+    ResidualProblem,
     Scan,
     compatible,
     inflation,
@@ -131,10 +131,10 @@ def lasting(member: Member) -> Member:
     return Member(member.effect.effect, Late.inner(member.trial))
 
 
-class Fitter(Protocol):
+class OnsetFitter(Protocol):
     """Refines sets of effects, see `force`."""
 
-    problem: Problem
+    problem: ResidualProblem
     by_names: dict[tuple[str, ...], Fit]
 
     def keep(self, fit: Fit) -> None:
@@ -144,7 +144,7 @@ class Fitter(Protocol):
         """Return chi-squared and price."""
 
 
-def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
+def propose(dictionary: Dictionary, fitter: OnsetFitter) -> list[Fit]:
     """Fit effects that begin in mid-recording, alone and in combination with the best sets.
 
     Returns:
@@ -169,7 +169,7 @@ def propose(dictionary: Dictionary, fitter: Fitter) -> list[Fit]:
     return sorted(found.values(), key=fitter.score)
 
 
-def settle(fitter: Fitter, most: int) -> None:
+def settle(fitter: OnsetFitter, most: int) -> None:
     """Search for the onset in the best sets again; one found alone may belong to another effect."""
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     for fit in ranked[:most]:
@@ -179,7 +179,7 @@ def settle(fitter: Fitter, most: int) -> None:
             _begun(fitter, [*rest, fit.members[i]])
 
 
-def _beside(dictionary: Dictionary, fitter: Fitter, base: Fit) -> list[Fit]:
+def _beside(dictionary: Dictionary, fitter: OnsetFitter, base: Fit) -> list[Fit]:
     """Fit the most promising effects with an onset, each added to a set."""
     problem, groups = fitter.problem, dictionary.groups
     promising: dict[str, tuple[float, float, int]] = {}
@@ -242,7 +242,9 @@ def _with(beside: Sequence[Member], member: Member, start: float) -> list[Member
     return [*beside, Member(Late(member.effect), trial)]
 
 
-def _scan(problem: Problem, members: Sequence[Member], starts: Floats) -> list[tuple[float, float]]:
+def _scan(
+    problem: ResidualProblem, members: Sequence[Member], starts: Floats
+) -> list[tuple[float, float]]:
     """Return (chi-squared, onset) of a set for each onset of its last effect."""
     scan, out = Scan(problem, members), []
     for start in starts:
@@ -253,7 +255,7 @@ def _scan(problem: Problem, members: Sequence[Member], starts: Floats) -> list[t
     return out
 
 
-def _begun(fitter: Fitter, members: list[Member]) -> Fit | None:
+def _begun(fitter: OnsetFitter, members: list[Member]) -> Fit | None:
     """Fit a set whose last effect begins about then; None if it is also present before."""
     problem = fitter.problem
     t, trial = problem.ctx.t, members[-1].trial
@@ -271,7 +273,7 @@ def _begun(fitter: Fitter, members: list[Member]) -> Fit | None:
     return fit
 
 
-def absent_before(problem: Problem, fit: Fit) -> bool:
+def absent_before(problem: ResidualProblem, fit: Fit) -> bool:
     """Return whether the last effect of a set, which has an onset, is absent before it.
 
     With its force before the onset left free in size, this must be less than half of its later

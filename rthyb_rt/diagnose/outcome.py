@@ -12,7 +12,7 @@ from rthyb_rt.diagnose import closed, engine
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.closed import ClosedLoop
-from rthyb_rt.diagnose.engine import Diagnosis
+from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.predict import Augmented, Prediction, nrmse, output_error, predict
 from rthyb_rt.diagnose.recovered import Recovered, recover
 from rthyb_rt.errors import InputError, RthybError
@@ -36,7 +36,7 @@ class Outcome:
     recovered: Recovered | None = None
 
 
-def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
+def finish(d: DiagnosisResult, heldout: Case | None, wanted: Case | None) -> Outcome:
     """Validate a diagnosis on a second recording, and predict another.
 
     Args:
@@ -64,7 +64,7 @@ def finish(d: Diagnosis, heldout: Case | None, wanted: Case | None) -> Outcome:
     return out
 
 
-def _close(d: Diagnosis, out: Outcome) -> None:
+def _close(d: DiagnosisResult, out: Outcome) -> None:
     """Simulate the whole loop again, or recover from its signals what they determine."""
     if d.case.axis:
         why = "one of several axes cannot be simulated without the others"
@@ -82,7 +82,7 @@ def _close(d: Diagnosis, out: Outcome) -> None:
         out.answer["recovered"] = out.recovered.to_json()
 
 
-def close_loop(d: Diagnosis, model: Augmented) -> ClosedLoop:
+def close_loop(d: DiagnosisResult, model: Augmented) -> ClosedLoop:
     """Simulate a recorded test of this program with the model as given and with another.
 
     Raises:
@@ -109,7 +109,7 @@ def close_loop(d: Diagnosis, model: Augmented) -> ClosedLoop:
     return result
 
 
-def _held_out(d: Diagnosis, model: Augmented, heldout: Case) -> dict[str, float]:
+def _held_out(d: DiagnosisResult, model: Augmented, heldout: Case) -> dict[str, float]:
     plain = predict(engine.baseline(d), heldout, d.case)
     after = predict(model, heldout, d.case)
     out: dict[str, float] = {}

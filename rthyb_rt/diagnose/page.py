@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from rthyb_rt import __version__
 from rthyb_rt.diagnose import evidence, why
 from rthyb_rt.diagnose.augment import rig_toml
-from rthyb_rt.diagnose.engine import Diagnosis
+from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.estimate import filled
-from rthyb_rt.diagnose.laws import draw_laws, force_unit
 from rthyb_rt.diagnose.ranking import rows_of
+from rthyb_rt.diagnose.residual_laws import draw_laws, force_unit
 from rthyb_rt.diagnose.select import leaning
 from rthyb_rt.diagnose.words import (
     LOOP_WORDS,
@@ -53,7 +53,7 @@ LOOP_CELLS, LOOP_POINTS = 250, 6000
 
 
 @dataclass(frozen=True)
-class Part:
+class PagePart:
     """The diagnosis of a recording, or of one of its axes, as shown on the page.
 
     Attributes:
@@ -63,7 +63,7 @@ class Part:
         reasons: the ledger of decisions, see `why.to_json`; None: created for the page.
     """
 
-    d: Diagnosis
+    d: DiagnosisResult
     outcome: Outcome
     checks: list[dict[str, Any]] | None
     reasons: dict[str, Any] | None = None
@@ -71,7 +71,7 @@ class Part:
 
 def write_report(
     folder: Path,
-    d: Diagnosis,
+    d: DiagnosisResult,
     outcome: Outcome,
     checks: list[dict[str, Any]] | None,
     model_path: Path,
@@ -81,20 +81,20 @@ def write_report(
 
     Args:
         folder: output folder.
-        d, outcome, checks, reasons: see `Part`.
+        d, outcome, checks, reasons: see `PagePart`.
         model_path: file of the model, to be named on the page.
 
     Raises:
         InputError: matplotlib or jinja2 is not installed.
         RthybError: a file cannot be written.
     """
-    part = Part(d, outcome, checks, reasons or why.to_json(d))
+    part = PagePart(d, outcome, checks, reasons or why.to_json(d))
     html = _page([part], model_path, named=False)
     files = {"report.html": html, "diagnosis.json": _json(_answer(part))}
     return _written(folder, files | {"augmented.toml": rig_toml(outcome.model)[0]})
 
 
-def write_axes_report(folder: Path, parts: Sequence[Part], model_path: Path) -> list[Path]:
+def write_axes_report(folder: Path, parts: Sequence[PagePart], model_path: Path) -> list[Path]:
     """Write one page and one JSON file of all axes, and an augmented model of each.
 
     Args:
@@ -117,7 +117,7 @@ def write_axes_report(folder: Path, parts: Sequence[Part], model_path: Path) -> 
     return _written(folder, files | models)
 
 
-def _answer(part: Part) -> dict[str, Any]:
+def _answer(part: PagePart) -> dict[str, Any]:
     return part.outcome.answer | {"why": part.reasons}
 
 
@@ -135,7 +135,7 @@ def _written(folder: Path, files: dict[str, str]) -> list[Path]:
     return paths
 
 
-def _page(parts: Sequence[Part], model_path: Path, *, named: bool) -> str:
+def _page(parts: Sequence[PagePart], model_path: Path, *, named: bool) -> str:
     """Return the page; ``named``: whether each part is headed by the name of its axis."""
     with extra_needed("the page"):
         engine = environment()
@@ -164,7 +164,7 @@ def _page(parts: Sequence[Part], model_path: Path, *, named: bool) -> str:
     )
 
 
-def _section(engine: Environment, part: Part, figures_of: list[list[tuple[int, Plate]]]) -> str:
+def _section(engine: Environment, part: PagePart, figures_of: list[list[tuple[int, Plate]]]) -> str:
     d, outcome, reasons = part.d, part.outcome, part.reasons or {}
     return engine.get_template("diagnosis_part.html.j2").render(
         after=_after(d),
@@ -194,7 +194,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _errors(d: Diagnosis) -> list[tuple[str, str, str]]:
+def _errors(d: DiagnosisResult) -> list[tuple[str, str, str]]:
     rows = []
     for key, title in (
         ("force", "force, this recording"), ("disp", "displacement, this recording"),
@@ -215,7 +215,7 @@ def _errors(d: Diagnosis) -> list[tuple[str, str, str]]:
     return rows
 
 
-def _closed(d: Diagnosis, answer: dict[str, Any]) -> dict[str, Any]:
+def _closed(d: DiagnosisResult, answer: dict[str, Any]) -> dict[str, Any]:
     """Return the text about the closed loop; empty if there is none."""
     loop = answer.get("closed_loop")
     if loop is None:
@@ -249,21 +249,21 @@ def _percent(value: float) -> str:
     return f"{100 * value:.3g}" if abs(value) > _ROUNDING else "0"
 
 
-def _name(d: Diagnosis) -> str:
+def _name(d: DiagnosisResult) -> str:
     """Return the recording's name: its file, or its folder if the file has the standard name."""
     if d.case.name != "recording":
         return d.case.name
     return d.case.folder or d.case.name
 
 
-def _after(d: Diagnosis) -> str:
+def _after(d: DiagnosisResult) -> str:
     """Return a description of the second of two models."""
     if d.verdict in ("explained", "ambiguous"):
         return "with the effects found"
     return "parameters adjusted within tolerance"
 
 
-def _ranked(d: Diagnosis) -> list[tuple[str, str, str, str, str, list[str]]]:
+def _ranked(d: DiagnosisResult) -> list[tuple[str, str, str, str, str, list[str]]]:
     return [
         (
             row.effects,
@@ -280,7 +280,7 @@ def _ranked(d: Diagnosis) -> list[tuple[str, str, str, str, str, list[str]]]:
 # ---- figures ----------------------------------------------------------------------------------
 
 
-def draw_all(d: Diagnosis) -> list[Plate]:
+def draw_all(d: DiagnosisResult) -> list[Plate]:
     """Return the figures for which the recording has data."""
     from matplotlib import rc_context
 
@@ -391,7 +391,7 @@ class _Signals:
         return np.where(self.judged, self.measured - model, np.nan)
 
 
-def _signals(d: Diagnosis) -> _Signals | None:
+def _signals(d: DiagnosisResult) -> _Signals | None:
     label = _after(d)
     if d.channel == "disp" and d.disp is not None:
         task = d.disp.task
@@ -416,14 +416,14 @@ def _signals(d: Diagnosis) -> _Signals | None:
     return _Signals(measured, before, after, found.rows, unit, "force", label)
 
 
-def _only_motion(d: Diagnosis, label: str) -> _Signals | None:
+def _only_motion(d: DiagnosisResult, label: str) -> _Signals | None:
     """Return the displacement of a recording without force."""
     if d.disp is None:
         return None
     return _signals(replace(d, channel="disp"))
 
 
-def _overlay(d: Diagnosis, s: _Signals) -> Plate:
+def _overlay(d: DiagnosisResult, s: _Signals) -> Plate:
     from rthyb_rt.report import drawing as draw
 
     paper = draw.Paper("overlay", draw.FULL_WIDTH_IN, (1.8, 1.3))
@@ -444,14 +444,14 @@ def _overlay(d: Diagnosis, s: _Signals) -> Plate:
     return paper.plate(f"Recorded {s.what}, before and after", where)
 
 
-def _motion_of(d: Diagnosis) -> tuple[Floats, Floats]:
+def _motion_of(d: DiagnosisResult) -> tuple[Floats, Floats]:
     """Return displacement in mm and velocity in mm/s."""
     motion = d.estimate.motion if d.estimate else (d.disp.best.motion if d.disp else None)
     assert motion is not None
     return motion.x * 1e3, motion.v * 1e3
 
 
-def _map(d: Diagnosis, s: _Signals) -> Plate:
+def _map(d: DiagnosisResult, s: _Signals) -> Plate:
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
     from matplotlib.ticker import MaxNLocator
@@ -494,7 +494,7 @@ def _map(d: Diagnosis, s: _Signals) -> Plate:
     )
 
 
-def _loops(d: Diagnosis, s: _Signals) -> Plate:
+def _loops(d: DiagnosisResult, s: _Signals) -> Plate:
     if s.what == "displacement":
         u = filled(d.case.channels["x_cmd"]) * 1e3
         curves = [y - u for y in (s.measured, s.before, s.after)]
@@ -553,7 +553,7 @@ def _around_the_largest(
     return rows[first : first + width]
 
 
-def _energy(d: Diagnosis) -> Plate:
+def _energy(d: DiagnosisResult) -> Plate:
     """Return the work of each term: those of the model, and those that were found."""
     from rthyb_rt.report import drawing as draw
 
@@ -586,7 +586,7 @@ def _energy(d: Diagnosis) -> Plate:
     )
 
 
-def _spectrum(d: Diagnosis, s: _Signals) -> Plate:
+def _spectrum(d: DiagnosisResult, s: _Signals) -> Plate:
     from rthyb_rt.report import drawing as draw
 
     paper = draw.Paper("spectrum", draw.HALF_WIDTH_IN, (2.3,), bottom_in=0.62)

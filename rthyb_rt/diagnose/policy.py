@@ -19,7 +19,7 @@ BY_HAND = "set by hand"
 
 
 @dataclass(frozen=True)
-class Entry:
+class ThresholdEntry:
     """Description of one threshold.
 
     Attributes:
@@ -40,7 +40,7 @@ class Entry:
 def _entry(
     value: Any, unit: str, origin: Origin, meaning: str, basis: str = BY_HAND
 ) -> Any:  # the type of the field it stands for
-    return field(default=value, metadata={"entry": Entry(unit, origin, meaning, basis)})
+    return field(default=value, metadata={"entry": ThresholdEntry(unit, origin, meaning, basis)})
 
 
 @dataclass(frozen=True)
@@ -1005,7 +1005,7 @@ def of_size(values: Sequence[float], size: int) -> float:
     return values[min(size, len(values)) - 1]
 
 
-def entries() -> dict[str, Entry]:
+def entries() -> dict[str, ThresholdEntry]:
     """Return the description of each threshold by name, in the order of the table."""
     return {f.name: f.metadata["entry"] for f in fields(Policy)}
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rthyb_rt.diagnose import effects, engine
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
-from rthyb_rt.diagnose.engine import Diagnosis
+from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.evidence import contribution
 from rthyb_rt.diagnose.select import leaning
 
@@ -30,7 +30,7 @@ PARTS = (0.5, 0.25, 0.12, 0.06, 0.03)
 
 
 def self_check(
-    d: Diagnosis, progress: Callable[[str], None] = lambda _: None
+    d: DiagnosisResult, progress: Callable[[str], None] = lambda _: None
 ) -> list[dict[str, Any]]:
     """Return, for each effect found and each probe, whether it is found, and its smallest size.
 
@@ -75,13 +75,13 @@ class _Hidden:
         """Return the hidden signal's standard deviation relative to the recorded channel's."""
         return factor * float(np.std(self.signal)) / self.size
 
-    def diagnosed(self, factor: float) -> Diagnosis:
+    def diagnosed(self, factor: float) -> DiagnosisResult:
         """Return the diagnosis of the recording with ``factor`` times the signal in it."""
         channels = dict(self.clean.channels)
         channels[self.channel] = channels[self.channel] + factor * self.signal
         return engine.diagnose(replace(self.clean, channels=channels))
 
-    def names_it(self, d: Diagnosis) -> bool:
+    def names_it(self, d: DiagnosisResult) -> bool:
         """Return whether it was named, alone or among sets that fit equally well."""
         named = {n for group in (d.effects, *d.ambiguous_with) for n in group}
         return bool(named & set(self.names))
@@ -141,7 +141,7 @@ def _moved_on(rest: Floats, judged: NDArray[np.bool_]) -> Floats:
     return out
 
 
-def _without_findings(d: Diagnosis) -> Case:
+def _without_findings(d: DiagnosisResult) -> Case:
     """Return the recording without what was found in its force, and with its noise shifted."""
     search, ctx = d.force, d.context
     assert search is not None
@@ -157,7 +157,7 @@ def _without_findings(d: Diagnosis) -> Case:
     return replace(d.case, channels={**d.case.channels, "f_meas": clean}, notes=[])
 
 
-def _actuators(d: Diagnosis, progress: Callable[[str], None]) -> list[dict[str, Any]]:
+def _actuators(d: DiagnosisResult, progress: Callable[[str], None]) -> list[dict[str, Any]]:
     """Return the same for what was found in the actuator."""
     disp = d.disp
     assert disp is not None

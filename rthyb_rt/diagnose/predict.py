@@ -19,7 +19,7 @@ from rthyb_rt.core.diagnosis_models import (
     actuator,
     body,
 )
-from rthyb_rt.diagnose import estimate, history
+from rthyb_rt.diagnose import estimate, loading_history
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.onset import lasting
@@ -220,7 +220,7 @@ def predict(
     if model.family != "drive" or not begun:
         return Prediction(case.t, augmented.force(motion, case.t, other), x_only)
     reach = max(float(np.max(np.abs(motion.x))), augmented.ranges[0] if augmented.ranges else 0.0)
-    force = history.force_after(augmented.force, case, motion, other, reach)
+    force = loading_history.force_after(augmented.force, case, motion, other, reach)
     return Prediction(case.t, force, x_only)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from rthyb_rt.diagnose import evidence
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
-from rthyb_rt.diagnose.engine import Diagnosis, Displacement
+from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.select import Fit
 from rthyb_rt.diagnose.words import called, interval_text, value_text
@@ -45,7 +45,7 @@ class Row:
     held_out: float
 
 
-def rows_of(d: Diagnosis) -> list[Row]:
+def rows_of(d: DiagnosisResult) -> list[Row]:
     """Return the sets of the actuator, then those of the force, best first.
 
     None for an unknown verdict: no effect is then named, not even as a rival.
@@ -86,7 +86,7 @@ def _words(names: Sequence[str]) -> str:
     return " with ".join(called(n) for n in names)
 
 
-def _actuator(d: Diagnosis, disp: Displacement) -> list[Row]:
+def _actuator(d: DiagnosisResult, disp: Displacement) -> list[Row]:
     by_name = {c.name: c for c in d.candidates if c.channel == "disp"}
     fits = _distinct([disp.best, *disp.equal, *disp.rivals])
     scores = [f.misfit(disp.scale) + disp.task.price(f) for f in fits]
@@ -109,7 +109,7 @@ def _actuator(d: Diagnosis, disp: Displacement) -> list[Row]:
     return rows
 
 
-def _force(d: Diagnosis, search: forces.Search) -> list[Row]:
+def _force(d: DiagnosisResult, search: forces.Search) -> list[Row]:
     problem, ctx = search.problem, d.context
     assert ctx is not None
     by_name = {c.name: c for c in d.candidates if c.channel == "force"}

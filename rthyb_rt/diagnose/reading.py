@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import units
-from rthyb_rt.diagnose import sizes
+from rthyb_rt.diagnose import channel_sizes
 from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
 from rthyb_rt.diagnose.estimate import filled, filled_if_short, quasi_static, white_noise
-from rthyb_rt.diagnose.lab import Lab, read_lab, time_unit
+from rthyb_rt.diagnose.external_table import Lab, read_lab, time_unit
 from rthyb_rt.diagnose.mapping import EXAMPLE, Wish, proposals
 from rthyb_rt.diagnose.modelfile import at_rate, find_model, model_of_rig, read_model
 from rthyb_rt.diagnose.policy import POLICY
@@ -100,12 +100,12 @@ def _of_a_size(case: Case, where: str, lab: Lab | None, judged: bool, beside: Ca
     labels = lab.labels if lab is not None else None
     stated = lab.stated if lab is not None else CHANNELS
     if beside is not None:
-        sizes.check_against(beside.channels, case.channels, where, labels or {})
+        channel_sizes.check_against(beside.channels, case.channels, where, labels or {})
     if case.t.size >= POLICY.least_rows:
         clean = dict(case.channels)
         if not judged:
             _spikes(clean, [])  # a stray reading must not affect the size
-        sizes.check(clean, case.model, where, labels, stated)
+        channel_sizes.check(clean, case.model, where, labels, stated)
 
 
 def axes_of(path: Path) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from rthyb_rt.diagnose.freebody import Body, judged
 from rthyb_rt.diagnose.intervals import SIDES, Sure
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, nrmse, output_error, predict
-from rthyb_rt.diagnose.select import Fit, Problem, leaning
+from rthyb_rt.diagnose.select import Fit, ResidualProblem, leaning
 from rthyb_rt.diagnose.verdict import Asked, Left, Reproduced, Rounded, Simulated
 
 
@@ -28,7 +28,7 @@ def left_by(search: Search, fit: Fit) -> Floats:
     return np.asarray(rest)
 
 
-def bend(problem: Problem, fit: Fit) -> float:
+def bend(problem: ResidualProblem, fit: Fit) -> float:
     """Return the largest change of a stated value by a fit, in standard deviations."""
     pairs = zip(fit.nuisance, problem.nuisances, strict=True)
     return max((abs(float(b)) / n.sigma for b, n in pairs if n.sigma is not None), default=0.0)
@@ -211,7 +211,7 @@ def reproduced(search: Search, ctx: Context) -> Reproduced | None:
     return Reproduced(excess(alone), excess(found), bent, quiet(alone), quiet(found))
 
 
-def _settled(body: Body, problem: Problem, fit: Fit) -> Fit | None:
+def _settled(body: Body, problem: ResidualProblem, fit: Fit) -> Fit | None:
     """Return a set fitted to its simulated motion, again as long as that improves it clearly."""
     found = body.settled(problem, fit)
     for _ in range(AGAIN):
@@ -359,7 +359,7 @@ def robust_residual(search: Search) -> Floats:
     return out
 
 
-def _robust(problem: Problem, prior: Floats) -> Floats:
+def _robust(problem: ResidualProblem, prior: Floats) -> Floats:
     """Return the nuisance parameters with a loss that ignores outliers, and prior weights."""
     y, base = problem.y, problem.base
     weight: Any = np.ones(y.size)
@@ -375,7 +375,7 @@ def _robust(problem: Problem, prior: Floats) -> Floats:
     return np.asarray(beta)
 
 
-def with_nuisance(model: Model, problem: Problem, fit: Fit) -> Model:
+def with_nuisance(model: Model, problem: ResidualProblem, fit: Fit) -> Model:
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
         model = nuisance.moves(model, float(b))
     return replace(model, moving_mass=max(model.moving_mass, 0.0))

@@ -23,7 +23,7 @@ from rthyb_rt.diagnose.effects.sensor import shifted
 from rthyb_rt.diagnose.freebody import Body, Loose, _with_nuisance
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Fit, Problem
+from rthyb_rt.diagnose.select import Fit, ResidualProblem
 from rthyb_rt.lab import experiment
 
 RUNS = 700
@@ -205,11 +205,11 @@ class RigBody(Body):
         """Return rest, as every test of this program starts at rest."""
         return 0.0, 0.0
 
-    def refined(self, problem: Problem, fit: Fit) -> Fit | None:
+    def refined(self, problem: ResidualProblem, fit: Fit) -> Fit | None:
         """Fit a set's parameters to displacement and force; None if it cannot be simulated."""
         return super().refined(problem, self._smooth(fit))
 
-    def settled(self, problem: Problem, fit: Fit) -> Fit | None:
+    def settled(self, problem: ResidualProblem, fit: Fit) -> Fit | None:
         """Return the same as `refined`: friction in a rig has a width."""
         return self.refined(problem, fit)
 
@@ -255,7 +255,7 @@ class RigBody(Body):
                     self._made.popitem(last=False)
         return made
 
-    def motion(self, problem: Problem, fit: Fit) -> ComputedMotion | None:
+    def motion(self, problem: ResidualProblem, fit: Fit) -> ComputedMotion | None:
         """Return the motion of the rig with a fitted set."""
         base = self.case.model
         plain = _with_nuisance(base, problem, fit)

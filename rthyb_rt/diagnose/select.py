@@ -97,7 +97,7 @@ def columns_of(ctx: Context, members: Sequence[Member]) -> list[list[Floats]]:
     return out
 
 
-def bending(problem: Problem, members: Sequence[Member]) -> list[Floats]:
+def bending(problem: ResidualProblem, members: Sequence[Member]) -> list[Floats]:
     """Return the nuisance columns, each (n,), N, as the load cell shows them.
 
     Nuisance forces on the specimen pass through the load cell like the specimen's force.
@@ -110,7 +110,7 @@ def bending(problem: Problem, members: Sequence[Member]) -> list[Floats]:
     return out
 
 
-def leaning(problem: Problem, fit: Fit) -> Floats:
+def leaning(problem: ResidualProblem, fit: Fit) -> Floats:
     """Return what the nuisance parameters of a fit add to the model's force, (n,), N."""
     out = np.zeros(problem.ctx.t.size)
     for b, column in zip(fit.nuisance, bending(problem, fit.members), strict=True):
@@ -118,7 +118,7 @@ def leaning(problem: Problem, fit: Fit) -> Floats:
     return out
 
 
-def whole(problem: Problem, fit: Fit, ctx: Context) -> Floats:
+def whole(problem: ResidualProblem, fit: Fit, ctx: Context) -> Floats:
     """Return the entire force of a fit along another motion: effects, model, nuisance, N.
 
     Of shape (n,), as the load cell shows it.
@@ -165,7 +165,7 @@ class Fit:
         return tuple(sorted(n for m in self.members for n in m.effect.names))
 
 
-class Problem:
+class ResidualProblem:
     """The residual of one recording, the nuisance columns, and the dictionary of effects."""
 
     def __init__(
@@ -283,7 +283,7 @@ class Problem:
         clean = whiten(column, pieces.first, PIECE)
         return np.asarray(clean[pieces.judged] / self.loudness)
 
-    def below(self, cut_hz: float) -> Problem:
+    def below(self, cut_hz: float) -> ResidualProblem:
         """Return the same problem up to a frequency: its residual and all its columns."""
         out = copy(self)
         out.cut_hz, out._blocks, out._kept = cut_hz, OrderedDict(), None
@@ -493,7 +493,9 @@ class Solved:
 class Dictionary:
     """All trial shapes of all effects, and their products block by block."""
 
-    def __init__(self, problem: Problem, progress: Callable[[str], None] = lambda _: None) -> None:
+    def __init__(
+        self, problem: ResidualProblem, progress: Callable[[str], None] = lambda _: None
+    ) -> None:
         self.problem = problem
         self.made = problem.loudness
         groups: list[_Group] = []
@@ -739,14 +741,16 @@ def penalty(ln_n: float, count: int) -> float:
     return count * ln_n + POLICY.effect_price
 
 
-def price(problem: Problem, effect: Effect, count: int) -> float:
+def price(problem: ResidualProblem, effect: Effect, count: int) -> float:
     """Return the price of an effect; one that only changes a stated value involves no selection."""
     known = {n.name for n in problem.nuisances if n.sigma is not None}
     moved = effect.name in known and not effect.late
     return POLICY.stated_number_price if moved else penalty(problem.ln_n, count)
 
 
-def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats]) -> Fit | None:
+def solve(
+    problem: ResidualProblem, members: Sequence[Member], blocks: Sequence[Floats]
+) -> Fit | None:
     """Solve for the linear coefficients of effects with given evaluated columns."""
     base = problem.beside(members)
     design = np.column_stack([*blocks, base]) if blocks else base
@@ -773,7 +777,7 @@ def solve(problem: Problem, members: Sequence[Member], blocks: Sequence[Floats])
 
 
 def _solved(
-    problem: Problem, members: Sequence[Member], gram: Floats, right: Floats, scale: Floats
+    problem: ResidualProblem, members: Sequence[Member], gram: Floats, right: Floats, scale: Floats
 ) -> tuple[Floats, Floats, float] | None:
     """Return coefficients, inverse and chi-squared of the normal equations of scaled columns.
 
@@ -811,7 +815,7 @@ class Scan:
     The products of the other columns are computed in advance.
     """
 
-    def __init__(self, problem: Problem, members: Sequence[Member]) -> None:
+    def __init__(self, problem: ResidualProblem, members: Sequence[Member]) -> None:
         self.problem, self.rest = problem, list(members[:-1])
         self.blocks = problem.blocks(members)
         self.alone = not members[-1].effect.carries
@@ -840,7 +844,7 @@ class Scan:
         return None if found is None else found[2]
 
 
-def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit | None:
+def refine(problem: ResidualProblem, members: Sequence[Member], steps: int = 8) -> Fit | None:
     """Fit the shape parameters as well, starting from the given shapes.
 
     Damped Gauss-Newton in their logarithms.
@@ -897,7 +901,7 @@ def refine(problem: Problem, members: Sequence[Member], steps: int = 8) -> Fit |
     return _with_covariance(problem, members, design, len(places), fit)
 
 
-def priors_of(problem: Problem, members: Sequence[Member], first: int, size: int) -> Floats:
+def priors_of(problem: ResidualProblem, members: Sequence[Member], first: int, size: int) -> Floats:
     extra = np.zeros((size, size))
     j = first
     for m in members:
@@ -913,7 +917,7 @@ def priors_of(problem: Problem, members: Sequence[Member], first: int, size: int
     return extra
 
 
-def _moved(problem: Problem, member: Member, j: int, step: float) -> Member | None:
+def _moved(problem: ResidualProblem, member: Member, j: int, step: float) -> Member | None:
     theta = list(member.trial.theta)
     low, high = member.effect.limits(problem.ctx, member.trial)[j]
     value = theta[j] * float(np.exp(step))
@@ -924,7 +928,10 @@ def _moved(problem: Problem, member: Member, j: int, step: float) -> Member | No
 
 
 def _stepped(
-    problem: Problem, members: Sequence[Member], places: Sequence[tuple[int, int]], delta: Floats
+    problem: ResidualProblem,
+    members: Sequence[Member],
+    places: Sequence[tuple[int, int]],
+    delta: Floats,
 ) -> list[Member]:
     out = list(members)
     for (i, j), d in zip(places, delta, strict=True):
@@ -937,7 +944,7 @@ def _stepped(
     return out
 
 
-def design_of(problem: Problem, fit: Fit) -> Floats:
+def design_of(problem: ResidualProblem, fit: Fit) -> Floats:
     """Return the slopes of the rows to (log shapes, coefficients, nuisance), (rows, p)."""
     blocks = problem.blocks(fit.members)
     places = [(i, j) for i, m in enumerate(fit.members) for j in range(len(m.trial.theta))]
@@ -945,7 +952,7 @@ def design_of(problem: Problem, fit: Fit) -> Floats:
 
 
 def _design(
-    problem: Problem,
+    problem: ResidualProblem,
     members: Sequence[Member],
     blocks: Sequence[Floats],
     places: Sequence[tuple[int, int]],
@@ -956,7 +963,7 @@ def _design(
 
 
 def _slopes(
-    problem: Problem,
+    problem: ResidualProblem,
     members: Sequence[Member],
     blocks: Sequence[Floats],
     places: Sequence[tuple[int, int]],
@@ -986,7 +993,7 @@ def _slopes(
 
 
 def _with_covariance(
-    problem: Problem, members: Sequence[Member], design: Floats, shapes: int, fit: Fit
+    problem: ResidualProblem, members: Sequence[Member], design: Floats, shapes: int, fit: Fit
 ) -> Fit:
     """Add the joint covariance of (log shapes, coefficients, nuisance)."""
     gram = design.T @ design + priors_of(problem, members, shapes, design.shape[1])

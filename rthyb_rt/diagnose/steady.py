@@ -22,7 +22,7 @@ from rthyb_rt.diagnose import evidence
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, Problem, design_of, inflation, priors_of
+from rthyb_rt.diagnose.select import Fit, ResidualProblem, design_of, inflation, priors_of
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Change:
         return (root - (1.0 - spread)) / float(np.sqrt(spread))
 
 
-def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
+def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     """Return the gain of a set from separate parameters in parts of the recording.
 
     For a fit in the force balance; none if it has no parameters, or was refined elsewhere.
@@ -77,7 +77,7 @@ def changes(problem: Problem, fit: Fit) -> tuple[Change, ...]:
     return tuple(out)
 
 
-def standing(problem: Problem, fit: Fit) -> tuple[float, float] | None:
+def standing(problem: ResidualProblem, fit: Fit) -> tuple[float, float] | None:
     """Return a set's residual with free forms of its laws, and its price, in chi-squared.
 
     The third value is the inflation due to correlated rows. None if it has no slopes here.
@@ -89,13 +89,13 @@ def standing(problem: Problem, fit: Fit) -> tuple[float, float] | None:
     return least + evidence.cost(problem, fit), inflation(rest)
 
 
-def _slopes(problem: Problem, fit: Fit) -> Floats | None:
+def _slopes(problem: ResidualProblem, fit: Fit) -> Floats | None:
     """Return the slopes of a set, (rows, p); None for no set, or one refined elsewhere."""
     slopes = design_of(problem, fit) if fit.members else np.zeros((0, 0))
     return slopes if slopes.shape[0] == fit.residual.size > 0 else None
 
 
-def with_forms(problem: Problem, fit: Fit, slopes: Floats) -> tuple[Floats, Floats]:
+def with_forms(problem: ResidualProblem, fit: Fit, slopes: Floats) -> tuple[Floats, Floats]:
     """Return the slopes of a set together with its laws' neighbours, and the priors of all.
 
     Args:
@@ -116,7 +116,7 @@ def with_forms(problem: Problem, fit: Fit, slopes: Floats) -> tuple[Floats, Floa
     return design, prior
 
 
-def _near(problem: Problem, fit: Fit) -> Floats:
+def _near(problem: ResidualProblem, fit: Fit) -> Floats:
     """Return the neighbours of the laws of a set, whitened, (rows, m)."""
     ctx = problem.ctx
     over = [(ctx.x, ctx.x_range), (ctx.v, ctx.v_range)]
@@ -134,7 +134,7 @@ def _near(problem: Problem, fit: Fit) -> Floats:
     return np.column_stack(columns) if columns else np.zeros((fit.residual.size, 0))
 
 
-def _parts(problem: Problem) -> list[tuple[str, NDArray[np.bool_]]]:
+def _parts(problem: ResidualProblem) -> list[tuple[str, NDArray[np.bool_]]]:
     """Return divisions of the evaluated rows into two parts: name and one part, (rows,)."""
     x, v = problem.ctx.x[problem.rows], problem.ctx.v[problem.rows]
     far, fast, row = np.abs(x), np.abs(v), np.arange(x.size)

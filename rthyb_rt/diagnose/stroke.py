@@ -18,7 +18,7 @@ from rthyb_rt.diagnose import evidence
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, Member, Problem, penalty, solve
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, penalty, solve
 from rthyb_rt.diagnose.steady import left, standing
 
 BEGUN = [(f, change) for f in (-0.02, 0.0, 0.03) for change in (-0.04, -0.01, 0.01, 0.03)]
@@ -31,7 +31,7 @@ TRIED = 4
 """Largest number of times that a step is shortened."""
 
 
-def gain(problem: Problem, fit: Fit) -> float:
+def gain(problem: ResidualProblem, fit: Fit) -> float:
     """Return the additional gain of such a mass over a set with a linear one, in chi-squared.
 
     Including prices, and divided by the inflation due to correlated rows; minus infinity if the set
@@ -52,7 +52,7 @@ def gain(problem: Problem, fit: Fit) -> float:
     return (own[0] - rival - penalty(problem.ln_n, 4)) / own[1]
 
 
-def _ends_at_noise(problem: Problem, one: float, other: float) -> bool:
+def _ends_at_noise(problem: ResidualProblem, one: float, other: float) -> bool:
     """Return whether a chi-squared reaches the noise and another one does not.
 
     As in `decide.Court.ends_at_noise`, with the noise as it is in evidence that was scaled down.
@@ -66,13 +66,13 @@ def _ends_at_noise(problem: Problem, one: float, other: float) -> bool:
     return left > beyond and one - noise < max(POLICY.noise_reached * left, chance * noise)
 
 
-def _no_form(problem: Problem, one: float, other: float) -> bool:
+def _no_form(problem: ResidualProblem, one: float, other: float) -> bool:
     """Return whether two chi-squared differ by more than the form of a law may explain."""
     null = solve(problem, [], [])
     return null is not None and other - one > POLICY.form_alone * (null.chi2 - other)
 
 
-def _least(problem: Problem, member: Member) -> float | None:
+def _least(problem: ResidualProblem, member: Member) -> float | None:
     """Return the least chi-squared of a mass alone; None if it is not physical."""
     sigmas = [n.sigma for n in problem.nuisances]
     prior = np.diag([0.0, *(0.0 if s is None else s**-2.0 for s in sigmas)])

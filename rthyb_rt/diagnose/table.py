@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.diagnose.case import CHANNELS, Floats
-from rthyb_rt.diagnose.units import means_none, read_unit, split_name
+from rthyb_rt.diagnose.column_units import means_none, read_unit, split_name
 from rthyb_rt.errors import InputError, Problem
 
 COMMENTS = ("#", "%", "//", "!", "***")
@@ -66,7 +66,7 @@ _WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", "": "blan
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table.
 
     Attributes:
@@ -88,10 +88,10 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Table:
+class ColumnTable:
     """The columns of a file, the line of each row, (n,), and notes."""
 
-    columns: list[Column]
+    columns: list[TableColumn]
     lines: NDArray[np.int64]
     notes: list[str]
 
@@ -100,7 +100,7 @@ class Table:
         return int(self.lines[row])
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path) -> ColumnTable:
     """Read a table of numbers from a text file.
 
     Raises:
@@ -132,7 +132,7 @@ def read_table(path: Path) -> Table:
     else:
         line_of = [i for i, _ in body]
         columns = [
-            Column(name, *_name_and_unit(name, unit), np.ascontiguousarray(whole[:, j]))
+            TableColumn(name, *_name_and_unit(name, unit), np.ascontiguousarray(whole[:, j]))
             for j, (name, unit) in enumerate(zip(names, stated, strict=True))
         ]
     if dialect != DIALECTS[0]:
@@ -141,7 +141,7 @@ def read_table(path: Path) -> Table:
             f"columns are separated by {_WORDS[dialect.separator]}, with {point} as decimal "
             "separator"
         )
-    return Table(columns, np.array(line_of, dtype=np.int64), notes)
+    return ColumnTable(columns, np.array(line_of, dtype=np.int64), notes)
 
 
 # ---- the file -----------------------------------------------------------------------------------
@@ -191,7 +191,7 @@ def _is_content(line: str) -> bool:
     return bool(start) and not start.startswith(COMMENTS)
 
 
-def _quickly(text: str) -> Table | None:
+def _quickly(text: str) -> ColumnTable | None:
     """Return a table of numbers below one plain row of names; None for any other table.
 
     This is ten times as fast, one second for ten minutes of four channels, with a tenth of the
@@ -214,10 +214,10 @@ def _quickly(text: str) -> Table | None:
     if body.shape != (len(lines) - (not lines[-1].strip()), len(names)) or body.shape[0] < 2:
         return None
     columns = [
-        Column(name, *split_name(name), np.ascontiguousarray(body[:, j]))
+        TableColumn(name, *split_name(name), np.ascontiguousarray(body[:, j]))
         for j, name in enumerate(names)
     ]
-    return Table(columns, np.arange(2, body.shape[0] + 2), [])
+    return ColumnTable(columns, np.arange(2, body.shape[0] + 2), [])
 
 
 # ---- format -------------------------------------------------------------------------------------
@@ -476,7 +476,7 @@ def _name_and_unit(header: str, unit: str) -> tuple[str, str, bool]:
 
 def _column(
     header: str, unit: str, fields: list[str], lines: list[int], dialect: Dialect
-) -> Column:
+) -> TableColumn:
     name, own, sure = _name_and_unit(header, unit)
     values = np.full(len(fields), np.nan)
     for i, field in enumerate(fields):
@@ -486,9 +486,9 @@ def _column(
         elif field.lower() not in _NO_VALUE:
             clock = _clock(fields)
             if clock is not None:
-                return Column(header, name, "s", True, *clock)
-            return Column(header, name, own, sure, values, (lines[i], field))
-    return Column(header, name, own, sure, values)
+                return TableColumn(header, name, "s", True, *clock)
+            return TableColumn(header, name, own, sure, values, (lines[i], field))
+    return TableColumn(header, name, own, sure, values)
 
 
 def _clock(fields: list[str]) -> tuple[Floats, None, str] | None:

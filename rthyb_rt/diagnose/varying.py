@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.select import Fit, Problem, penalty
+from rthyb_rt.diagnose.select import Fit, ResidualProblem, penalty
 from rthyb_rt.diagnose.steady import standing
 
 HARMONICS = 3
@@ -28,7 +28,7 @@ that is fewer than `FEWEST`."""
 FEWEST = 24
 
 
-def gain(problem: Problem, fit: Fit) -> float:
+def gain(problem: ResidualProblem, fit: Fit) -> float:
     """Return the additional gain of the best periodic coefficient over a set, in chi-squared.
 
     Including the prices of both, and divided by the inflation due to correlated rows; minus
@@ -42,7 +42,7 @@ def gain(problem: Problem, fit: Fit) -> float:
     return (own[0] - rival - penalty(problem.ln_n, 2 + 2 * HARMONICS)) / own[1]
 
 
-def _least(problem: Problem, column: Floats) -> float:
+def _least(problem: ResidualProblem, column: Floats) -> float:
     """Return the least chi-squared of any periodic coefficient of a column, (n,)."""
     lines = _lines(problem)
     if lines.size < FEWEST:
@@ -70,7 +70,7 @@ def _least(problem: Problem, column: Floats) -> float:
     return best
 
 
-def _lines(problem: Problem) -> Floats:
+def _lines(problem: ResidualProblem) -> Floats:
     """Return multiples of one frequency up to the harmonics of twice the motion's, Hz, (m,).
 
     At twice that frequency a changing spring adds most energy; they are half a line apart.

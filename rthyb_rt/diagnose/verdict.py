@@ -190,7 +190,7 @@ class Verdict:
     ledger: tuple[Ruling, ...] = ()
 
 
-class _Unknown(Exception):
+class _UnknownAnswer(Exception):
     def __init__(self, asked: Asked) -> None:
         self.asked = asked
 
@@ -202,7 +202,7 @@ class _Court:
 
     def ask(self, what: Asked) -> Any:
         if what not in self.seen.known:
-            raise _Unknown(what)
+            raise _UnknownAnswer(what)
         return self.seen.known[what]
 
     def rules(self, rule: str, names: Names, found: float, wanted: float, part: str = "") -> None:
@@ -464,7 +464,7 @@ def judge(seen: Seen, policy: Policy, less: Iterable[str] = ()) -> Verdict | Ask
     court, gone = _Court(seen, policy), set(less)
     try:
         return _judged(court, gone)
-    except _Unknown as unknown:
+    except _UnknownAnswer as unknown:
         return unknown.asked
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rthyb_rt.diagnose import effects, evidence, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
-from rthyb_rt.diagnose.engine import Diagnosis, Displacement
+from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.remainder import bend, left_of
 from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Solved
@@ -54,7 +54,7 @@ class Decision:
     why: str
 
 
-def ledger(d: Diagnosis, catalogue: bool = True) -> list[Decision]:
+def ledger(d: DiagnosisResult, catalogue: bool = True) -> list[Decision]:
     """Return the sets that were considered, the actuator's first, and why each was rejected.
 
     Args:
@@ -74,7 +74,7 @@ def ledger(d: Diagnosis, catalogue: bool = True) -> list[Decision]:
     return out
 
 
-def facts(d: Diagnosis) -> list[tuple[str, str]]:
+def facts(d: DiagnosisResult) -> list[tuple[str, str]]:
     """Return the basis of the answer: noise, tolerances, rows, permitted misfit, notes."""
     rows: list[tuple[str, str]] = [("verdict", _verdict(d))]
     if d.disp is not None:
@@ -84,7 +84,7 @@ def facts(d: Diagnosis) -> list[tuple[str, str]]:
     return rows + [("note", note) for note in d.notes]
 
 
-def to_json(d: Diagnosis, catalogue: bool = True) -> dict[str, Any]:
+def to_json(d: DiagnosisResult, catalogue: bool = True) -> dict[str, Any]:
     """Return facts and ledger as in the answer."""
     sets = [asdict(row) for row in ledger(d, catalogue)]
     for row in sets:
@@ -185,7 +185,7 @@ def _left(search: forces.Search, fit: Fit) -> float:
     return max(excess, 0.0) / search.excess_before if search.excess_before > 0.0 else float("nan")
 
 
-def _force(d: Diagnosis, search: forces.Search) -> list[Decision]:
+def _force(d: DiagnosisResult, search: forces.Search) -> list[Decision]:
     problem, best = search.problem, search.best
     believed = d.verdict == "ambiguous" or set(best.names) <= set(d.effects)
     equal = {f.names for f in search.equal} if believed else set()
@@ -523,7 +523,7 @@ def _leaves(search: forces.Search) -> str:
     )
 
 
-def _verdict(d: Diagnosis) -> str:
+def _verdict(d: DiagnosisResult) -> str:
     search = d.force
     if d.verdict == "unknown" and "heldout_nrmse_after" in d.fit:
         before, after = d.fit["heldout_nrmse_before"], d.fit["heldout_nrmse_after"]
@@ -592,7 +592,7 @@ def _noise(
     return f"{text}, {quantity(sheet, unit)} stated"
 
 
-def _facts_of_displacement(d: Diagnosis, disp: Displacement) -> list[tuple[str, str]]:
+def _facts_of_displacement(d: DiagnosisResult, disp: Displacement) -> list[tuple[str, str]]:
     task, fit = disp.task, disp.best
     rows = [
         (
@@ -629,7 +629,7 @@ def _facts_of_displacement(d: Diagnosis, disp: Displacement) -> list[tuple[str, 
     return rows
 
 
-def _facts_of_force(d: Diagnosis, search: forces.Search) -> list[tuple[str, str]]:
+def _facts_of_force(d: DiagnosisResult, search: forces.Search) -> list[tuple[str, str]]:
     problem, model = search.problem, d.case.model
     found = problem.estimate
     motion = "estimated from the sensors"

@@ -14,7 +14,7 @@ from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Effect
 from rthyb_rt.diagnose.effects.sensor import QUANTISATION
-from rthyb_rt.diagnose.engine import Diagnosis, Found
+from rthyb_rt.diagnose.engine import DiagnosisResult, Found
 from rthyb_rt.diagnose.policy import POLICY
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
     return rows
 
 
-def heldout_lines(d: Diagnosis) -> list[str]:
+def heldout_lines(d: DiagnosisResult) -> list[str]:
     """Return the result of validation on a second recording, or how to obtain it."""
     after = (
         "with the effects found"
@@ -200,7 +200,7 @@ def heldout_lines(d: Diagnosis) -> list[str]:
     return out
 
 
-def unheld(d: Diagnosis, outcome: Outcome) -> list[str]:
+def unheld(d: DiagnosisResult, outcome: Outcome) -> list[str]:
     """Return what the rig file of the augmented model cannot represent."""
     if d.verdict not in ("explained", "ambiguous"):
         return []
@@ -214,7 +214,7 @@ def unheld(d: Diagnosis, outcome: Outcome) -> list[str]:
     ]
 
 
-def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
+def loop_notes(d: DiagnosisResult, answer: dict[str, Any]) -> list[str]:
     """Return notes on the repeated simulation of the loop, or the reason why there is none."""
     loop = answer.get("closed_loop")
     if not loop:
@@ -234,7 +234,7 @@ def loop_notes(d: Diagnosis, answer: dict[str, Any]) -> list[str]:
     return out
 
 
-def next_text(d: Diagnosis) -> str:
+def next_text(d: DiagnosisResult) -> str:
     """Return the next experiment in words; empty if there is none."""
     if not d.next_experiment:
         return ""
@@ -266,7 +266,7 @@ def check_rows(checks: list[dict[str, Any]] | None) -> list[tuple[str, str]]:
     return rows
 
 
-def _when(d: Diagnosis) -> str:
+def _when(d: DiagnosisResult) -> str:
     if not d.windows:
         return ""
     whole = float(d.case.t[-1] - d.case.t[0]) or 1.0
@@ -290,7 +290,7 @@ def _span(from_s: float, to_s: float) -> str:
     return f"at {first} s" if first == last else f"between {first} and {last} s"
 
 
-def _where(d: Diagnosis, signal: Floats) -> str:
+def _where(d: DiagnosisResult, signal: Floats) -> str:
     """Return where on the stroke a force acts, if it is local."""
     motion = d.estimate.motion if d.estimate is not None else None
     if motion is None or d.channel != "force":
@@ -310,7 +310,7 @@ def _where(d: Diagnosis, signal: Floats) -> str:
     return ""
 
 
-def _difference(d: Diagnosis, signal: Floats | None) -> str:
+def _difference(d: DiagnosisResult, signal: Floats | None) -> str:
     """Return what differs, and in which direction if that is clear."""
     channels = {c.channel for c in d.candidates if c.name in d.effects}
     if len(channels) == 2:
@@ -333,14 +333,14 @@ def _difference(d: Diagnosis, signal: Floats | None) -> str:
     return "the load cell reads differently from the model"
 
 
-def _judged(d: Diagnosis) -> str:
+def _judged(d: DiagnosisResult) -> str:
     """Return the limits of a verdict that nothing is missing."""
     if d.force is None and d.disp is not None:
         return "There is no force to analyse, so this says nothing about the specimen."
     return ""
 
 
-def _rest(d: Diagnosis) -> str:
+def _rest(d: DiagnosisResult) -> str:
     """Return what remains after the effects found."""
     before, after = d.fit.get("nrmse_before", 0.0), d.fit.get("nrmse_after", 0.0)
     error = f"NRMSE {100 * before:.3g} % before, {100 * after:.3g} % after"
@@ -355,7 +355,7 @@ def _rest(d: Diagnosis) -> str:
     )
 
 
-def sentence(d: Diagnosis, answer: dict[str, Any]) -> str:
+def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
     """Return the verdict in one sentence, with a second one on its limits."""
     if d.verdict == "none":
         what = " in the actuator" if d.force is None else ""

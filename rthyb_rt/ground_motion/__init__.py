@@ -7,10 +7,10 @@ accelerations at the controller's rate.
 
 from __future__ import annotations
 
+from rthyb_rt.ground_motion.acceleration import GroundMotion
 from rthyb_rt.ground_motion.acceleration_units import STANDARD_GRAVITY_MPS2
 from rthyb_rt.ground_motion.baseline import BaselineCheck, baseline_check
 from rthyb_rt.ground_motion.motion_files import BUILTIN, FORMATS, builtin, load, read
-from rthyb_rt.ground_motion.record import GroundMotion
 from rthyb_rt.ground_motion.resampling import resample
 
 __all__ = [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rthyb_rt.ground_motion.record import GroundMotion
+from rthyb_rt.ground_motion.acceleration import GroundMotion
 
 #: A record passes if its final velocity is at most this fraction of its peak velocity.
 FINAL_VELOCITY_LIMIT = 0.05

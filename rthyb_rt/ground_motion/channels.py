@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rthyb_rt.ground_motion.record import FloatArray
+from rthyb_rt.ground_motion.acceleration import FloatArray
 from rthyb_rt.ground_motion.text import TextLines, clean
 
 

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rthyb_rt.errors import Problem
+from rthyb_rt.ground_motion.acceleration import FloatArray
 from rthyb_rt.ground_motion.acceleration_units import canonical_unit, find_unit
 from rthyb_rt.ground_motion.channels import Samples
-from rthyb_rt.ground_motion.record import FloatArray
 from rthyb_rt.ground_motion.text import (
     MAX_POINTS,
     TextLines,

@@ -13,9 +13,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from rthyb_rt.ground_motion.acceleration import FloatArray
 from rthyb_rt.ground_motion.acceleration_units import canonical_unit, find_unit
 from rthyb_rt.ground_motion.channels import FileChannel, Samples, choose_channel
-from rthyb_rt.ground_motion.record import FloatArray
 from rthyb_rt.ground_motion.text import MAX_POINTS, TextLines, clean, read_block, time_step
 
 _FORMAT = r"\( ?(\d{1,3}) ?[fFeEgG] ?(\d{1,3})"

@@ -13,6 +13,7 @@ from types import MappingProxyType
 import numpy as np
 
 from rthyb_rt.errors import InputError, Problem
+from rthyb_rt.ground_motion.acceleration import FloatArray, GroundMotion
 from rthyb_rt.ground_motion.acceleration_units import (
     ACCELERATION_UNITS,
     STANDARD_GRAVITY_MPS2,
@@ -25,7 +26,6 @@ from rthyb_rt.ground_motion.columns import read_columns
 from rthyb_rt.ground_motion.cosmos import cosmos_volume, read_cosmos
 from rthyb_rt.ground_motion.csmip import csmip_volume, read_csmip
 from rthyb_rt.ground_motion.knet import is_knet, read_knet
-from rthyb_rt.ground_motion.record import FloatArray, GroundMotion
 from rthyb_rt.ground_motion.text import MAX_POINTS, TextLines, clean, load_text
 
 FORMATS = ("auto", "at2", "cosmos-v1", "cosmos-v2", "csmip-v1", "csmip-v2", "knet", "columns")

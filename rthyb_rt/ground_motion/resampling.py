@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from rthyb_rt.ground_motion.record import FloatArray, GroundMotion
+from rthyb_rt.ground_motion.acceleration import FloatArray, GroundMotion
 
 # 100 dB of stop-band attenuation; with 64 zero crossings on each side the transition from pass to
 # stop band is 5 % of the Nyquist frequency on either side of the cut-off (Kaiser's formulas).

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rthyb_rt.errors import InputError, Problem
-from rthyb_rt.ground_motion.record import FloatArray
+from rthyb_rt.ground_motion.acceleration import FloatArray
 
 MAX_BYTES = 64 * 2**20
 MAX_POINTS = 2_000_000

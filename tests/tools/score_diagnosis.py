@@ -11,7 +11,7 @@ from typing import Any
 from rthyb_rt.diagnose import engine, reading
 
 
-def right(d: engine.Diagnosis, answer: dict[str, Any]) -> bool:
+def right(d: engine.DiagnosisResult, answer: dict[str, Any]) -> bool:
     """Return whether verdict and names equal the answer's."""
     verdict = answer.get("verdict")
     if verdict is not None and d.verdict != verdict:

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from prove import generate, scoring
 
 from rthyb_rt.diagnose import engine, outcome, reading, words
-from rthyb_rt.diagnose.policy import POLICY, Entry, Policy, entries
+from rthyb_rt.diagnose.policy import POLICY, Policy, ThresholdEntry, entries
 from rthyb_rt.errors import RthybError
 from validate import second
 from validate.proof import PROGRAM, ROOT, digest
@@ -196,7 +196,7 @@ def value_text(value: Value) -> str:
     return f"{value:g}"
 
 
-def row_of(name: str, entry: Entry, measured: list[str]) -> str:
+def row_of(name: str, entry: ThresholdEntry, measured: list[str]) -> str:
     """One row of the page: what the table says of a threshold, then what was measured."""
     parts = [
         f"`{name}`", value_text(getattr(POLICY, name)), entry.unit, entry.origin,
@@ -205,7 +205,7 @@ def row_of(name: str, entry: Entry, measured: list[str]) -> str:
     return f"| {' | '.join(p.replace('|', chr(92) + '|') for p in parts)} |"
 
 
-def line(name: str, entry: Entry, results: list[dict[str, Any]]) -> str:
+def line(name: str, entry: ThresholdEntry, results: list[dict[str, Any]]) -> str:
     """One row of the page as these cases have it."""
     read = [(r["right"], r["entries"][name]) for r in results if name in r["entries"]]
     moves = [

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.diagnose import sizes
+from rthyb_rt.diagnose import channel_sizes
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
+from rthyb_rt.diagnose.column_units import SI, USUAL, in_si, read_unit
 from rthyb_rt.diagnose.mapping import EXAMPLE, UNASSIGNED, Source, Wish, missing, proposals, sources
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.table import TIME_NAMES, Column, Table, plain, read_table
-from rthyb_rt.diagnose.units import SI, USUAL, in_si, read_unit
+from rthyb_rt.diagnose.table import TIME_NAMES, ColumnTable, TableColumn, plain, read_table
 from rthyb_rt.errors import InputError, Problem
 
 DAY_S = 86400.0
@@ -47,7 +47,7 @@ class Lab:
     lines: NDArray[np.int64]
     labels: dict[str, str]
     stated: dict[str, str]
-    table: Table
+    table: ColumnTable
     sources: dict[str, Source]
     further: dict[str, Floats] = field(default_factory=dict)
 
@@ -134,7 +134,9 @@ def stated(
     return out.pop("t"), out, notes
 
 
-def _further(table: Table, found: dict[str, Source], labels: dict[str, str]) -> dict[str, Floats]:
+def _further(
+    table: ColumnTable, found: dict[str, Source], labels: dict[str, str]
+) -> dict[str, Floats]:
     """Return the numeric columns that are neither a channel nor time."""
     used = {source.column for source in found.values()}
     out = {}
@@ -164,11 +166,11 @@ def time_unit(ratio: float) -> str | None:
     return None
 
 
-def _label(column: Column) -> str:
+def _label(column: TableColumn) -> str:
     return (column.name or column.header).replace('"', "'")
 
 
-def _refuse_words(column: Column, channel: str, where: str) -> None:
+def _refuse_words(column: TableColumn, channel: str, where: str) -> None:
     if column.fault is None:
         return
     line, text = column.fault
@@ -188,7 +190,7 @@ def _refuse_words(column: Column, channel: str, where: str) -> None:
 
 
 def _time(
-    table: Table, source: Source | None, labels: dict[str, str], model: Model, where: str,
+    table: ColumnTable, source: Source | None, labels: dict[str, str], model: Model, where: str,
     notes: list[str],
 ) -> Floats:  # fmt: skip
     """Return the time of each row, (n,), s."""
@@ -237,7 +239,7 @@ def _midnight(day: str) -> str:
 
 
 def _counting(
-    table: Table, labels: dict[str, str], model: Model, notes: list[str]
+    table: ColumnTable, labels: dict[str, str], model: Model, notes: list[str]
 ) -> Source | None:
     """Return a column that increases at the model's sampling rate, although its name is unknown.
 
@@ -270,7 +272,7 @@ def _even(steps: Floats) -> bool:
 
 
 def _channels(
-    table: Table, found: dict[str, Source], labels: dict[str, str], model: Model, where: str,
+    table: ColumnTable, found: dict[str, Source], labels: dict[str, str], model: Model, where: str,
     notes: list[str],
 ) -> dict[str, Floats]:  # fmt: skip
     """Return the channels in SI; a column without a unit is compared with those that have one."""
@@ -289,7 +291,7 @@ def _channels(
     while open_:
         guessed = None
         for channel, values in open_.items():
-            guessed = sizes.guess(channel, values, known, model)
+            guessed = channel_sizes.guess(channel, values, known, model)
             if guessed is not None:
                 break
         if guessed is None:
@@ -306,13 +308,13 @@ def _channels(
     return {channel: known[channel] for channel in found if channel in known}
 
 
-def _basis(relation: sizes.Relation) -> str:
+def _basis(relation: channel_sizes.Relation) -> str:
     others = [name for name in relation.of if name != relation.channel]
     return f"the model with {' and '.join(others)}" if others else "the model"
 
 
 def _unknown_units(
-    table: Table, found: dict[str, Source], labels: dict[str, str], names: list[str]
+    table: ColumnTable, found: dict[str, Source], labels: dict[str, str], names: list[str]
 ) -> str:
     parts = []
     for channel in names:

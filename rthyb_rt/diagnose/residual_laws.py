@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.engine import Diagnosis
+from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.select import columns_of, leaning
 from rthyb_rt.diagnose.words import called
@@ -52,7 +52,7 @@ RIVALS = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class Contribution:
     """One effect of a set along the recording.
 
     Attributes:
@@ -67,7 +67,7 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Law:
+class FittedLaw:
     """A fitted set of effects.
 
     Attributes:
@@ -75,7 +75,7 @@ class Law:
         covariance: of the parameters to which the slopes refer; None if unknown.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[Contribution, ...]
     covariance: Floats | None
 
     @property
@@ -83,12 +83,14 @@ class Law:
         """Its effects in words."""
         return " with ".join(called(n) for p in self.parts for n in p.names)
 
-    def times(self, factor: float) -> Law:
+    def times(self, factor: float) -> FittedLaw:
         """Return the law in another unit of its contribution."""
-        parts = tuple(Part(p.names, factor * p.signal, factor * p.slopes) for p in self.parts)
-        return Law(parts, self.covariance)
+        parts = tuple(
+            Contribution(p.names, factor * p.signal, factor * p.slopes) for p in self.parts
+        )
+        return FittedLaw(parts, self.covariance)
 
-    def of(self, kept: Sequence[Part]) -> tuple[Floats, Floats | None]:
+    def of(self, kept: Sequence[Contribution]) -> tuple[Floats, Floats | None]:
         """Return the contribution of some of its parts, and half the width of their 95 % band."""
         signal = np.asarray(np.sum([p.signal for p in kept], axis=0))
         if self.covariance is None:
@@ -113,7 +115,7 @@ class Rest:
 
     left: Floats
     rows: NDArray[np.bool_]
-    laws: tuple[Law, ...]
+    laws: tuple[FittedLaw, ...]
     over: dict[str, tuple[Floats, str]]
     unit: str
     channel: str
@@ -122,7 +124,7 @@ class Rest:
 # ---- laws with their bands ----------------------------------------------------------------------
 
 
-def law_of(search: forces.Search, fit: Fit, wider: Sequence[float]) -> Law:
+def law_of(search: forces.Search, fit: Fit, wider: Sequence[float]) -> FittedLaw:
     """Return a set of effects on the force along the recording, with its covariance.
 
     Args:
@@ -157,17 +159,17 @@ def law_of(search: forces.Search, fit: Fit, wider: Sequence[float]) -> Law:
         size = np.array([wider[i] for i, _ in places])
         known = covariance[: len(places), : len(places)] * np.outer(size, size)
     parts = [
-        Part(m.effect.names, signal, slopes[i])
+        Contribution(m.effect.names, signal, slopes[i])
         for i, (m, signal) in enumerate(zip(members, signals, strict=True))
     ]
-    return Law(tuple(parts), known)
+    return FittedLaw(tuple(parts), known)
 
 
 def _sum(beta: Floats, columns: Sequence[Floats]) -> Floats:
     return np.asarray(np.sum([b * c for b, c in zip(beta, columns, strict=True)], axis=0))
 
 
-def _wider(d: Diagnosis, search: forces.Search) -> list[float]:
+def _wider(d: DiagnosisResult, search: forces.Search) -> list[float]:
     """Return the ratio of the answer's intervals to those from noise alone, for each effect."""
     assert d.context is not None
     by_name = {c.name: c for c in d.candidates if c.channel == "force"}
@@ -186,7 +188,7 @@ def _wider(d: Diagnosis, search: forces.Search) -> list[float]:
     return out
 
 
-def actuator_law(disp: Displacement) -> Law:
+def actuator_law(disp: Displacement) -> FittedLaw:
     """Return the effects of the actuator along the recording: one law, as lags are not additive."""
     task, fit = disp.task, disp.best
     plain = task.simulate(task.base).x
@@ -199,14 +201,14 @@ def actuator_law(disp: Displacement) -> Law:
         change: dict[str, Any] = {name: value + step}
         slopes[:, k] = (task.simulate(replace(fit.model, **change)).x - made) / step
     known = fit.known(disp.scale)[: len(fields), : len(fields)]
-    part = Part(fit.names, (made - plain) * 1e3, slopes * 1e3)
-    return Law((part,), known)
+    part = Contribution(fit.names, (made - plain) * 1e3, slopes * 1e3)
+    return FittedLaw((part,), known)
 
 
 # ---- residuals ----------------------------------------------------------------------------------
 
 
-def rests(d: Diagnosis) -> list[Rest]:
+def rests(d: DiagnosisResult) -> list[Rest]:
     """Return the model's residuals in the evaluated channels, the one that differs first."""
     out = []
     if d.disp is not None and (d.channel == "disp" or d.force is None or _named_disp(d)):
@@ -217,17 +219,17 @@ def rests(d: Diagnosis) -> list[Rest]:
     return out
 
 
-def _named_disp(d: Diagnosis) -> bool:
+def _named_disp(d: DiagnosisResult) -> bool:
     found = d.verdict in ("explained", "ambiguous")
     return found and d.disp is not None and bool(set(d.disp.best.names) & set(d.effects))
 
 
-def _named_force(d: Diagnosis) -> bool:
+def _named_force(d: DiagnosisResult) -> bool:
     found = d.verdict in ("explained", "ambiguous")
     return found and d.force is not None and bool(set(d.force.best.names) & set(d.effects))
 
 
-def _of_force(d: Diagnosis, search: forces.Search) -> Rest:
+def _of_force(d: DiagnosisResult, search: forces.Search) -> Rest:
     problem, ctx = search.problem, search.problem.ctx
     found = problem.estimate
     named = _named_force(d)
@@ -260,7 +262,7 @@ def force_unit(*forces_n: Floats) -> tuple[float, str]:
     return (1e-3, "kN") if finite.max(initial=0.0) >= 1e4 else (1.0, "N")
 
 
-def _of_displacement(d: Diagnosis, disp: Displacement) -> Rest:
+def _of_displacement(d: DiagnosisResult, disp: Displacement) -> Rest:
     task = disp.task
     plain = task.simulate(task.base)
     named = _named_disp(d)
@@ -281,7 +283,7 @@ def _of_displacement(d: Diagnosis, disp: Displacement) -> Rest:
 # ---- figures ------------------------------------------------------------------------------------
 
 
-def draw_laws(d: Diagnosis) -> list[Plate]:
+def draw_laws(d: DiagnosisResult) -> list[Plate]:
     """Return the residual over velocity, displacement, and any other argument of a law."""
     plates = []
     for rest in rests(d):
@@ -291,7 +293,7 @@ def draw_laws(d: Diagnosis) -> list[Plate]:
     return plates
 
 
-def _own(part: Part) -> str:
+def _own(part: Contribution) -> str:
     """Return an effect's argument if it is neither displacement nor velocity."""
     law = effects.catalogue().get(part.names[0]) if len(part.names) == 1 else None
     return law.over if law is not None else ""
@@ -323,7 +325,7 @@ def _bins(x: Floats) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
     return at, count
 
 
-def _elsewhere(rest: Rest, key: str) -> list[Part]:
+def _elsewhere(rest: Rest, key: str) -> list[Contribution]:
     """Return the effects of the named set that depend on something else than this abscissa.
 
     They are subtracted if this makes another effect visible. They are not subtracted if several
@@ -333,7 +335,7 @@ def _elsewhere(rest: Rest, key: str) -> list[Part]:
     if key not in ("v", "x"):
         return [p for p in parts if _own(p) != key]
 
-    def belongs(part: Part, over: str) -> bool:
+    def belongs(part: Contribution, over: str) -> bool:
         x = rest.over[over][0][rest.rows]
         return line_share(part.signal[rest.rows], x) > BELONGS
 
@@ -392,7 +394,7 @@ def _plate(rest: Rest, key: str) -> Plate:
     )
 
 
-def _note(rest: Rest, quantity: str, off: Sequence[Part], cycle: bool, thin: bool) -> str:
+def _note(rest: Rest, quantity: str, off: Sequence[Contribution], cycle: bool, thin: bool) -> str:
     if not rest.laws:
         return "Recorded less the model; darker: more rows."
     words = ["Grey: recorded less the model, with parameters adjusted within tolerance."]

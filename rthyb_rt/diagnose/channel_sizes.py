@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import SimulationError, actuator
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
+from rthyb_rt.diagnose.column_units import USUAL, read_unit
 from rthyb_rt.diagnose.estimate import filled, nominal_time, white_noise
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.units import USUAL, read_unit
 from rthyb_rt.errors import InputError
 
 Channels = dict[str, Floats]
