@@ -25,7 +25,7 @@ static int counts_ok(const rthyb_controller_config *cfg)
      * column per axis, would not be determined. */
     return axes >= 1 && axes <= MOST && interfaces >= 1 && interfaces <= axes &&
            interfaces == directions && (given == 0 || given == axes) &&
-           ((given > 0 && axes > 1) || rthyb_kinematics_sensors(&cfg->kinematics) == 0) &&
+           (given > 0 || rthyb_kinematics_sensors(&cfg->kinematics) == 0) &&
            (lead == 0 || (lead == axes && axes == interfaces)) &&
            (cfg->matrix_rfc.size == 0 || cfg->matrix_rfc.size == interfaces);
 }
@@ -168,7 +168,7 @@ PER_COUNT void ahead_of(int n, int m, rthyb_controller *c, double *x, double *f)
         for (int k = 0; k < m; k++)
             force[j] += c->matrix_rfc.k[j][k] * way[k];
     }
-    if (n > 1)
+    if (c->cfg.kinematics.size > 0)
         move_sensors(c, way, force);
     if (c->cfg.kinematics.size > 0)
         (void)rthyb_kinematics_pushes(&c->kinematics, force, f);
@@ -240,10 +240,10 @@ PER_COUNT int gate(int n, int m, rthyb_controller *c, const rthyb_input *in, dou
         x[i] = in->axis[i].x_meas_m;
         f[i] = in->axis[i].f_meas_n;
     }
-    if (n > 1)
+    if (c->cfg.kinematics.size > 0)
         made_up |= gate_sensors(c, in, code);
     if (!made_up && !is_no_pose(c, x)) {
-        if (n > 1)
+        if (c->cfg.kinematics.size > 0)
             take_sensors(c, in);
         return 0;
     }

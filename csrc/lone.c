@@ -47,14 +47,14 @@ static finding at_end_of_range(const rthyb_station *s, int k, double reading)
 int lone_is_sound(const rthyb_station *s, const rthyb_station_input *in, finding *found)
 {
     for (int k = 0; k < lones_of(s); k++) {
+        if (!is_lost(in, k) && isfinite(in->sensor[k]) && is_off_scale(s, k, in->sensor[k])) {
+            *found = at_end_of_range(s, k, in->sensor[k]);
+            return 0;
+        }
         if (is_lost(in, k) || !is_sensible(s, k, in->sensor[k])) {
             /* The controller has not counted this tick yet. */
             const double missing = s->controller.sensor_missing[k] + 1.0;
             *found = (finding){RTHYB_CAUSE_SENSOR_LOST, missing, s->ticks.lost, of_sensor(k)};
-            return 0;
-        }
-        if (is_off_scale(s, k, in->sensor[k])) {
-            *found = at_end_of_range(s, k, in->sensor[k]);
             return 0;
         }
     }
@@ -69,7 +69,8 @@ int lone_look(rthyb_station *s, const rthyb_station_input *in)
         own->lost = is_lost(in, k);
         own->reading = own->lost ? (double)NAN : in->sensor[k];
         own->has_reading = is_sensible(s, k, own->reading);
-        own->off_scale = own->has_reading && is_off_scale(s, k, own->reading);
+        /* However large: what no load cell can measure is beyond the end of its range too. */
+        own->off_scale = isfinite(own->reading) && is_off_scale(s, k, own->reading);
         all = all && own->has_reading;
     }
     return all;

@@ -64,16 +64,30 @@ static int same_sensors(const rthyb_station *a, const rthyb_station *b)
            of_a->force_sensors == of_b->force_sensors;
 }
 
+/* Links that the loop receives from: those of the axes, then those that it only hears. */
+static int32_t ways_of(const rthyb_loop *loop)
+{
+    return loop->axis_count + loop->cfg.heard_count;
+}
+
+/* Whether all links fit, and the channels for the pairs of those that are only heard. */
+static int heard_ok(const rthyb_loop_config *cfg)
+{
+    const int32_t axes = cfg->station->cfg.controller.axis_count, heard = cfg->heard_count;
+    return heard >= 0 && heard <= RTHYB_COUPLED_MAX - axes &&
+           cfg->heard_channel <= (uint32_t)(RTHYB_CHANNELS_MAX - 2 * RTHYB_COUPLED_MAX);
+}
+
 /* Whether the reading of each sensor without an actuator of a station is an extra channel of an
- * axis, which carries the whole range of the sensor: at the end of what the channel can carry, a
+ * axis or of a drive that is heard, which carries the whole range of the sensor: at the end of what the channel can carry, a
  * reading must be at the end of that range. */
 static int sensors_ok(const rthyb_loop_config *cfg, const rthyb_station *station)
 {
-    const int axes = cfg->station->cfg.controller.axis_count;
+    const int ways = cfg->station->cfg.controller.axis_count + cfg->heard_count;
     for (int k = 0; k < sensors_of(station); k++) {
         const int32_t axis = cfg->sensor_axis[k];
         const double range = station->cfg.lone[k].range;
-        if (axis < 0 || axis >= axes || !(range > 0.0) ||
+        if (axis < 0 || axis >= ways || !(range > 0.0) ||
             !(rthyb_extra_reach(&cfg->axis[axis].wire->codec, cfg->sensor_extra[k]) >= range))
             return 0;
     }
@@ -90,13 +104,13 @@ int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg)
     loop->rate_hz = rthyb_ticker_rate_hz(h);
     if (!loop->rate_hz)
         return RTHYB_E_PERIOD;
-    if (!sensors_ok(cfg, cfg->station))
+    if (!heard_ok(cfg) || !sensors_ok(cfg, cfg->station))
         return RTHYB_E_KINEMATICS;
     loop->heartbeat_ticks = standard_ticks(RTHYB_HEARTBEAT_TICKS, h);
     loop->watchdog_ticks = standard_ticks(RTHYB_DRIVE_WATCHDOG, h);
     loop->half_period_ns = SECOND_NS / 2 / loop->rate_hz;
     int error = ring_fits(cfg->ring, loop->axis_count) ? 0 : RTHYB_E_LIMIT;
-    for (int i = 0; i < loop->axis_count; i++) {
+    for (int i = 0; i < ways_of(loop); i++) {
         loop->way[i].delay = -1;
         loop->way[i].stale = stale_samples(cfg->axis[i].wire, h);
         error = error ? error : rthyb_calibration_check(&cfg->axis[i].calibration);
@@ -391,11 +405,27 @@ static int32_t compare_clocks(rthyb_loop *loop, const rthyb_tick *tick, const ar
     return loop->apart;
 }
 
+/* Takes the pair of a drive that receives no commands: its readings go to the channels of the row,
+ * NaN without a pair, and nothing else depends on them or on its status. */
+static void hear(rthyb_loop *loop, int way, const rthyb_tick *tick)
+{
+    const rthyb_loop_axis *at = &loop->cfg.axis[way];
+    const int32_t place = 2 * (way - loop->axis_count);
+    double *channel = loop->cfg.station->channel + loop->cfg.heard_channel + place;
+    rthyb_feedback feedback;
+    take_in(loop, way, tick->woken_ns);
+    const int lost = rthyb_wire_take(at->wire, &feedback);
+    channel[0] = lost ? (double)NAN : calibrated_x(&at->calibration, feedback.x_m);
+    channel[1] = lost ? (double)NAN : calibrated_f(&at->calibration, feedback.f_n);
+}
+
 static void take_feedback(rthyb_loop *loop, const rthyb_tick *tick, arrivals *all)
 {
     all->slipped = all->apart = 0;
     for (int i = 0; i < loop->axis_count; i++)
         take_axis(loop, i, tick, all);
+    for (int i = loop->axis_count; i < ways_of(loop); i++)
+        hear(loop, i, tick);
     if (loop->axis_count > 1)
         all->apart = compare_clocks(loop, tick, all);
 }
@@ -564,13 +594,15 @@ static rthyb_axis_input gather_axis(rthyb_loop *loop, int axis, const arrival *f
     };
 }
 
-/* A channel that arrives without a number is NaN, like such a reading of an axis. A value beyond the
- * range of its signal is kept: the station finds it at the end of the sensor's range. */
+/* A channel that arrives without a number is NaN, like such a reading of an axis, even if another
+ * pair with a number followed in the same tick. A value beyond the range of its signal is kept: the
+ * station finds it at the end of the sensor's range. */
 static void gather_sensors(const rthyb_loop *loop, rthyb_station_input *in)
 {
     for (int k = 0; k < sensors_of(loop->cfg.station); k++) {
         const rthyb_wire *wire = loop->cfg.axis[loop->cfg.sensor_axis[k]].wire;
-        in->sensor[k] = wire->pair.extra[loop->cfg.sensor_extra[k]];
+        const uint32_t extra = loop->cfg.sensor_extra[k];
+        in->sensor[k] = wire->extras_refused >> extra & 1u ? (double)NAN : wire->pair.extra[extra];
         in->sensors_lost |= (uint32_t)!rthyb_wire_is_new(wire) << k;
     }
 }
@@ -672,7 +704,7 @@ static void drop_old(rthyb_loop *loop, int axis)
 
 void rthyb_loop_drop_old(rthyb_loop *loop)
 {
-    for (int i = 0; i < loop->axis_count; i++)
+    for (int i = 0; i < ways_of(loop); i++)
         drop_old(loop, i);
 }
 

@@ -66,9 +66,14 @@ typedef struct {
  * any of them except the counters. */
 typedef struct {
     rthyb_station *station;
-    rthyb_loop_axis axis[RTHYB_COUPLED_MAX]; /* one per axis of the station */
-    /* For each of the station's sensors without an actuator: the axis whose feedback has its reading, and the number of
-     * the extra channel there, in m or N. */
+    /* One per axis of the station; then heard_count drives to which nothing is sent: their feedback is only received,
+     * for the sensors without an actuator in it. Displacement and force of each are written to two channels of the row,
+     * from heard_channel on. */
+    rthyb_loop_axis axis[RTHYB_COUPLED_MAX];
+    int32_t heard_count;
+    uint32_t heard_channel;
+    /* For each of the station's sensors without an actuator: the one of `axis` whose feedback has its reading, and the
+     * number of the extra channel there, in m or N. */
     int32_t sensor_axis[RTHYB_SENSORS_ALL];
     uint32_t sensor_extra[RTHYB_SENSORS_ALL];
     rthyb_ring *ring;      /* NULL: no ring */
@@ -113,10 +118,11 @@ typedef struct rthyb_loop rthyb_loop;
 
 size_t rthyb_loop_size(void); /* bytes that the caller provides, aligned for a double */
 
-/* The loop runs at the period of the station. Returns 0; RTHYB_E_KINEMATICS if no axis has the extra channel of a
- * sensor without an actuator, the sensor has no range, or the channel cannot carry it (rthyb_extra_reach);
- * RTHYB_E_PERIOD if no ticker supports the period (rthyb_ticker_rate_hz), the clock is unknown, or the link clock
- * rejects the lead; RTHYB_E_LIMIT for an invalid calibration, or for a ring with a different number of axes. */
+/* The loop runs at the period of the station. Returns 0; RTHYB_E_KINEMATICS if no axis and no drive that is heard
+ * has the extra channel of a sensor without an actuator, the sensor has no range, or the channel cannot carry it
+ * (rthyb_extra_reach), or if too many drives are heard; RTHYB_E_PERIOD if no ticker supports the period
+ * (rthyb_ticker_rate_hz), the clock is unknown, or the link clock rejects the lead; RTHYB_E_LIMIT for an invalid
+ * calibration, or for a ring with a different number of axes. */
 int rthyb_loop_init(rthyb_loop *loop, const rthyb_loop_config *cfg);
 /* These may be read while the loop runs; the ticker may also be used to grant ticks, to skip them, and to stop. */
 void rthyb_loop_look(const rthyb_loop *loop, rthyb_loop_view *view);

@@ -206,16 +206,16 @@ typedef struct {
     rthyb_deframer deframer;
     uint32_t seq; /* of the last command */
     uint32_t echo_mask, count_mask;
-    rthyb_reading half[2]; /* displacement, force: waiting for the other half; has = 0: none */
-    uint32_t half_age[2];  /* ticks */
-    rthyb_reading pair;    /* newest */
-    uint64_t samples;      /* its count, without wrap-around */
-    uint32_t age;          /* ticks since it arrived */
-    uint32_t stopped;      /* RTHYB_DEVICE_STOPPED or 0, from the last intact frame */
-    uint32_t repeats;      /* consecutive frames without new data */
-    int32_t synced;        /* the next count is known from pair.count */
-    int32_t fresh;         /* the pair arrived since the last take */
-    int32_t refused;       /* enum rthyb_status: readings refused since the last take */
+    rthyb_reading half[2];   /* displacement, force: waiting for the other half; has = 0: none */
+    uint32_t half_age[2];    /* ticks */
+    rthyb_reading pair;      /* newest */
+    uint64_t samples;        /* its count, without wrap-around */
+    uint32_t age;            /* ticks since it arrived */
+    uint32_t stopped;        /* RTHYB_DEVICE_STOPPED or 0, from the last intact frame */
+    uint32_t repeats;        /* consecutive frames without new data */
+    int32_t synced;          /* the next count is known from pair.count */
+    int32_t fresh, refused;  /* since the last take: whether a pair came; enum rthyb_status */
+    uint32_t extras_refused; /* bit i: extra channel i had no number in a pair of the newest tick */
     rthyb_wire_counters counters;
     uint32_t extra_channel; /* set by the caller: index of a row's first extra channel */
 } rthyb_wire;

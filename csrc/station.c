@@ -674,16 +674,16 @@ static void keep_commands(rthyb_station *s, const double *sent)
         s->controller.axis[i].x_cmd = s->controller.axis[i].limiter.x_lim = sent[i];
 }
 
-/* Cause for the row; with several axes, including the axis, interface or sensor that it belongs
- * to. */
+/* Cause for the row, including the sensor without an actuator that it belongs to; with several axes,
+ * also the axis or interface. */
 static uint32_t placed_cause(const rthyb_station *s)
 {
     const int interface = s->cause_interface >= 0;
     const int number = interface ? s->cause_interface : s->cause_axis;
     const uint32_t place = (uint32_t)(number + 1) << RTHYB_PLACE_BIT |
-                           (interface ? (uint32_t)RTHYB_PLACE_INTERFACE : 0u) |
-                           (uint32_t)(s->cause_sensor + 1) << RTHYB_PLACE_SENSOR_BIT;
-    return (uint32_t)s->cause | (axes_of(s) == 1 ? 0u : place);
+                           (interface ? (uint32_t)RTHYB_PLACE_INTERFACE : 0u);
+    return (uint32_t)s->cause | (axes_of(s) == 1 ? 0u : place) |
+           (uint32_t)(s->cause_sensor + 1) << RTHYB_PLACE_SENSOR_BIT;
 }
 
 static void sample(rthyb_station *s, const rthyb_input *in, int blind, rthyb_record *record)

@@ -98,6 +98,9 @@ static int take_pair(rthyb_wire *w, const rthyb_reading *r)
     add(&w->counters.pairs, 1);
     w->samples += steps;
     w->pair = *r;
+    w->extras_refused = w->fresh ? w->extras_refused : 0;
+    for (uint32_t i = 0; i < w->codec.extra_count; i++)
+        w->extras_refused |= (uint32_t)!isfinite(r->extra[i]) << i;
     w->stopped = r->status & RTHYB_DEVICE_STOPPED;
     w->synced = w->fresh = 1;
     w->repeats = 0;

@@ -308,6 +308,23 @@ def test_a_reading_out_of_range_is_not_used_and_trips_like_a_lost_one(k: int, va
     assert one.channels[-1][3 + k] == value
 
 
+@pytest.mark.parametrize("value", [2e4, -2e4, 1e13, -1e300])
+def test_a_load_cell_beyond_its_range_is_beyond_the_force_limit_however_large(value: float) -> None:
+    """A number that no load cell can measure does not count as a missing reading first."""
+    limited = tuple(
+        replace(one, watches={"force": core.Watch(1e6, "trip")})
+        for one in config().controller.interfaces
+    )
+    tie = Kinematics.of(BOTH.plain())
+    own = {"sensors": WATCHES, "lone_channel": 0, "lone_channel_count": 6}
+    settings = config({"kinematics": tie, "interfaces": limited}, **own)
+    one = Beside(settings, 2.0, plant=rig(tie)).running()
+    one.step(faults={2: value})
+    assert one.station.state == "TRIPPED"
+    assert (one.station.cause, one.station.cause_sensor) == ("force", 2)
+    assert one.station.cause_value == value
+
+
 @pytest.mark.parametrize(("k", "cause"), [(0, "sensor_stuck"), (2, "force_stuck")])
 def test_a_stuck_sensor_trips_by_name(k: int, cause: str) -> None:
     one = bench().running(400)

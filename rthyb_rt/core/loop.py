@@ -22,6 +22,7 @@ from rthyb_rt import core
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.core.group import plant_of
+from rthyb_rt.core.kinematics import AXES_MAX
 from rthyb_rt.core.library import options, words
 from rthyb_rt.core.rows import RingMemory, copy_records
 from rthyb_rt.core.ticker import PRIORITY, RATES_HZ, Latency, TickCounts, Ticker, privilege_names
@@ -207,7 +208,11 @@ class Loop:
         further: for several axes, all but the first, to which ``wire``, ``link`` and
             ``calibration`` belong. With the link clock, ticks follow the first axis' drive.
         sensors: for each of the station's sensors without an actuator, the axis whose feedback has
-            its reading, and the number of the extra channel there.
+            its reading, and the number of the extra channel there; numbers beyond those of the
+            axes are of ``heard``.
+        heard: further drives to which nothing is sent, for the sensors in their feedback.
+        heard_channel: first channel of a row for displacement and force of each of them; nan
+            without a pair.
 
     The length of a tick is the station's ``period_s``.
 
@@ -229,13 +234,21 @@ class Loop:
         paced: bool = True,
         further: Sequence[LoopAxis] = (),
         sensors: Sequence[tuple[int, int]] = (),
+        heard: Sequence[LoopAxis] = (),
+        heard_channel: int = 0,
     ) -> None:
         self._ways = (LoopAxis(wire, link, calibration), *further)
+        self._heard = tuple(heard)
         self._axes = station.config.controller.axis_count
         if len(self._ways) != self._axes:
             raise core.CoreError(
                 f"found {len(self._ways)} links; there must be one for each of the {self._axes} "
                 "axes"
+            )
+        if len(self._ways) + len(self._heard) > AXES_MAX:
+            raise core.CoreError(
+                f"found {len(self._ways)} axes and {len(self._heard)} drives that are heard; there "
+                f"may be up to {AXES_MAX} together"
             )
         tie = station.config.controller.kinematics
         asked = 0 if tie is None else tie.sensors
@@ -253,8 +266,10 @@ class Loop:
             "station": station._c,
             "axis": [
                 (way.wire.struct, way.link.struct, way.calibration.struct()[0])
-                for way in self._ways
+                for way in (*self._ways, *self._heard)
             ],
+            "heard_count": len(self._heard),
+            "heard_channel": heard_channel,
             "sensor_axis": [axis for axis, _ in sensors],
             "sensor_extra": [number for _, number in sensors],
             "ring": ffi.NULL if ring is None else ring.pointer,
@@ -267,9 +282,10 @@ class Loop:
         error = lib.rthyb_loop_init(self._c, ffi.new("rthyb_loop_config *", config))
         if error == lib.RTHYB_E_KINEMATICS:
             raise core.CoreError(
-                f"found sensors without an actuator at {list(sensors)}; each must be an axis and "
-                "the number of an extra channel in its feedback, both from 0, and the channel must "
-                "carry the whole range of the sensor, which must not be 0"
+                f"found sensors without an actuator at {list(sensors)}; each must be an axis, or "
+                "a drive that is heard, and the number of an extra channel in its feedback, both "
+                "from 0, and the channel must carry the whole range of the sensor, which must not "
+                "be 0"
             )
         if error:
             raise core.CoreError(self._refused(lead_us))
@@ -355,7 +371,7 @@ class Loop:
     def await_pair(self, seconds: float) -> bool:
         """Stepped clock: wait until every axis has a pair for `step`; False: one has no pair."""
         end = time.monotonic() + seconds
-        came = [self._await_pair(way, end) for way in self._ways]
+        came = [self._await_pair(way, end) for way in (*self._ways, *self._heard)]
         return all(came)
 
     @staticmethod

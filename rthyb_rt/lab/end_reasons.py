@@ -34,6 +34,14 @@ WORDS: Final[dict[str, str]] = {
     "sensor_lost": "no usable reading",
     "not_finite": "a value was not a number",
 }
+_OF_SENSOR: Final[dict[str, str]] = {
+    "sensor_stuck": "frozen reading",
+    "force_stuck": "frozen reading",
+    "sensor_jump": "jump of the reading",
+    "force_jump": "jump of the reading",
+    "not_finite": "no numeric reading",
+}
+"""The same for a sensor without an actuator, whose name follows."""
 _STOPPED: Final = "has stopped by itself, and may have to be released at its panel."
 REMEDIES: Final[dict[str, str]] = {
     "link_lost": "No usable pair of displacement and force arrived for 20 ticks: check the cable, "
@@ -83,8 +91,15 @@ class RefusedError(RthybError):
     exit_code = 5
 
 
-def in_words(cause: str) -> str:
-    """Return the name of a cause in words."""
+def in_words(cause: str, of: str | None = None) -> str:
+    """Return the name of a cause in words.
+
+    Args:
+        cause: the cause, such as "link_lost".
+        of: the axis, direction or sensor concerned, if there are several.
+    """
+    if of and of.startswith("sensor ") and cause in _OF_SENSOR:
+        return _OF_SENSOR[cause]
     return WORDS.get(cause, cause.replace("_", " "))
 
 
@@ -96,7 +111,7 @@ def shown(cause: str, of: str | None = None, figures: str | None = None) -> str:
         of: the axis, direction or sensor concerned, if there are several.
         figures: the cause with the measured value and the limit, if it has any.
     """
-    return figures or (f"{of}: {in_words(cause)}" if of else in_words(cause))
+    return figures or (f"{of}: {in_words(cause, of)}" if of else in_words(cause))
 
 
 def shown_of(status: Mapping[str, Any]) -> str:
@@ -113,7 +128,7 @@ def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> s
         moved: whether anything had moved; otherwise nothing can have been ramped out.
         of: axis, direction or sensor to which the cause belongs, in words.
     """
-    words = f"{in_words(cause)} of {of}" if of else in_words(cause)
+    words = f"{in_words(cause, of)} of {of}" if of else in_words(cause)
     if state == "TRIPPED":
         return f"tripped: {words}"
     if cause == "operator":

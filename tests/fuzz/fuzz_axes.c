@@ -1,4 +1,4 @@
-/* Random tests of two to four axes, some with sensors without an actuator: operators, kinematics,
+/* Random tests of two to four axes, or of one that moves alone, some with sensors without an actuator: operators, kinematics,
  * limits, and troubles of each axis and each sensor separately, checked against the rules that must hold for all of them together.
  *
  *   fuzz_axes ticks COUNT [SEED]     this many ticks, or
@@ -353,6 +353,11 @@ static int set_up_axes(axes_episode *e)
     dice *d = &e->d;
     e->size = some_scale(d);
     e->n = 2 + (int)below(d, MOST - 1);
+    /* Sometimes one axis moves alone, with the sensors beside it; with dice of its own, so that all
+     * other episodes stay what they were. */
+    dice alone = {e->seed ^ 0x9e3779b97f4a7c15ULL};
+    if (one_in(&alone, 8))
+        e->n = 1;
     e->cfg = some_station(d, &e->size);
     e->cfg.controller.motion.integrator = RTHYB_CENTRAL_DIFFERENCE;
     e->cfg.law_channel_count = 0;
@@ -362,9 +367,13 @@ static int set_up_axes(axes_episode *e)
     }
     rthyb_kinematics_config *k = &e->cfg.controller.kinematics;
     some_kinematics(d, e->n, k);
+    if (e->n == 1) {
+        *k = (rthyb_kinematics_config){.size = 1, .matrix = {1.0}};
+        e->cfg.interface[0] = (rthyb_interface_config){0}; /* the limits of the axis apply */
+    }
     /* With dice of its own, so that episodes without redundant actuators stay what they were. */
     dice own = {e->seed ^ 0x5deece66dULL};
-    if (k->size > 0 && k->kind == RTHYB_KINEMATICS_MATRIX && one_in(&own, 2))
+    if (k->size > 1 && k->kind == RTHYB_KINEMATICS_MATRIX && one_in(&own, 2))
         some_redundant(&own, k);
     e->sensor_dice.state = e->seed ^ 0x2545f4914f6cdd1dULL;
     some_sensors(e);
@@ -509,7 +518,7 @@ static void suffer_axes(axes_episode *e, rthyb_station_input *in, int *unsent)
         e->apart = one_in(&e->d, 4) ? RTHYB_APART_UNKNOWN : 1 + (int)below(&e->d, (uint32_t)e->n);
     } else
         e->apart = 0;
-    in->apart = e->apart;
+    in->apart = e->n > 1 ? e->apart : 0;
 }
 
 /* Sends over the wire; bits of the axes whose command was sent. */
