@@ -16,24 +16,20 @@ from typing import Any
 import numpy as np
 import pytest
 from axes_bench import NAMES
-from command_line import Rthyb
 from test_axes_files import OWN
 from test_axes_redundant import TEST
 from test_extra_channels import DBC
-from test_sensors_without_actuator import LINKED, WITH_BOTH, quiet, read
+from test_sensors_without_actuator import LINKED, read
 
 from rthyb_rt import config as files
 from rthyb_rt import core
-from rthyb_rt.cli import connecting
-from rthyb_rt.config import AxesRig
 from rthyb_rt.core import dbc, loop, wire
 from rthyb_rt.core.library import STATUS
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.lab import axes_experiment, experiment, extra_frames, realtime, sensor_wires
-from rthyb_rt.lab.realtime import RefusedError, station_replay
+from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.rig import identify_axes, virtual_rig
-from rthyb_rt.rig.commissioning import certificate, guide
 from rthyb_rt.rig.commissioning.guided_motion import Reach
 from rthyb_rt.rig.identification import SweepPlan
 from rthyb_rt.rig.identify_axes_live import identify_axes_live
@@ -80,14 +76,18 @@ class Between:
     ticks: int = 0
     whole: Callable[[int, bytes], bytes | None] = lambda _, frame: frame
     seen: list[int] = field(default_factory=list)
+    commands: dict[int, int] = field(default_factory=dict)
 
     def tick(self) -> None:
-        for of_controller, of_drive in self.ends:
+        for k, (of_controller, of_drive) in enumerate(self.ends):
             for frame in waiting(of_controller):
+                self.commands[k] = self.commands.get(k, 0) + 1
                 of_drive.send(frame)
         self.drives.tick()
         self.ticks += 1
-        if self.begun is None and self.drives.drives[0].received_state == "RUNNING":
+        if self.begun is None and any(
+            drive.received_state == "RUNNING" for drive in self.drives.drives
+        ):
             self.begun = self.ticks
         for k, (of_controller, of_drive) in enumerate(self.ends):
             for frame in waiting(of_drive):
@@ -226,6 +226,39 @@ def test_no_number_in_a_frame_trips_at_once_like_that_of_an_axis(name: str) -> N
     np.testing.assert_array_equal(
         np.isnan(before[f"{name}_read"]), np.arange(before.size) == before.size - 1
     )
+    assert_replays(rec)
+
+
+@EACH
+@pytest.mark.parametrize("older", [NO_NUMBER, None])
+def test_no_number_in_the_older_of_two_frames_of_a_tick_is_seen(
+    name: str, older: int | None
+) -> None:
+    """A frame comes a tick late, just before the next one, which is good."""
+    with between(DEFAULTS) as (opened, way):
+        way.axis = NAMES.index(SENSORS[name][0])
+        way.change = lambda now, raw: older if older is not None and now == 500 else raw
+        passed, kept = way.passed, list[bytes]()
+
+        def late(frame: bytes) -> bytes | None:
+            given = passed(frame)
+            if way.begun is not None and way.ticks - way.begun == 500:
+                assert given is not None
+                kept.append(given)
+                return None
+            while kept:
+                way.ends[way.axis][0].send(kept.pop(0))
+            return given
+
+        way.passed = late  # type: ignore[method-assign]
+        rec = realtime.run(setup(), opened, clock="stepped", before_tick=way.tick, hold_s=0.5)
+    facts = rec.meta["real_time"]["axes"][SENSORS[name][0]]["wire"]
+    assert facts["superseded"] == 1
+    if older is None:
+        assert rec.meta["end_reason"] == "completed"
+    else:
+        assert sensor_of(rec) == ("not_finite", name)
+        assert rec.meta["end_reason"] == f"tripped: no numeric reading of sensor {name}"
     assert_replays(rec)
 
 
@@ -710,17 +743,6 @@ def test_a_loop_refuses_a_channel_that_does_not_carry_the_range_at_the_start_and
             "wire_step = 1e-3\nscale = 0",
             'column: found extra = "cell" with scale = 0',
         ),
-        (
-            "along = { first = 1, second = 0.5 }",
-            "along = { first = 1 }",
-            'wire: found extra = "wire_end", a channel of axis right, whose motion does not change '
-            "the reading",
-        ),
-        (
-            "along = { first = 1, second = 0.5 }",
-            "along = { first = 1 }",
-            "connect the sensor to the drive of left",
-        ),
     ],
 )
 def test_a_sensor_that_could_not_be_relied_on_is_refused(old: str, new: str, said: str) -> None:
@@ -781,178 +803,6 @@ def test_a_sensor_whose_noise_is_not_stated_is_noted() -> None:
     (note,) = [note for note in one.notes if "sensor column" in note]
     assert "stuck_s and jump_n cannot be derived from its noise" in note
     assert not any("sensor" in note for note in setup().notes)
-
-
-# ---- commissioning -------------------------------------------------------------------------------
-
-LIMITS = ("link", "polarity")
-
-
-def commissioned(
-    axis: str, theirs: str = DEFAULTS, ours: str = DEFAULTS, steps: tuple[str, ...] = LIMITS
-) -> certificate.Certificate:
-    """Commission one axis whose drive, and sensors, are as in another file."""
-    with ExitStack() as owned:
-        ends, drives_ends = map(owned.enter_context, opening.socket_pairs(NAMES))
-        drives = owned.enter_context(virtual_rig.in_step(read(theirs), drives_ends))
-        opened = ends.all[NAMES.index(axis)]
-        alone = dataclasses.replace(opened, further=(), owned=ExitStack())
-        connection = Reach(read(ours).of_axis(axis), alone, "stepped", drives.tick)
-        plan = guide.CommissioningSettings(steps, 1e-3)
-        return guide.commission(connection, plan, axis=axis)
-
-
-@pytest.mark.parametrize("name", SENSORS)
-def test_commissioning_checks_the_sensors_in_the_frames_of_an_axis(name: str) -> None:
-    axis = SENSORS[name][0]
-    found = commissioned(axis)
-    assert [found.steps[step].passed for step in LIMITS] == [True, True], found.as_json()
-    rest = found.steps["link"].figures["sensors"][name]
-    moved = found.steps["polarity"].figures["sensors"][name]
-    noise = {"wire": 2e-6, "column": 10.0}[name]
-    assert rest["noise"] == pytest.approx(noise, rel=0.1)
-    assert abs(rest["reading"]) < {"wire": 5e-6, "column": 100.0}[name]
-    # 1 mm of the right axis is half of it at the wire; of the left one 16 kN, of which 0.225.
-    wanted = {"wire": 0.5e-3, "column": 3.6e3}[name]
-    assert moved["expected"] == pytest.approx(wanted, rel=0.02)
-    assert moved["change"] == pytest.approx(wanted, rel=0.02)
-    other = next(one for one in NAMES if one != axis)
-    assert set(commissioned(other).steps["link"].figures["sensors"]) == set(SENSORS) - {name}
-
-
-@pytest.mark.parametrize(
-    ("name", "theirs", "step", "said"),
-    [
-        ("column", ("first = 0.4 }", "first = -0.4 }"), "polarity", "moved against what its along"),
-        (
-            "wire",
-            ("first = 1, second = 0.5 }", "first = -1, second = -0.5 }"),
-            "polarity",
-            "moved against what its along says: −0.500 mm when the axis moved by",
-        ),
-        (
-            "wire",
-            ("first = 1, second = 0.5 }", "first = 1, second = 0.8 }"),
-            "polarity",
-            "a ratio of 1.6; from 0.8 to 1.2 is allowed",
-        ),
-        (
-            "column",
-            ("first = 0.4 }", "first = 0.8 }"),
-            "polarity",
-            "a ratio of 2; from 0.707 to 1.41 is allowed",
-        ),
-        ("column", ("first = 0.4 }", "second = 1e-9 }"), "polarity", "did not respond"),
-        (
-            "column",
-            ("noise_std_n = 10\nrange", "noise_std_n = 10\nbias_n = 30000\nrange"),
-            "link",
-            "N at rest, but zeroing accepts at most 14400 N",
-        ),
-        (
-            "wire",
-            ("noise_std_m = 2e-6\nrange", "noise_std_m = 2e-6\nbias_m = 0.09\nrange"),
-            "link",
-            "at the end of its range (80.0 mm)",
-        ),
-    ],
-)
-def test_commissioning_fails_with_the_sensor_and_the_reason(
-    name: str, theirs: tuple[str, str], step: str, said: str
-) -> None:
-    wrong = DEFAULTS.replace(*theirs)
-    if "along" not in said and name == "column" and "first = 0.8" in theirs[1]:
-        wrong = wrong.replace("1.25]", "0.625]")
-    elif name == "column" and "first = -0.4" in theirs[1]:
-        wrong = wrong.replace("1.25]", "-1.25]")
-    elif "second = 1e-9" in theirs[1]:
-        wrong = wrong.replace("[[0.5, 0.5, 1.25], [0, 1, 0]]", "[[1, 1, 0], [0, 1, 0]]")
-    assert wrong != DEFAULTS
-    found = commissioned(SENSORS[name][0], wrong).steps[step]
-    assert found.passed is False
-    (fault,) = found.faults
-    assert fault.startswith(f"sensor {name}: ")
-    assert said in fault
-
-
-def test_a_motion_that_the_noise_of_a_sensor_hides_is_not_judged() -> None:
-    noisy = DEFAULTS.replace("noise_std_m = 2e-6\nrange", "noise_std_m = 2e-2\nrange")
-    found = commissioned("right", noisy, noisy).steps["polarity"]
-    assert found.passed is False
-    assert "which its noise hides" in found.faults[0]
-
-
-def test_a_certificate_is_of_the_sensors_and_their_kinematics() -> None:
-    """Of those in the frames of the axis; a rig without them keeps the certificate that it has."""
-
-    def hashes(text: str) -> dict[str, str]:
-        rig = read(text)
-        return {name: certificate.rig_hash(rig.of_axis(name), name) for name in NAMES}
-
-    held = hashes(DEFAULTS)
-    for old, new, axes in (
-        ("along = { first = 1, second = 0.5 }", "along = { first = 1, second = 0.6 }", {"right"}),
-        ('range_n = "70 kN"', 'range_n = "60 kN"', {"left"}),
-        ("stiffness = [[8e6", "stiffness = [[7e6", set()),
-        ("matrix = [[1, 0]", "matrix = [[1, 0.001]", {"left", "right"}),
-    ):
-        text = DEFAULTS.replace(old, new, 1)
-        if "matrix" in old:
-            text = text.replace("forces = [[0.5, 0.5, 1.25], [0, 1, 0]]", FITTED)
-        now = hashes(text)
-        assert {name for name in NAMES if now[name] != held[name]} == axes, new
-    assert certificate.rig_hash(read(WITH_BOTH).of_axis("left"), "left") == certificate.rig_hash(
-        read(WITH_BOTH.replace('range_n = "70 kN"', 'range_n = "60 kN"')).of_axis("left"), "left"
-    )
-
-
-_T = np.array([[1.0, 0.001], [1.0, 1.0]])
-_HALF = np.diag([0.5, 1.0]) @ _T.T
-FITTED = f"forces = {np.hstack([_HALF, [[1.25], [0.0]]]).tolist()}"
-
-
-@pytest.mark.long
-def test_sensors_without_an_actuator_are_refused_on_real_drives_even_when_commissioned(
-    rthyb: Rthyb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(connecting, "clock_of", lambda _: "stepped")
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    path = tmp_path / "floor.toml"
-    path.write_text(DEFAULTS, encoding="utf-8")
-    done = rthyb(
-        "commission", path, "--yes", "--axis", "left", "--steps", "link,polarity", "--json"
-    )
-    assert done.code == 0, done.err
-    steps = done.json["axes"]["left"]["steps"]
-    assert set(steps["polarity"]["figures"]["sensors"]) == {"column"}
-    real = read(at_lines(DEFAULTS).replace("LINE", "/dev/line").replace(", virtual = true", ""))
-    held = certificate.read(certificate.place(path, "left"))
-    for name in NAMES:
-        own = dataclasses.replace(held, rig_hash=certificate.rig_hash(real.of_axis(name), name))
-        for step in certificate.STEPS:
-            own = own.with_step(dataclasses.replace(held.steps["link"], name=step))
-        certificate.write(certificate.place(path, name), own)
-    with pytest.raises(RefusedError, match=r"sensors without an actuator \(wire, column\)") as told:
-        certificate.demand(real, path)
-    assert "link, calibration" not in str(told.value)
-    assert "with every axis that it responds to" in str(told.value)
-    assert not certificate.demand(read(DEFAULTS), path)["commissioning"]["demanded"]
-    for old, new, axis in (
-        ("along = { first = 0.4 }", "along = { first = -0.4 }", "left"),
-        ('range_m = "80 mm"', 'range_m = "90 mm"', "right"),
-    ):
-        changed = at_lines(DEFAULTS).replace(old, new).replace("LINE", "/dev/line")
-        changed = changed.replace(", virtual = true", "")
-        changed = changed.replace("1.25]", "-1.25]") if "-0.4" in new else changed
-        with pytest.raises(RefusedError, match=f"axis {axis}: link, calibration"):
-            certificate.demand(read(changed), path)
-
-
-def test_a_rig_without_sensors_has_none_to_commission() -> None:
-    bare = quiet(WITH_BOTH)
-    rig = read(bare)
-    assert all(rig.of_axis(name).read_along == () for name in NAMES)
-    assert isinstance(rig, AxesRig)
 
 
 # ---- the other commands of real time -------------------------------------------------------------

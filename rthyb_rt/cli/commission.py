@@ -53,13 +53,14 @@ def commission(
 
     On a rig of several axes, the axes are commissioned one after another, each with its own
     RIG.AXIS.commissioned.json, while the other drives receive no commands and do not move; --axis
-    selects a single axis.
+    selects a single axis. If there are sensors without an actuator, the other drives must be
+    switched on, because every sensor is compared with the readings of all axes.
 
     \b
     Steps:
       link       feedback arrives 1024 times per second; noise and zero at rest
       polarity   a slow motion: displacement follows it, force rises with it, and
-                 sensors without an actuator change as their along says
+                 every sensor without an actuator changes as its along says
       limits     each limit, lowered for one small motion, does what the rig file says
       watchdog   without commands the drive stops by itself and stays stopped until reset
       trip       on TRIPPED the drive stops at once
@@ -73,7 +74,7 @@ def commission(
     The exit code is 8 if a check failed.
     """
     from rthyb_rt.lab import sensor_wires
-    from rthyb_rt.rig.commissioning import guide
+    from rthyb_rt.rig.commissioning import certificate, guide
 
     wanted = _steps(steps)
     distance_m = quantities.read(distance, "--distance", DISTANCE)
@@ -104,6 +105,8 @@ def commission(
         tell(f"\nCommissioning  {target}")
         made.append(found)
         documents.append((within, {**found.as_json(), "path": str(target)}))
+    for warning in certificate.inconclusive(whole or found_axes[0].rig, found_axes[0].path):
+        tell(f"\nNot commissioned: {warning}")
     if as_json:
         terminal.print_json(joined(documents))
     came = [one.steps[name] for one in made for name in wanted if name in one.steps]
@@ -122,7 +125,7 @@ def _commission(within: Within, plan: CommissioningSettings) -> tuple[Certificat
         certificate.write(target, found)
         interrupts.wrote(target)
 
-    with connected(within) as connection:
+    with connected(within, hears=True) as connection:
         tell(f"{within.name} over {connection.opened.name}")
         made = guide.commission(connection, plan, known, keep, within.axis)
     tell("")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -174,24 +174,33 @@ def joined(found: Sequence[tuple[Within, dict[str, Any]]]) -> dict[str, Any]:
 
 
 @contextmanager
-def _link_of(within: Within, clock: Clock) -> Iterator[tuple[Opened, Callable[[], None] | None]]:
+def _link_of(
+    within: Within, clock: Clock, hears: bool
+) -> Iterator[tuple[Opened, Callable[[], None] | None]]:
     """Yield the link to a rig, or to one axis of a rig whose other drives receive no commands."""
-    if within.whole is None or within.rig.link is not None:
+    whole = within.whole
+    if whole is None or (within.rig.link is not None and not (hears and whole.sensor)):
         with opened_link(within.rig, clock) as found:
             yield found
         return
-    with opened_link(within.whole, clock) as (opened, before_tick):
-        own = opened.all[within.whole.names.index(within.axis)]
-        # The links of all axes remain responsible for closing it.
-        alone = replace(own, further=(), owned=ExitStack(), name=f"socket pair of {within.axis}")
+    with opened_link(whole, clock) as (opened, before_tick):
+        alone = opened.alone(whole.names.index(within.axis))
+        if within.rig.link is None:
+            alone = replace(alone, name=f"socket pair of {within.axis}")
         yield alone, before_tick
 
 
 @contextmanager
-def connected(within: Within) -> Iterator[Connection]:
-    """Yield an opened rig for small motions; Ctrl-C stops a motion."""
+def connected(within: Within, *, hears: bool = False) -> Iterator[Connection]:
+    """Yield an opened rig for small motions; Ctrl-C stops a motion.
+
+    Args:
+        within: the rig, or one axis of it.
+        hears: whether something is to move: if the rig has sensors without an actuator, the other
+            drives are then heard, because their frames contain readings of what the axis moves.
+    """
     clock = clock_of(within.rig)
-    with _link_of(within, clock) as (opened, before_tick):
+    with _link_of(within, clock, hears) as (opened, before_tick):
         yield _reach(within.rig, opened, clock, before_tick)
 
 

@@ -49,7 +49,7 @@ def jog(
     force limit from zero load. Ctrl-C decelerates, and the actuator stays where it comes to rest;
     a second Ctrl-C trips. Without a [link] in the rig file, a virtual rig in a separate process is
     moved. On a rig of several axes, --axis selects the one to move; the other drives receive no
-    commands and do not move.
+    commands and do not move. Ranges and limits of sensors without an actuator act as in a test.
 
     \b
     Examples:
@@ -66,7 +66,7 @@ def jog(
     distance_m = quantities.read(distance, "DISTANCE", DISTANCE)
     speed_m_per_s = quantities.read(speed, "--speed", SPEED)
     within = load_one_within(rig, settings, axis)
-    with connected(within) as connection:
+    with connected(within, hears=True) as connection:
         found = jogging.jog(connection, distance_m, speed_m_per_s)
     file = terminal.people(as_json)
     _print_result(within.name, found, file)
@@ -93,6 +93,19 @@ def _reading(x_m: float) -> str:
     return f"{1e3 * x_m:.4f} mm".replace("-", "−")
 
 
+def _sensor_rows(found: Jogged) -> list[tuple[str, str, str]]:
+    """Return a row for each sensor without an actuator."""
+    from rthyb_rt.numbers import quantity
+
+    rows = []
+    for name, seen in found.sensors.items():
+        unit = ("mm", 1e3) if seen["unit"] == "m" else ("N", 1.0)
+        change = "no number" if seen["change"] is None else quantity(seen["change"], *unit, 4)
+        note = f"change of the sensor; {quantity(seen['expected'], *unit, 4)} by its along"
+        rows.append((name, change, note))
+    return rows
+
+
 def _print_result(name: str, found: Jogged, file: IO[str]) -> None:
     from rthyb_rt.numbers import quantity
 
@@ -109,6 +122,7 @@ def _print_result(name: str, found: Jogged, file: IO[str]) -> None:
             ("Force", f"{quantity(found.start_n, 'N', 1.0, 4)} to "
              f"{quantity(found.end_n, 'N', 1.0, 4)}", "reading of the load cell"),
             ("Stiffness", stiffness, "change of force over displacement"),
+            *_sensor_rows(found),
         ],
         file,
     )  # fmt: skip

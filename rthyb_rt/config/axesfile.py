@@ -32,7 +32,8 @@ from rthyb_rt.config.fields import (
 from rthyb_rt.config.limits import DEFAULT_TARE_SHARE_MOST, Limits
 from rthyb_rt.config.lonesensors import (
     LoneSensor,
-    ReadWithAxis,
+    OneOfSeveral,
+    SensorOfAxes,
     extras_fault,
     in_order,
     places,
@@ -894,61 +895,8 @@ def _sensors_arrive(axes: list[Axis], sensors: list[LoneSensor] | None) -> str |
     )
 
 
-LEAST_RESPONSE: Final = 1e-6
-"""Of a sensor to one axis, relative to the axis that it responds to most: less is round-off."""
-
-
-def _responses(matrix: Rows, along: Sequence[float], stiffness: Rows | None) -> list[float]:
-    """Return the change of a reading for 1 m of each axis while the others hold still, (axes,).
-
-    With B the matrix, the interface then moves by a column of its inverse; of redundant axes, which
-    cannot move alone, by one of its least-squares inverse.
-
-    Args:
-        matrix: B, (axes, directions).
-        along: what the sensor reads for a unit of each direction, (directions,).
-        stiffness: of a load cell, the elastic stiffness, (directions, directions).
-    """
-    import numpy as np
-
-    row = np.array(along) if stiffness is None else np.array(along) @ np.array(stiffness)
-    found: list[float] = (row @ np.linalg.pinv(np.array(matrix))).tolist()
-    return found
-
-
-def _sensors_respond(
-    rig: AxesInfo,
-    axes: list[Axis],
-    kinematics: Kinematics,
-    specimen: JointSpecimen,
-    sensors: list[LoneSensor] | None,
-) -> str | None:
-    """Refuse a sensor that its own axis does not move: commissioning could not check its sign."""
-    if _kinematics_fault(axes, kinematics, sensors) or _specimen_fits(axes, kinematics, specimen):
-        return None
-    if extras_fault(sensors or (), _extras_of(axes)) or not isinstance(
-        kinematics, MatrixKinematics
-    ):
-        return None
-    names = [axis.name for axis in axes]
-    ordered = in_order(sensors or ())
-    for one, place in zip(ordered, places(ordered, _extras_of(axes)), strict=True):
-        if place is None:
-            continue
-        along = [one.along.get(name, 0.0) for name in kinematics.interface]
-        k = rig.elastic_stiffness or specimen.stiffness
-        found = _responses(kinematics.matrix, along, k if one.kind == "force" else None)
-        most = max(map(abs, found))
-        if abs(found[place[0]]) > LEAST_RESPONSE * most:
-            continue
-        others = [name for name, v in zip(names, found, strict=True) if abs(v) > 0.1 * most]
-        return (
-            f"{one.name}: found extra = {written(str(one.extra))}, a channel of axis "
-            f"{names[place[0]]}, whose motion does not change the reading (along); `rthyb "
-            "commission` moves one axis at a time and reads only its frames, so it could not check "
-            f"the sign: connect the sensor to the drive of {' or '.join(others)}"
-        )
-    return None
+_ROUND_OFF: Final = 1e-9
+"""Of a sensor's reading for a unit of an axis, relative to the terms of which it is the sum."""
 
 
 def _extras_of(axes: Sequence[Axis]) -> list[list[tuple[str, str]]]:
@@ -1002,7 +950,6 @@ class AxesRig(WholeFile):
         Condition("sensor", ("kinematics", "sensor"), _sensors_fit),
         Condition("kinematics", ("axis", "kinematics", "sensor"), _kinematics_fault),
         Condition("sensor", ("axis", "sensor"), _sensors_arrive),
-        Condition("sensor", ("rig", "axis", "kinematics", "specimen", "sensor"), _sensors_respond),
         Condition("axis", ("axis", "kinematics"), _in_virtual_time),
         Condition("kinematics", ("rig", "kinematics", "sensor"), _cells_fit),
         Condition("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
@@ -1162,6 +1109,10 @@ class AxesRig(WholeFile):
         Raises:
             InputError: there is no axis of that name.
         """
+        found = self._alone(name)
+        return found.as_one_of(self._one_of(name)) if self.sensor else found
+
+    def _alone(self, name: str) -> RigFile:
         axis = self._axis(name)
         at = self.names.index(name)
         k = self.along_axes()[at][at]
@@ -1188,37 +1139,64 @@ class AxesRig(WholeFile):
             calibration=axis.calibration,
             limits=Limits.model_construct(**limits),
         )
-        return found.reading_along(*self._read_along(at)) if self.sensor else found
+        return found
 
-    def _read_along(self, at: int) -> tuple[list[ReadWithAxis], Rows]:
-        """Return the sensors without an actuator in the frames of an axis, and the matrix."""
-        found: list[ReadWithAxis] = []
-        if not isinstance(self.kinematics, MatrixKinematics):
-            return found, []
-        for one, place in zip(self.lone_sensors, self.sensor_places, strict=True):
-            if place is None or place[0] != at:
-                continue
-            along = [one.along.get(name, 0.0) for name in self.directions]
-            of_force = one.kind == "force"
-            per_m = _responses(self.kinematics.matrix, along, self.k_e if of_force else None)[at]
-            per_n = per_m / self.along_axes()[at][at] if of_force else 0.0
-            found.append(ReadWithAxis(one, per_m, per_n, self._tare_most(one, along)))
-        return found, self.kinematics.matrix
+    def _one_of(self, name: str) -> OneOfSeveral:
+        """Return what an axis has in common with the others."""
+        return OneOfSeveral(
+            name,
+            self.names,
+            {other: self._alone(other) for other in self.names if other != name},
+            tuple(self._seen_from(name)),
+            {
+                "axes": list(self.names),
+                "kinematics": self.kinematics.model_dump(exclude_none=True),
+            },
+        )
 
-    def _tare_most(self, one: LoneSensor, along: Sequence[float]) -> float:
-        """Return the greatest tare of a sensor by the limits of this file alone; 0: any."""
+    def _seen_from(self, name: str) -> Iterator[SensorOfAxes]:
+        """Yield the sensors without an actuator that arrive in frames, as seen from an axis.
+
+        They read r = a u for the interface's displacement u = B^+ x, x being the readings of the
+        axes; load cells read r = a F, with F = B^T f for the same work as the forces f of the axes.
+        """
         import numpy as np
 
-        of_force = one.kind == "force"
-        key = "force_n" if of_force else "command_position_m"
-        tie = self.core_kinematics()
-        most = []
+        at, tie, k = self.names.index(name), self.core_kinematics(), np.array(self.k_e)
+        back, by_force = tie.back(), tie.jacobian().T
+        # Forces of the axes for 1 m of this one.
+        pushed = (back.T @ k @ back)[:, at]
+        for one, place in zip(self.lone_sensors, self.sensor_places, strict=True):
+            if place is None:
+                continue
+            axis, number = place
+            along = np.array([one.along.get(name, 0.0) for name in self.directions])
+            means = by_force if one.kind == "force" else back
+            terms = np.abs(along) @ np.abs(means)
+            by_axis = np.where(np.abs(along @ means) > _ROUND_OFF * terms, along @ means, 0.0)
+            per_m, per_n = float(by_axis[at]), 0.0
+            if one.kind == "force":
+                shares = by_axis * pushed
+                still = abs(shares.sum()) <= _ROUND_OFF * np.abs(shares).sum()
+                per_m = 0.0 if still else float(shares.sum())
+                per_n = per_m / float(pushed[at])
+            yield SensorOfAxes(
+                one, self.names[axis], self.axis[axis].sensors.extra[number], number,
+                tuple(by_axis.tolist()), tuple(terms.tolist()), per_m, per_n,
+                tare_most(by_axis, self._limits_of(one.kind)),
+                tare_most(by_axis, self._limits_of(one.kind, of_tare=True)),
+            )  # fmt: skip
+
+    def _limits_of(self, kind: str, *, of_tare: bool = False) -> list[float]:
+        """Return the limit of each axis on its position or force, or on its tare; 0: none."""
+        found = []
         for axis in self.axis:
+            key = "force_n" if kind == "force" else "command_position_m"
             limit = getattr(axis.limits, key) or getattr(self.limits, key)
             share = axis.limits.tare_share_most or self.limits.tare_share_most
-            acts = limit is not None and limit.acts
-            most.append((share or DEFAULT_TARE_SHARE_MOST) * limit.value if acts else 0.0)
-        return tare_most(np.array(along) @ (tie.jacobian().T if of_force else tie.back()), most)
+            used = (share or DEFAULT_TARE_SHARE_MOST) if of_tare else 1.0
+            found.append(used * limit.value if limit is not None and limit.acts else 0.0)
+        return found
 
     def _axis(self, name: str) -> Axis:
         for axis in self.axis:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from rthyb_rt.config.fields import Condition, Range, Text, nearest, written
 from rthyb_rt.config.limits import IncrementLimit, StepLimit, TimeLimit
-from rthyb_rt.config.rigfile import DisplacementSensor, ForceSensor
+from rthyb_rt.config.rigfile import DisplacementSensor, ExtraSensor, ForceSensor, RigFile
 from rthyb_rt.core.sizes import SENSORS_MAX
 
 if TYPE_CHECKING:
@@ -98,22 +98,68 @@ LoneSensor = LoneDisplacement | LoneForce
 
 
 @dataclass(frozen=True)
-class ReadWithAxis:
-    """A sensor without an actuator that is read with the frames of an axis.
+class SensorOfAxes:
+    """A sensor without an actuator, as seen from one axis that moves while the others hold still.
 
     Attributes:
         sensor: the sensor.
-        per_m: change of its reading for 1 m of that axis while the others hold still: m/m, or N/m
-            by the elastic stiffness of the specimen.
-        per_n: of a load cell, its change for 1 N measured by the load cell of that axis; for a
+        axis: name of the axis in whose frames it is read.
+        channel: its extra channel there, and ``number`` that of the channel, from 0.
+        by_axis: its reading for a unit that the sensors of each axis read, m or N, (axes,): a sum
+            over the directions.
+        terms: the sum of the magnitudes of the terms of each, (axes,).
+        per_m: change of its reading for 1 m of the axis that moves: m/m, or N/m by the elastic
+            stiffness of the specimen.
+        per_n: of a load cell, its change for 1 N at the load cell of the axis that moves; for a
             displacement sensor 0.
-        tare_most: greatest tare that zeroing accepts by the limits of the rig file, m or N; 0: any.
+        most: its reading if that of every axis is at its limit of the rig file, m or N; 0: no
+            limit.
+        tare_most: greatest tare that zeroing accepts by these limits, likewise.
     """
 
     sensor: LoneSensor
+    axis: str
+    channel: ExtraSensor
+    number: int
+    by_axis: tuple[float, ...]
+    terms: tuple[float, ...]
     per_m: float
-    per_n: float = 0.0
-    tare_most: float = 0.0
+    per_n: float
+    most: float
+    tare_most: float
+
+    @property
+    def is_cell(self) -> bool:
+        """Whether it is a load cell."""
+        return isinstance(self.sensor, LoneForce)
+
+    @property
+    def range(self) -> float:
+        """The end of its range, m or N; every sensor in a frame has one."""
+        one = self.sensor
+        found = one.range_n if isinstance(one, LoneForce) else one.range_m
+        assert found is not None
+        return found
+
+
+@dataclass(frozen=True)
+class OneOfSeveral:
+    """What one axis has in common with the others: sensors without an actuator.
+
+    Attributes:
+        name: of the axis.
+        names: of all axes, in their order.
+        others: the other axes by name, in their order, each as a rig of one axis.
+        sensors: those that name an extra channel, in the order of the core, from whichever frames.
+        meaning: what else in the rig file determines what their readings mean, as plain values: the
+            names of the axes and the kinematics, each in its order.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    others: dict[str, RigFile]
+    sensors: tuple[SensorOfAxes, ...]
+    meaning: dict[str, Any]
 
 
 def tare_most(by_axis: Floats, most: Sequence[float]) -> float:
@@ -252,6 +298,7 @@ def fault(sensors: Sequence[LoneSensor], directions: Sequence[str], kind: str) -
         return (
             f"found {len(sensors)} sensors without an actuator ({', '.join(names)}) with "
             f'kinematics of kind = "{kind}"; they need kind = "matrix", which states how their '
-            "readings enter displacement and force of the interface"
+            "readings enter displacement and force of the interface. With pins, record "
+            "them as [[axis.sensors.extra]] alone"
         )
     return None

@@ -33,7 +33,7 @@ from rthyb_rt.config.rate import LEAST_HZ, MOST_HZ, STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.core.sizes import ELEMENTS_MAX
 
 if TYPE_CHECKING:
-    from rthyb_rt.config.lonesensors import ReadWithAxis
+    from rthyb_rt.config.lonesensors import OneOfSeveral
 
 RIG_SCHEMA = "rthyb-rig/1"
 MAX_SUBSTEPS = 1024
@@ -1203,8 +1203,7 @@ class RigFile(WholeFile):
     link: LinkTable | None = None
     calibration: Calibration = Field(default_factory=Calibration)
     limits: Limits = Field(default_factory=Limits)
-    _read_along: tuple[Any, ...] = PrivateAttr(default=())
-    _matrix: list[list[float]] = PrivateAttr(default_factory=list)
+    _one_of: Any = PrivateAttr(default=None)
 
     @classmethod
     def further_faults(
@@ -1227,19 +1226,15 @@ class RigFile(WholeFile):
         return assumed_of(self.actuator)
 
     @property
-    def read_along(self) -> tuple[ReadWithAxis, ...]:
-        """Sensors without an actuator in the frames of this axis; a rig of one axis has none."""
-        return self._read_along
+    def one_of(self) -> OneOfSeveral | None:
+        """What this axis of several has in common with the others; None: no sensors."""
+        found: OneOfSeveral | None = self._one_of
+        return found
 
-    @property
-    def matrix(self) -> list[list[float]]:
-        """Matrix of the kinematics, if there are sensors in `read_along`; otherwise empty."""
-        return self._matrix
-
-    def reading_along(self, read: Sequence[ReadWithAxis], matrix: list[list[float]]) -> RigFile:
-        """Return the same rig with sensors without an actuator that are read with its frames."""
+    def as_one_of(self, common: OneOfSeveral) -> RigFile:
+        """Return the same rig with what it has in common with other axes."""
         found = self.model_copy()
-        found._read_along, found._matrix = tuple(read), matrix if read else []
+        found._one_of = common
         return found
 
     @property

@@ -29,6 +29,7 @@ from rthyb_rt.config.lonesensors import (
     tare_most,
 )
 from rthyb_rt.config.placing import placing
+from rthyb_rt.config.rate import Rate
 from rthyb_rt.config.testfile import MATRIX, MatrixLaw
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.core.group import (
@@ -179,7 +180,8 @@ def _refuse_names(rig: AxesRig, own: Sequence[core.Channel]) -> None:
 
 def _recorded(rig: AxesRig) -> set[str]:
     """Return the names that the records of all axes use."""
-    further = {f"{name}_{i}" for name in experiment.TRUE for i in range(1, len(rig.axis))}
+    numbered = (*experiment.TRUE, *experiment.HEARD)
+    further = {f"{name}_{i}" for name in numbered for i in range(1, len(rig.axis))}
     return further | experiment.RECORDED
 
 
@@ -513,7 +515,13 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
         axis_channel=setup.channels.index(own[0]) if own else 0,
         axis_channel_count=len(own),
         sensors=tuple(
-            _watched(one, setup, group, views, default_limits(one, channel, group) if real else {})
+            sensor_watches(
+                one,
+                setup.rate,
+                default_limits(one, channel, group) if real else {},
+                _rest_spread_m(one, group),
+                _tare_most(one, rig, views),
+            )
             for one, channel in zip(rig.lone_sensors, channels, strict=True)
         ),
         lone_channel=setup.channels.index(lone[0]) if lone else 0,
@@ -521,28 +529,36 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
     )
 
 
-def _watched(
+def sensor_watches(
     one: LoneSensor,
-    setup: Setup,
-    group: Group,
-    views: Sequence[core.StationConfig],
+    rate: Rate,
     derived_limits: Mapping[str, Limit],
+    rest_spread: float,
+    most: float,
 ) -> SensorWatches:
-    """Return the limits of a sensor without an actuator, stated or else derived, by name."""
+    """Return the limits of a sensor without an actuator, stated or else derived.
+
+    Args:
+        one: the sensor.
+        rate: rate of the test.
+        derived_limits: those that follow from noise and motion, by name.
+        rest_spread: by how much its readings may vary during the tare; 0: not limited.
+        most: greatest tare; 0: any.
+    """
     limits: dict[str, tuple[str, Limit | None]] = {"stuck": ("sensor_stuck_s", one.stuck_s)}
     if isinstance(one, LoneForce):
         reach, limits["jump"] = one.range_n, ("force_jump_n", one.jump_n)
     else:
         reach, limits["jump"] = one.range_m, ("sensor_jump_m", one.jump_m)
     watches = {
-        name: core.Watch(experiment.at_rate(of, limit.value, setup.rate), limit.action)
+        name: core.Watch(experiment.at_rate(of, limit.value, rate), limit.action)
         for name, (of, limit) in limits.items()
         if limit is not None and limit.acts
     }
     for name, derived in derived_limits.items():
         of, stated = limits[name]
         # Derived changes per sample are already for the rate of the test; times never are.
-        value = experiment.at_rate(of, derived.value, setup.rate)
+        value = experiment.at_rate(of, derived.value, rate)
         if stated is None:
             watches[name] = core.Watch(
                 value if name == "stuck" else float(derived.value), derived.action
@@ -552,8 +568,8 @@ def _watched(
         reach or 0.0,
         watches.get("stuck"),
         watches.get("jump"),
-        0.0 if isinstance(one, LoneForce) else _rest_spread_m(one, group),
-        _tare_most(one, group.rig, views),
+        rest_spread,
+        most,
     )
 
 
@@ -591,17 +607,20 @@ def default_limits(
     )
 
 
-def _rest_spread_m(one: LoneDisplacement, group: Group) -> float:
+def _rest_spread_m(one: LoneSensor, group: Group) -> float:
+    if isinstance(one, LoneForce):
+        return 0.0
+    return rest_spread_m(one, [own.limits.rest_spread_m for own in group.derived.axis])
+
+
+def rest_spread_m(one: LoneDisplacement, of_axes: Sequence[float]) -> float:
     """Return by how much the readings of a displacement sensor may vary during the tare.
 
     It is what the axes may, but never so little that the stated noise of the sensor refuses it. A
     test with all its limits written out states that of the axes, and must give the same.
     """
     noise_m = max(one.noise_std_m, one.lsb_m / math.sqrt(12))
-    return max(
-        limits_file.REST_SPREAD_SIGMAS * noise_m,
-        *(own.limits.rest_spread_m for own in group.derived.axis),
-    )
+    return max(limits_file.REST_SPREAD_SIGMAS * noise_m, *of_axes)
 
 
 def _tare_most(one: LoneSensor, rig: AxesRig, views: Sequence[core.StationConfig]) -> float:

@@ -21,6 +21,7 @@ from rthyb_rt.config import testfile as test_file
 from rthyb_rt.config.axes_reference import AxesReference
 from rthyb_rt.config.deriving_axes import AxesDerived
 from rthyb_rt.config.limits import VelocityLimit
+from rthyb_rt.config.lonesensors import LoneSensor, OneOfSeveral
 from rthyb_rt.config.own_tables import PythonClass, core_element
 from rthyb_rt.config.placing import placing
 from rthyb_rt.config.rigfile import TOLERANCES, LinkTable, Sensors
@@ -75,6 +76,7 @@ class Setup:
         channels: named values that are recorded in addition to the standard record.
         plan: of a prescribed history; None: a hybrid test.
         group: for a rig with several axes; ``rig`` and ``derived`` then belong to the first one.
+        beside: for a motion of one axis of several, the sensors without an actuator.
     """
 
     test: TestFile
@@ -89,6 +91,7 @@ class Setup:
     channels: tuple[core.Channel, ...] = ()
     plan: histories.HistoryPlan | None = None
     group: Group | None = None
+    beside: OneOfSeveral | None = None
 
     @property
     def ticks(self) -> int:
@@ -111,6 +114,13 @@ class Setup:
     def rig_file(self) -> RigFile | AxesRig:
         """The rig file, of one axis or of several."""
         return self.rig if self.group is None else self.group.rig
+
+    @property
+    def sensors(self) -> list[LoneSensor]:
+        """Sensors without an actuator, in the order of the core."""
+        if self.group is not None:
+            return self.group.rig.lone_sensors
+        return [] if self.beside is None else [one.sensor for one in self.beside.sensors]
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -673,6 +683,9 @@ def channels_beside(
 
 TRUE: Final = ("x_true_m", "f_true_n")
 """Channels of a virtual rig's readings without errors; those of further axes end with a number."""
+HEARD: Final = ("heard_x_m", "heard_f_n")
+"""Channels of the displacement and the force of axes that stand still while another one moves; they
+end with a number."""
 RECORDED: Final = frozenset(core.RECORD_DTYPE.names or ()) | set(TRUE)
 """Names that the record of one axis uses."""
 

@@ -40,7 +40,7 @@ def carried(rig: AxesRig) -> list[Carried | None]:
     Raises:
         InputError: a DBC file cannot be read, or has no such channel.
     """
-    codecs = {name: _codec(rig.of_axis(name)) for name in _axes(rig)}
+    codecs = {name: codec_of(rig.of_axis(name)) for name in _axes(rig)}
     found: list[Carried | None] = []
     for place in rig.sensor_places:
         if place is None:
@@ -78,7 +78,7 @@ def check(rig: AxesRig) -> None:
 def _shared(rig: AxesRig) -> list[Problem]:
     """Return a problem for each sensor whose channel is the same number as that of another one."""
     taken, problems = dict[tuple[int, int, int], str](), []
-    codecs = {name: _codec(rig.of_axis(name)) for name in _axes(rig)}
+    codecs = {name: codec_of(rig.of_axis(name)) for name in _axes(rig)}
     for one, place in zip(rig.lone_sensors, rig.sensor_places, strict=True):
         if place is None:
             continue
@@ -101,7 +101,12 @@ def _axes(rig: AxesRig) -> list[str]:
     return [rig.names[k] for k in sorted({place[0] for place in rig.sensor_places if place})]
 
 
-def _codec(rig: RigFile) -> wire.Codec:
+def codec_of(rig: RigFile) -> wire.Codec:
+    """Return the frames of an axis, with its extra channels, by its rig file alone.
+
+    Raises:
+        InputError: a DBC file cannot be read, or has no such channel.
+    """
     return extra_frames.codec_of(rig, extra_frames.codec_of_link(rig.link))
 
 

@@ -41,11 +41,9 @@ def in_words(run: Run) -> str:
 
 def _of_sensors(run: Run) -> list[tuple[str, bool, float]]:
     """Return name, whether it is a load cell, and tare of each sensor without an actuator."""
-    group = run.setup.group
-    sensors = group.rig.lone_sensors if group is not None else []
     return [
         (one.name, isinstance(one, LoneForce), value)
-        for one, value in zip(sensors, run.station.sensor_tares, strict=True)
+        for one, value in zip(run.setup.sensors, run.station.sensor_tares, strict=True)
     ]
 
 
@@ -133,8 +131,7 @@ def _at_end(run: Run, sensor: int, reading: float | None) -> str:
     """Return in words that a sensor reads a value at the end of its range; "" if it does not."""
     if reading is None:
         return ""
-    group = run.setup.group
-    of_force = group is not None and isinstance(group.rig.lone_sensors[sensor], LoneForce)
+    of_force = isinstance(run.setup.sensors[sensor], LoneForce)
     unit, factor, key = ("kN", 1e-3, "range_n") if of_force else ("mm", 1e3, "range_m")
     range_ = run.config.sensors[sensor].range
     return (

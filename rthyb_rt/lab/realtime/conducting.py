@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from rthyb_rt import core
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import InputError
+from rthyb_rt.lab import zeroing
 from rthyb_rt.lab.end_reasons import RefusedError
 from rthyb_rt.lab.experiment import Progress, Setup
 from rthyb_rt.lab.realtime.collector import RECORDER_PERIOD_S
@@ -72,7 +73,8 @@ def run(
 
     Raises:
         TimingError: a privilege that ``require_realtime`` requires is missing; nothing moved.
-        InputError: no feedback arrives, or the drive does not follow; nothing moved.
+        InputError: no feedback or no reading of a sensor arrives, or the drive does not follow;
+            nothing moved.
         RefusedError: the drive has stopped by itself and was not reset; nothing moved.
         RthybError: something else failed. Any motion is stopped, and the message names the ring
             that has the records.
@@ -144,6 +146,10 @@ def _say_where(session: Session, error: BaseException) -> None:
 def _await_drive(session: Session, sequence: Sequence, resets: bool) -> None:
     sequence.until(session.follows, _STANDS_RESET_S if resets else _STANDS_S)
     if session.stays_stopped() and not sequence.stopped:
+        # No command is sent without readings of all sensors, so a drive that was just switched on
+        # has received none yet.
+        if zeroing.silent_sensors(session.run):
+            raise InputError(session.no_feedback(), session.opened.name)
         if not resets:
             raise RefusedError(session.no_feedback(), where=session.opened.name)
         session.command("reset")

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import repeat
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -25,7 +25,14 @@ from rthyb_rt.core import FLAGS, ticker
 from rthyb_rt.core.loop import Clock, Link, Loop, LoopAxis
 from rthyb_rt.core.wire import Wire
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.lab import axis_wires, experiment, extra_frames, punctuality, zeroing
+from rthyb_rt.lab import (
+    axis_wires,
+    beside,
+    experiment,
+    extra_frames,
+    punctuality,
+    zeroing,
+)
 from rthyb_rt.lab.end_reasons import REMEDIES, RefusedError, TimingError
 from rthyb_rt.lab.realtime.live_run import Counted, LiveRun, follows, stays_stopped
 from rthyb_rt.lab.runs import AT_REST
@@ -125,6 +132,10 @@ class Conductor:
                 owned.callback(link.close)
                 ways.append(LoopAxis(wire, link, axis_wires.calibration(own)))
             self.ways = tuple(ways)
+            heard = [
+                owned.enter_context(_heard(rig, at))
+                for rig, at in _listened_to(first.setup, opened)
+            ]
             self.wire, self.link = ways[0].wire, ways[0].link
             self.loop = Loop(
                 first.station,
@@ -137,6 +148,8 @@ class Conductor:
                 paced=before_tick is not None,
                 further=self.ways[1:],
                 sensors=_sensors_at(first.setup),
+                heard=heard,
+                heard_channel=beside.heard_channel(first.setup),
             )
             self._owned = owned.pop_all()
             undo.pop_all()
@@ -426,6 +439,8 @@ class Conductor:
         if self.run.station.refusal[0] == "apart":
             return self._why_not_one_clock()
         if figures := self.run.refusal_in_figures:
+            if name == "reset" and self.run.station.refusal_sensor is not None:
+                return f"{figures}; check the sensor, its cable and its amplifier"
             if name in ("resume", "reset"):
                 return f"{figures}; unload the specimen first, or check the load cell"
             return (
@@ -509,19 +524,22 @@ class Conductor:
     def no_feedback(self) -> str:
         """Return in words why no valid pairs arrive from a drive that follows.
 
-        With several axes, every axis and every further sensor concerned is named.
+        Every further sensor concerned is named, and with several axes every axis.
         """
         if self.opened.failure is not None:
             return f"the thread that exchanges its frames has ended: {self.opened.failure}"
         names, flags = self.run.setup.axis_names, self.run.recent_flags
+        sensors = zeroing.silent_sensors(self.run)
         if not names:
-            return self._no_feedback_of(self.ways[0], flags)
+            way = self.ways[0]
+            arrives = way.link.down == "up" and way.wire.counters()["pairs"]
+            return sensors if sensors and arrives else self._no_feedback_of(way, flags)
         silent = [
             f"axis {name}: {self._no_feedback_of(way, flags)}"
             for name, way in zip(names, self.ways, strict=True)
             if way.link.down != "up" or not way.wire.counters()["pairs"]
         ]
-        if sensors := zeroing.silent_sensors(self.run):
+        if sensors:
             silent.append(sensors)
         if silent:
             return "; ".join(silent)
@@ -662,8 +680,29 @@ class Conductor:
         }
 
 
+def _listened_to(setup: experiment.Setup, opened: Opened) -> list[tuple[RigFile, Opened]]:
+    """Return the other axes whose readings a motion of one axis needs, with their links."""
+    if setup.beside is None:
+        return []
+    return list(zip(setup.beside.others.values(), opened.heard, strict=True))
+
+
+@contextmanager
+def _heard(rig: RigFile, at: Opened) -> Iterator[LoopAxis]:
+    """Yield the connection to a drive that is only heard."""
+    link = Link(at.kind, at.fd)
+    try:
+        yield LoopAxis(
+            Wire(extra_frames.codec_of(rig, at.codec)), link, axis_wires.calibration(rig)
+        )
+    finally:
+        link.close()
+
+
 def _sensors_at(setup: experiment.Setup) -> list[tuple[int, int]]:
     """Return axis and number of the extra channel with the reading of each sensor of no axis."""
+    if setup.beside is not None:
+        return beside.places(setup.beside)
     if setup.group is None:
         return []
     return [place for place in setup.group.rig.sensor_places if place is not None]

@@ -18,6 +18,7 @@ from typing import Any, Final
 from rthyb_rt import __version__, config
 from rthyb_rt.config import AxesRig, RigFile
 from rthyb_rt.config.limits import IN_SAMPLES
+from rthyb_rt.config.lonesensors import OneOfSeveral
 from rthyb_rt.config.rate import STANDARD_HZ
 from rthyb_rt.config.rigfile import TOLERANCES
 from rthyb_rt.core.sizes import STANDARD_RATE_HZ
@@ -134,8 +135,8 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
 
     Covers link, calibration, actuator, sensors and limits, but not names, comments, specimen, k_e
     or identified values. A DBC file counts by its content, not by its path. For an axis of several
-    its name counts as well, because the kinematics refer to it by name, and so do the sensors
-    without an actuator in its frames, with the matrix of the kinematics.
+    its name counts as well, because the kinematics refer to it by name; and if there are sensors
+    without an actuator, so do all of these, with their channels, all axes and the kinematics.
     """
     content = {key: value for key, value in rig.model_dump().items() if key in _MATTERS}
     for table, first in _FIRST_KEYS.items():
@@ -158,12 +159,32 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
         content["actuator"].pop(key, None)
     if axis:
         content["axis"] = axis
-    # What sign and scale of these sensors were checked against.
-    if rig.read_along:
-        content["sensor"] = [one.sensor.model_dump() for one in rig.read_along]
-        content["matrix"] = rig.matrix
+    if rig.one_of is not None and rig.one_of.sensors:
+        content["sensors_of_axes"] = _of_sensors(rig, rig.one_of)
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _of_sensors(rig: RigFile, common: OneOfSeveral) -> dict[str, Any]:
+    """Return what sign and scale of the sensors without an actuator were checked against.
+
+    It is the same for every axis, because each axis moves them: the sensors, their channels and the
+    frames that contain these, and the kinematics.
+    """
+    links = {common.name: rig.link} | {name: other.link for name, other in common.others.items()}
+    read = []
+    for one in common.sensors:
+        link = links[one.axis]
+        read.append(
+            {
+                "sensor": one.sensor.model_dump(exclude_none=True),
+                "axis": one.axis,
+                "number": one.number,
+                "channel": one.channel.model_dump(exclude_none=True),
+                "dbc": _digest(Path(link.dbc)) if link is not None and link.dbc else None,
+            }
+        )
+    return {"read": read, **common.meaning}
 
 
 def _digest(path: Path) -> str:
@@ -380,8 +401,7 @@ def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
     virtual rig at the other end (no ``[link]``, or ``link.virtual``) nothing is required.
 
     Raises:
-        RefusedError: a check of `STEPS` has not passed for this rig file; the message names it. Or
-            a real drive is to be run with sensors without an actuator.
+        RefusedError: a check of `STEPS` has not passed for this rig file; the message names it.
     """
     stands = {axis: standing(own, rig_path, axis) for own, axis in each(rig)}
     why_not = [
@@ -389,17 +409,8 @@ def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
         for axis, found in stands.items()
         if found.why_not
     ]
-    # Commissioning moves each of them with one axis only: an error of its sign or scale in the
-    # response to the other axes would neither be found here nor by any limit during a test.
-    lone = rig.lone_sensors if isinstance(rig, AxesRig) else []
-    if lone and any(found.demanded for found in stands.values()):
-        names = ", ".join(one.name for one in lone)
-        why_not.append(
-            f"found sensors without an actuator ({names}), which a test may have only on a virtual "
-            "rig (link.virtual) or in virtual time: commissioning compares each with one axis, not "
-            "with every axis that it responds to; remove [[sensor]] for real drives, or record "
-            "them as extra channels alone"
-        )
+    if any(found.demanded for found in stands.values()):
+        why_not += inconclusive(rig, rig_path)
     if why_not:
         raise RefusedError("; ".join(why_not), where=str(rig_path))
     known = {axis: _known(own, axis, stands[axis]) for own, axis in each(rig)}
@@ -410,6 +421,48 @@ def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
     dates = {name: min(one[name] for one in known.values()) for name in STEPS}
     common = {"demanded": demanded, "virtual": not demanded, **dates}
     return {"commissioning": {**common, "axes": known}}
+
+
+def inconclusive(rig: RigFile | AxesRig, rig_path: Path) -> list[str]:
+    """Return the sensors without an actuator that every polarity check leaves undetermined.
+
+    Each axis may move a sensor so little, compared with what the axes read, that a wrong sign or a
+    factor of 2 would pass; but not all axes may. Nothing is said before every axis has passed.
+
+    Returns:
+        A sentence for each sensor, with the remedy.
+
+    Raises:
+        InputError: a certificate cannot be read.
+    """
+    if not isinstance(rig, AxesRig) or not rig.lone_sensors:
+        return []
+    held = [find(own, rig_path, axis)[0] for own, axis in each(rig)]
+    passed = [one.steps["polarity"] for one in held if one is not None and one.date_of("polarity")]
+    if len(passed) < len(rig.names):
+        return []
+    shown = {name for step in passed for name in _conclusive(step)}
+    return [
+        f"sensor {one.name}: no axis moved it enough, compared with what the axes read, to show a "
+        "wrong sign or a factor of 2 of its scale: repeat the polarity check with a larger "
+        f"distance (`rthyb commission {rig_path} --steps polarity --distance ...`), or record it "
+        "as an extra channel alone, without [[sensor]]"
+        for one in rig.lone_sensors
+        if one.name not in shown
+    ]
+
+
+def _conclusive(step: CheckedStep) -> list[str]:
+    """Return the sensors of which a polarity check would have shown a wrong sign or scale."""
+    seen = step.figures.get("sensors")
+    found = seen.items() if isinstance(seen, dict) else ()
+    return [name for name, one in found if isinstance(one, dict) and one.get("conclusive") is True]
+
+
+def _joint(rig: RigFile) -> str:
+    """Return what else the certificate of an axis with common sensors depends on, in words."""
+    common = rig.one_of
+    return ", [[sensor]], [kinematics]" if common is not None and common.sensors else ""
 
 
 def _known(rig: RigFile, axis: str, found: Standing) -> dict[str, Any]:
@@ -447,8 +500,8 @@ def _why_not(
         )
     if older is not None:
         return (
-            "link, calibration, actuator, sensors or limits have changed since the rig was "
-            f"commissioned on {older.date[:10]}; {remedy}"
+            f"link, calibration, actuator, sensors{_joint(rig)} or limits have changed since the "
+            f"rig was commissioned on {older.date[:10]}; {remedy}"
         )
     return (
         "this rig has not been commissioned: it has not been verified that its actuator moves in "

@@ -213,7 +213,7 @@ def _polarity(connection: Connection, plan: CommissioningSettings) -> CheckedSte
         "force_change_n": moved.change_n,
         "stiffness_n_per_m": verdict.stiffness_n_per_m,
     }
-    sensors, wrong = sensor_checks.by_motion(connection, moved)
+    sensors, wrong = sensor_checks.by_motion(connection.rig, moved)
     if sensors:
         figures["sensors"] = sensors
     # If the axis itself moved the wrong way, its sensors cannot be judged by it.

@@ -16,7 +16,7 @@ from rthyb_rt.config import STANDARD, AxesRig, Limit, Rate, RigFile
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import InputError, Problem, RthybError
-from rthyb_rt.lab import experiment, realtime
+from rthyb_rt.lab import beside, experiment, realtime
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import RecordedTest
 
@@ -281,7 +281,7 @@ def station_of(setup: Setup, motion: GuidedMotion) -> core.StationConfig:
     their own zero; the force limit only if the motion asks for it. Any tare is accepted, because a
     motion is the means to bring back a specimen from where no test may begin.
     """
-    base = experiment.station_config(setup, real=True)
+    base = beside.with_watches(setup, experiment.station_config(setup, real=True))
     watches = dict(base.watches)
     for name in ("position", "force"):
         of_rig = watches.pop(f"rig_{name}", None)
@@ -429,7 +429,7 @@ def carry_out(
         InputError: no feedback, no rest, or inconsistent settings; nothing has moved.
         RthybError: something else failed; the motion has been stopped.
     """
-    setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
+    setup = beside.with_sensors(experiment.prescribed(connection.rig, motion.name, motion.path_m))
     operator = operator or realtime.Operator()
     link = connection.rig.link
     with connection.on_interrupt(operator.stop):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from rthyb_rt.lab import experiment, realtime
-from rthyb_rt.rig.commissioning import polarity
+from rthyb_rt.rig.commissioning import polarity, sensor_checks
 from rthyb_rt.rig.commissioning.guided_motion import (
     GENTLE_M_PER_S,
     Connection,
@@ -29,6 +29,8 @@ class Jogged:
         start_m, end_m, start_n, end_n: readings at rest before and after the jog.
         stiffness_n_per_m: change of force over change of displacement; None if either is too small.
         state, cause, end_reason: how it ended, as in a recording.
+        sensors: change of each sensor without an actuator and the one expected, by its name, m or
+            N.
         faults: what is wrong with sensors or command, with the remedy.
         reversed: whether a sign is wrong, see
             `rthyb_rt.rig.commissioning.polarity.PolarityVerdict`.
@@ -46,6 +48,7 @@ class Jogged:
     end_reason: str
     faults: tuple[str, ...]
     reversed: bool
+    sensors: dict[str, Any] = field(default_factory=dict)
 
     @property
     def moved_m(self) -> float:
@@ -68,7 +71,8 @@ def jog(
     """Move by a signed distance and stay there.
 
     The position limit counts from where the actuator is now, the force limit from zero load. On a
-    stop the actuator decelerates and stays where it comes to rest.
+    stop the actuator decelerates and stays where it comes to rest. Ranges and limits of sensors
+    without an actuator act as in a test.
 
     Args:
         connection: the rig.
@@ -96,6 +100,8 @@ def jog(
     verdict = polarity.judge(connection.rig, moved)
     # A motion that had barely begun reveals nothing about signs.
     conclusive = abs(moved.commanded_m) > moved.certain("x_meas_m")
+    sensors, wrong = sensor_checks.by_motion(connection.rig, moved, must_show=False)
+    faults = verdict.faults or tuple(wrong)
     return Jogged(
         asked_m=distance_m,
         speed_m_per_s=speed_m_per_s,
@@ -107,6 +113,7 @@ def jog(
         state=moved.state,
         cause=moved.cause,
         end_reason=moved.end_reason,
-        faults=verdict.faults if conclusive else (),
+        faults=faults if conclusive else (),
         reversed=conclusive and verdict.reversed,
+        sensors=sensors,
     )

@@ -1,36 +1,38 @@
 """Are the sensors without an actuator connected, of the right sign and of the right scale?
 
-They are read with the frames of an axis, and checked with that axis: at rest, and by its slow
-motion while the others hold still.
+Every axis is commissioned by its own slow motion while the others stand still, and every such
+sensor is compared with it, whether or not the axis moves it: with the readings of all axes, from
+which its own follows by the kinematics. A sensor is thus checked in each direction of the
+interface, and one that is connected in place of another does not pass.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from rthyb_rt.config import RigFile
-from rthyb_rt.config.lonesensors import LoneForce, ReadWithAxis
-from rthyb_rt.config.rigfile import ExtraSensor
-from rthyb_rt.lab import extra_frames
+from rthyb_rt.config.lonesensors import OneOfSeveral, SensorOfAxes
+from rthyb_rt.lab import beside
 from rthyb_rt.numbers import quantity
-from rthyb_rt.rig.commissioning.guided_motion import (
-    Connection,
-    Floats,
-    MotionResult,
-    Rows,
-    fresh,
-)
+from rthyb_rt.rig.commissioning.guided_motion import Floats, MotionResult, Rows
 from rthyb_rt.rig.commissioning.polarity import SLOPE_TOLERANCE
 
 FORCE_FACTOR: Final = math.sqrt(2.0)
 """Allowed ratio of the change of a load cell to the one expected, either way.
 
-The share of a force depends on the specimen's stiffness as drawn, which may be off by some tens of
-percent. The least mistake of a scale is a factor of 2, of a bridge or an amplifier: the limit is as
-far from the one as from the other.
+The share of the specimen's force that passes through a cell depends on the specimen as drawn, which
+may be off by some tens of percent. The least mistake of a scale is a factor of 2, of a bridge or an
+amplifier: the limit is as far from the one as from the other.
+"""
+ASKEW: Final = math.sin(math.radians(3.0))
+"""Share of the response to one motion that may appear in the response to another one.
+
+A sensor that is mounted by eye is up to 3 degrees out of line, and reads the sine of that angle.
 """
 LEAST_SEEN: Final = 0.98
 """Least share of the frames in which the channel has a number, as for pairs on the link."""
@@ -40,143 +42,286 @@ def at_rest(rig: RigFile, moved: MotionResult) -> tuple[dict[str, Any], list[str
     """Judge the readings while nothing moves.
 
     Returns:
-        Reading and noise of each sensor by its name, m or N, and what is wrong, with the remedy.
+        Reading and noise of each sensor by its name, m or N, and what is wrong, with the remedy;
+        also of the other drives, whose readings are compared with those of the sensors.
     """
-    figures, faults = {}, []
-    rows = moved.running[fresh(moved.running)]
-    for one in rig.read_along:
-        name, read = one.sensor.name, _readings(rows, one)
+    common, rows = rig.one_of, moved.running
+    if common is None:
+        return {}, []
+    figures, faults = {}, _silent_drives(common, rows)
+    for one in common.sensors:
+        name, read = one.sensor.name, _numbers(rows, f"{one.sensor.name}_read")
         share = read.size / max(rows.size, 1)
         reading = float(read.mean()) if read.size else None
         figures[name] = {
             "reading": reading,
             "noise": float(read.std()) if read.size else None,
-            "unit": "N" if isinstance(one.sensor, LoneForce) else "m",
+            "unit": "N" if one.is_cell else "m",
             "seen_share": share,
         }
         if share < LEAST_SEEN or reading is None:
             faults.append(
-                f"sensor {name}: the channel {one.sensor.extra} had a number in "
-                f"{100 * share:.1f} % of the frames; at least {100 * LEAST_SEEN:g} % must have "
+                f"sensor {name}: the channel {one.channel.name} of axis {one.axis} had a number in "
+                f"{100 * share:.1f} % of the ticks; at least {100 * LEAST_SEEN:g} % must have "
                 "one: is the sensor connected, its amplifier on, and its reading within the range "
                 "of the signal?"
-            )
-        elif float(np.abs(read).max()) >= (reach := _range(one)):
-            faults.append(
-                f"sensor {name}: reads {_shown(one, reading)} at rest, at the end of its range "
-                f"({_shown(one, reach)}): check its wiring, its zero, and {_scale(rig, one)}"
             )
         elif 0.0 < one.tare_most < abs(reading):
             faults.append(
                 f"sensor {name}: reads {_shown(one, reading)} at rest, but zeroing accepts at most "
                 f"{_shown(one, one.tare_most)} (limits.tare_share_most): relieve the specimen, or "
-                f"correct the zero of the sensor, its own or the offset in {_scale(rig, one)}"
+                f"correct the zero of the sensor, its own or the offset in {_scale(one)}"
             )
     return figures, faults
 
 
-def by_motion(connection: Connection, moved: MotionResult) -> tuple[dict[str, Any], list[str]]:
+def _silent_drives(common: OneOfSeveral, rows: Rows) -> list[str]:
+    faults = []
+    for axis in common.others:
+        share = _numbers(rows, beside.heard_names(common, axis)[0]).size / max(rows.size, 1)
+        if share < LEAST_SEEN:
+            faults.append(
+                f"axis {axis}: its drive, which receives no commands, sent displacement and force "
+                f"in {100 * share:.1f} % of the ticks; at least {100 * LEAST_SEEN:g} % must have "
+                "both, because the sensors without an actuator are compared with them: is the "
+                "drive switched on and connected?"
+            )
+    return faults
+
+
+def by_motion(
+    rig: RigFile, moved: MotionResult, *, must_show: bool = True
+) -> tuple[dict[str, Any], list[str]]:
     """Judge the change of the readings after a slow motion that has come to rest.
+
+    Args:
+        rig: the axis that moved.
+        moved: its motion.
+        must_show: whether it is a fault that the motion is too small to judge a sensor.
 
     Returns:
         Change of each sensor and the one expected, by its name, m or N, and what is wrong, with the
         remedy.
     """
-    figures, faults = {}, []
-    rig = connection.rig
-    codec = extra_frames.codec_of(rig, connection.opened.codec)
-    for one in rig.read_along:
-        of_force = isinstance(one.sensor, LoneForce)
-        expected = one.per_n * moved.change_n if of_force else one.per_m * moved.moved_m
-        step = codec.extra_step(rig.sensors.extra.index(_channel(rig, one)))
-        change, certain = _change(one, moved, step)
-        figures[one.sensor.name] = {"change": change, "expected": expected}
-        fault = _fault(rig, one, moved, change, expected, certain)
-        if fault:
-            faults.append(f"sensor {one.sensor.name}: {fault}")
-    return figures, faults
+    common = rig.one_of
+    if common is None:
+        return {}, []
+    seen = [_compared(rig, one, moved) for one in common.sensors]
+    figures = {
+        one.of.sensor.name: {
+            "change": one.change,
+            "expected": one.expected,
+            "unit": "N" if one.of.is_cell else "m",
+            "conclusive": one.conclusive,
+        }
+        for one in seen
+    }
+    faults = [(one, _fault(one, moved)) for one in seen if must_show or not one.hidden]
+    wrong = [one for one, fault in faults if fault]
+    return figures, [
+        f"sensor {one.of.sensor.name}: {fault}{_other_cells(one, common.name)}"
+        f"{_instead(one, wrong)}"
+        for one, fault in faults
+        if fault
+    ]
 
 
-def _fault(
-    rig: RigFile,
-    one: ReadWithAxis,
-    moved: MotionResult,
-    change: float | None,
-    expected: float,
-    certain: float,
-) -> str:
-    after = f"when the axis moved by {quantity(moved.moved_m, 'mm', 1e3)}"
-    if change is None:
-        return f"gave no number before or after the motion: check the channel {one.sensor.extra}"
-    if abs(expected) <= certain:
-        return (
-            f"should change by {_shown(one, expected)} {after}, which its noise hides "
-            f"({_shown(one, certain)} can be seen): choose a larger --distance"
-        )
-    if abs(change) <= certain:
-        return (
-            f"did not respond {after}: {_shown(one, change)} where {_shown(one, expected)} was "
-            "expected; is it connected to the drive of this axis, and mounted?"
-        )
-    if change * expected < 0.0:
-        return (
-            f"moved against what its along says: {_shown(one, change)} {after}, where "
-            f"{_shown(one, expected)} was expected; reverse {_scale(rig, one)}, or correct the "
-            "sign of along"
-        )
-    ratio = change / expected
-    low, high = (
-        (1.0 / FORCE_FACTOR, FORCE_FACTOR)
-        if isinstance(one.sensor, LoneForce)
-        else (1.0 - SLOPE_TOLERANCE, 1.0 + SLOPE_TOLERANCE)
+# ---- what a sensor should read ------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Compared:
+    """The change of a reading from rest to rest, and what it should be, m or N.
+
+    Attributes:
+        of: the sensor.
+        change: as read; None: no number.
+        by_axis: change of what the sensors of each axis read, by its name.
+        expected: by these.
+        less, more: by how much the change may be less or more than expected, in its direction.
+        certain: the smallest difference of the two that is significant against the noise.
+        moves: whether the axis moves the sensor by more than a mounting by eye leaves undetermined.
+    """
+
+    of: SensorOfAxes
+    change: float | None
+    by_axis: dict[str, float]
+    expected: float
+    less: float
+    more: float
+    certain: float
+    moves: bool
+
+    def fits(self, change: float | None) -> bool:
+        """Return whether a change is one that this sensor may have."""
+        if change is None:
+            return False
+        off = (change - self.expected) * (1.0 if self.expected >= 0.0 else -1.0)
+        rounding = 0.0 if self.moves else self.certain
+        return -max(self.less, rounding) <= off <= max(self.more, rounding)
+
+    @property
+    def hidden(self) -> bool:
+        """Whether noise hides what must be seen."""
+        return self.moves and self.certain > min(self.less, self.more)
+
+    @property
+    def conclusive(self) -> bool:
+        """Whether the least mistakes of a sign or a scale would have been seen."""
+        mistakes = (-1.0, 0.5, 2.0)
+        return self.moves and not any(self.fits(by * self.expected) for by in mistakes)
+
+
+def _compared(rig: RigFile, one: SensorOfAxes, moved: MotionResult) -> _Compared:
+    """Compare a sensor with all axes: r = a u, or r = a F, as in the kinematics.
+
+    It may be off by a share of what is expected, or, if that is little, by a small share of the
+    terms of that sum: where they cancel, each of them may still be inexact.
+    """
+    common = rig.one_of
+    assert common is not None
+    axes = [_change(moved, _column(common, name, one)) for name in common.names]
+    by_axis = np.array([change or 0.0 for change, _ in axes])
+    change, noise = _change(moved, f"{one.sensor.name}_read")
+    expected = float(np.array(one.by_axis) @ by_axis)
+    sizes = np.abs(by_axis)
+    askew = ASKEW * max(float(np.array(one.terms) @ sizes), max(one.terms) * float(sizes.max()))
+    low, high = (1.0 / FORCE_FACTOR, FORCE_FACTOR) if one.is_cell else _SLOPES
+    return _Compared(
+        one,
+        change,
+        dict(zip(common.names, by_axis.tolist(), strict=True)),
+        expected,
+        max((1.0 - low) * abs(expected), askew),
+        max((high - 1.0) * abs(expected), askew),
+        noise
+        + 2.0 * beside.step_of(rig, one)
+        + float(np.abs(one.by_axis) @ np.array([noise for _, noise in axes])),
+        abs(expected) > askew,
     )
-    if low <= ratio <= high:
-        return ""
-    stiffness = ""
-    if isinstance(one.sensor, LoneForce):
-        stiffness = ", the stiffness of the specimen, by which the axis loads it"
-    return (
-        f"changed by {_shown(one, change)} {after}, where {_shown(one, expected)} was expected, a "
-        f"ratio of {ratio:.3g}; from {low:.3g} to {high:.3g} is allowed: check "
-        f"{_scale(rig, one)}, along{stiffness}, and which sensor is connected"
-    )
 
 
-def _readings(rows: Rows, one: ReadWithAxis) -> Floats:
-    """Return the numbers that the channel had, as read: a channel has no tare."""
-    values: Floats = rows[str(one.sensor.extra)]
+_SLOPES: Final = (1.0 - SLOPE_TOLERANCE, 1.0 + SLOPE_TOLERANCE)
+
+
+def _column(common: OneOfSeveral, axis: str, one: SensorOfAxes) -> str:
+    """Return the channel with what the sensors of an axis read of the kind of a sensor."""
+    if axis == common.name:
+        # As received: at rest, the tare falls within the rows that are averaged.
+        return "f_read_n" if one.is_cell else "x_read_m"
+    return beside.heard_names(common, axis)[one.is_cell]
+
+
+def _numbers(rows: Rows, channel: str) -> Floats:
+    values: Floats = rows[channel]
     return values[np.isfinite(values)]
 
 
-def _change(one: ReadWithAxis, moved: MotionResult, step: float) -> tuple[float | None, float]:
+def _change(moved: MotionResult, channel: str) -> tuple[float | None, float]:
     """Return the change from rest to rest, and the smallest one that is significant.
 
     The latter is as for displacement and force of the axis: six standard deviations of the
-    difference of two means, and two steps of the wire.
+    difference of two means.
     """
-    before, after = (_readings(rows, one) for rows in moved.rests())
+    before, after = (_numbers(rows, channel) for rows in moved.rests())
     if not (before.size and after.size):
         return None, math.inf
-    certain = 6.0 * float(before.std()) * math.sqrt(2.0 / before.size) + 2.0 * step
+    certain = 6.0 * float(before.std()) * math.sqrt(2.0 / before.size)
     return float(after.mean() - before.mean()), certain
 
 
-def _channel(rig: RigFile, one: ReadWithAxis) -> ExtraSensor:
-    return next(each for each in rig.sensors.extra if each.name == one.sensor.extra)
+# ---- in words -----------------------------------------------------------------------------------
 
 
-def _range(one: ReadWithAxis) -> float:
-    sensor = one.sensor
-    found = sensor.range_n if isinstance(sensor, LoneForce) else sensor.range_m
-    assert found is not None
-    return found
+def _fault(one: _Compared, moved: MotionResult) -> str:
+    """Return what is wrong with a sensor, with what was expected and the remedy; "" if nothing."""
+    after = f"when the axis moved by {quantity(moved.moved_m, 'mm', 1e3)}"
+    wanted = f"{_shown(one.of, one.expected)} was expected from {_axes(one)}"
+    if one.change is None:
+        return f"gave no number before or after the motion: check {_channel(one.of)}"
+    if one.hidden:
+        return (
+            f"should change by {_shown(one.of, one.expected)} {after}, which its noise hides "
+            f"({_shown(one.of, one.certain)} can be seen, and "
+            f"{_shown(one.of, min(one.less, one.more))} must be): choose a larger --distance"
+        )
+    if one.fits(one.change):
+        return ""
+    found = _shown(one.of, _unless_tiny(one.change, one.expected))
+    if not one.moves:
+        return (
+            f"changed by {found} {after}, where {wanted} by its along: correct its along, or check "
+            f"how it is mounted, and which sensor is connected to {_channel(one.of)}"
+        )
+    if abs(one.change) <= one.certain:
+        return (
+            f"did not respond {after}: {found} where {wanted}; is it mounted, and connected to the "
+            f"drive of axis {one.of.axis} as its {_channel(one.of)}?"
+        )
+    if one.change * one.expected < 0.0:
+        return (
+            f"moved against what its along says: {found} {after}, where {wanted}; reverse "
+            f"{_scale(one.of)}, or correct the sign of along"
+        )
+    low, high = (1.0 + way / abs(one.expected) for way in (-one.less, one.more))
+    share = ", the share of the force that passes through it" if one.of.is_cell else ""
+    return (
+        f"changed by {found} {after}, where {wanted}, a ratio of "
+        f"{one.change / one.expected:.3g}; from {low:.3g} to {high:.3g} is allowed: check "
+        f"{_scale(one.of)}, along{share}, and which sensor is connected"
+    )
 
 
-def _scale(rig: RigFile, one: ReadWithAxis) -> str:
-    channel = _channel(rig, one)
-    return f"scale = {channel.scale:g} of its channel {channel.name}"
+def _axes(one: _Compared) -> str:
+    """Return the readings of the axes from which something was expected, in words."""
+    what = "load cells" if one.of.is_cell else "displacement sensors"
+    most = max(map(abs, one.by_axis.values()))
+    read = ", ".join(
+        f"{axis} {_shown(one.of, _unless_tiny(value, most))}" for axis, value in one.by_axis.items()
+    )
+    return f"the {what} of the axes ({read})"
 
 
-def _shown(one: ReadWithAxis, value: float) -> str:
-    of_force = isinstance(one.sensor, LoneForce)
-    return quantity(value, "N") if of_force else quantity(value, "mm", 1e3)
+def _unless_tiny(value: float, beside: float) -> float:
+    """Return a value for a message, or 0 if it is mere noise beside another one."""
+    return value if abs(value) > 1e-3 * abs(beside) else 0.0
+
+
+def _other_cells(one: _Compared, moved_axis: str) -> str:
+    """Return that a load cell of another axis may be the cause, in words; "" if it cannot be."""
+    most = max(map(abs, one.by_axis.values()))
+    others = [
+        axis
+        for axis, value in one.by_axis.items()
+        if axis != moved_axis and one.of.is_cell and abs(value) > ASKEW * most
+    ]
+    if not others:
+        return ""
+    return (
+        f"; if axis {' or '.join(others)} has not passed its own check yet, its load cell may be "
+        "the cause"
+    )
+
+
+def _instead(one: _Compared, wrong: Sequence[_Compared]) -> str:
+    """Return the other wrong sensor whose reading this one has, in words; "" if there is none."""
+    for other in wrong:
+        same_kind = other is not one and other.of.is_cell == one.of.is_cell
+        if same_kind and other.fits(one.change) and one.fits(other.change):
+            return (
+                f"; each of the sensors {one.of.sensor.name} and {other.of.sensor.name} reads what "
+                "is expected of the other: their cables, or their extra keys, are interchanged"
+            )
+    return ""
+
+
+def _channel(one: SensorOfAxes) -> str:
+    return f"channel {one.channel.name}"
+
+
+def _scale(one: SensorOfAxes) -> str:
+    return f"scale = {one.channel.scale:g} of its channel {one.channel.name} (axis {one.axis})"
+
+
+def _shown(one: SensorOfAxes, value: float) -> str:
+    return quantity(value, "N") if one.is_cell else quantity(value, "mm", 1e3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Self
 
 from rthyb_rt.core.loop import Kind, LastCommand
@@ -32,7 +32,8 @@ class Opened:
         name: for messages, such as "can0, CAN 1 Mbit/s".
         facts: properties of the link, for the recording; numbers, strings, lists of strings.
         left: the last command of the previous session, from which the next one continues.
-        further: for a rig of several axes, the links of all axes but the first, which is this.
+        first, further: for a rig of several axes, the links of the first and of all other axes.
+        heard: for one axis of several, the links of the other axes, to which nothing is sent.
     """
 
     kind: Kind
@@ -44,12 +45,23 @@ class Opened:
     owned: Owned = field(default_factory=Owned, repr=False)
     failed: Callable[[], str | None] = field(default=_never, repr=False)
     left: LastCommand | None = field(default=None, repr=False)
+    first: Opened | None = None
     further: tuple[Opened, ...] = ()
+    heard: tuple[Opened, ...] = ()
 
     @property
     def all(self) -> tuple[Opened, ...]:
         """Links of all axes, in their order."""
-        return (self, *self.further)
+        return (self.first or self, *self.further)
+
+    def alone(self, axis: int) -> Opened:
+        """Return the link of one axis, which hears the others; all remain this object's to close.
+
+        Args:
+            axis: its number.
+        """
+        heard = tuple(one for k, one in enumerate(self.all) if k != axis)
+        return replace(self.all[axis], heard=heard, owned=Owned())
 
     @property
     def failure(self) -> str | None:
@@ -92,6 +104,7 @@ def together(links: Mapping[str, Opened]) -> Opened:
         facts={f"{name}.{key}": v for name, one in links.items() for key, v in one.facts.items()},
         owned=owned,
         failed=failed,
+        first=first,
         further=tuple(further),
     )
 
