@@ -138,6 +138,34 @@ def test_nearly_all_of_a_range_is_not_all_of_it() -> None:
     prepared(CAN + '[sensors.force]\nrange_n = "2047 kN"\n' + offset)
 
 
+def test_a_limit_of_the_force_beyond_the_end_of_the_frame_would_never_act() -> None:
+    limit = '[limits]\nforce_n = "3 MN"\n'
+    ((where, message),) = refused(CAN + limit).items()
+    assert where.startswith("rig.toml:")
+    assert where.endswith("limits.force_n")
+    assert "found 3000 kN, but f_meas in the frames" in message
+    assert "so this limit would never act: let the drive send the reading divided by 10" in message
+    prepared(CAN + limit + "[calibration.force]\nscale = 10\n")
+    # The range, which the frame carries, ends a test before.
+    prepared(CAN + limit + '[sensors.force]\nrange_n = "2 MN"\n')
+    prepared(CAN + '[limits]\nforce_n = { value = "3 MN", action = "none" }\n')
+
+
+def test_the_limit_of_an_axis_of_several_counts_as_well() -> None:
+    high = TWO_AXES.replace("60 kN", "3 MN").replace("90 kN", "3 MN")
+    rig, test = config.parse_any_rig(high, "rig.toml"), config.parse_test(TWO_AXES_TEST)
+    assert isinstance(rig, AxesRig)
+    axes_experiment.prepare(test, rig)
+    with pytest.raises(InputError, match=r"limits\.force_n: found 3000 kN, but f_meas in the"):
+        axes_experiment.prepare(test, rig, real_time=True)
+
+
+def test_the_limit_of_a_test_counts_as_well() -> None:
+    test = config.parse_test(TEST + '[limits]\nforce_n = "3 MN"\n', "test.toml")
+    with pytest.raises(InputError, match=r"test\.toml:\d+: limits\.force_n: found 3000 kN"):
+        experiment.prepare(test, config.parse_rig(RIG + CAN, "rig.toml"), real_time=True)
+
+
 def test_in_virtual_time_no_frame_carries_anything() -> None:
     rig = config.parse_rig(RIG + CAN + STROKE + CELL)
     experiment.prepare(config.parse_test(TEST), rig)

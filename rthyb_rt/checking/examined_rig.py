@@ -190,6 +190,8 @@ def _try_out(rig: RigFile | AxesRig) -> None:
             ) from error
     if rig.link is not None:
         axis_wires.check(rig)
+        for view in [rig] if isinstance(rig, RigFile) else map(rig.of_axis, rig.names):
+            axis_wires.check_limit(view, view.limits)
 
 
 def _of(axis: ExaminedAxis, text: str) -> str:

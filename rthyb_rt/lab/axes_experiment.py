@@ -108,6 +108,8 @@ def prepare(
     expected = reference_of(test, rig, derived.structure, ag)
     x, v, force = expected.x, expected.v, expected.force
     derived = following(rig, derived, expected.axis_m, expected.axis_n)
+    if real_time:
+        _check_limits(rig, derived)
     group = Group(rig, derived, axes_rig.rig_config(rig, derived.fs_hz), expected)
     resolved = resolve_axes(ordered, rig, derived)
     reference = np.zeros(ag.size, experiment.REFERENCE_DTYPE)
@@ -218,6 +220,12 @@ def _extra_channels(rig: AxesRig, own: Sequence[core.Channel]) -> tuple[core.Cha
             "axis.sensors.extra",
         )
     return found
+
+
+def _check_limits(rig: AxesRig, derived: AxesDerived) -> None:
+    """Refuse a limit of an axis that no reading in its frames can reach."""
+    for name, own in zip(rig.names, derived.axis, strict=True):
+        axis_wires.check_limit(rig.of_axis(name), own.limits.limits)
 
 
 def _refuse_what_is_of_one(test: TestFile) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from rthyb_rt import core
-from rthyb_rt.config import AxesRig, LinkTable, RigFile
+from rthyb_rt.config import AxesRig, Limits, LinkTable, RigFile
 from rthyb_rt.config.placing import placing
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import extra_frames
@@ -55,9 +55,7 @@ def check(rig: RigFile | AxesRig) -> None:
 
 def _problems(rig: RigFile, prefix: str) -> list[Problem]:
     displacement, force = rig.sensors.displacement.range_m, rig.sensors.force.range_n
-    # Without cantools, a check says that the frames were not read, and real time is refused.
-    unread = rig.link is not None and not extra_frames.dbc_is_read(rig.link)
-    if unread or (displacement is None and force is None):
+    if _unread(rig) or (displacement is None and force is None):
         return []
     codec, by = extra_frames.codec_of_link(rig.link), calibration(rig)
     reach_m = codec.reading_reach(force=False, gain=by.x_gain, offset=by.x_offset_m)
@@ -81,20 +79,60 @@ def _too_small(link: LinkTable | None, key: str, range_: float, reach: float) ->
     said = (
         f"found {range_:.6g} {unit}, but {signal} in the frames of the link carries every reading "
         f"only up to {_rounded_down(reach):.6g} {unit}; a larger one would arrive as a reading at "
-        "that end: "
+        f"that end: {_more(link, of, range_, reach)}"
     )
-    if link is not None and link.dbc is not None:
-        said += f"give {signal} in the DBC file more bits, a larger factor or a wider [min|max]"
-    elif reach > 0.0:
-        # A power of ten, which a reader of the frames can undo at a glance.
-        factor = 10.0 ** math.ceil(math.log10(range_ / reach))
-        said += f"let the drive send the reading divided by {factor:g}, and multiply "
-        said += f"calibration.{of}.scale by {factor:g}"
-    else:
-        said += f"correct calibration.{of}"
     if reach > 0.0:
         said += f'; or set {name} = "{_rounded_down(reach):.6g} {unit}", where a test then ends'
     return said
+
+
+def _more(link: LinkTable | None, of: str, wanted: float, reach: float) -> str:
+    """Return how the frames can carry more; ``of``: displacement or force."""
+    if link is not None and link.dbc is not None:
+        signal = "f_meas" if of == "force" else "x_meas"
+        return f"give {signal} in the DBC file more bits, a larger factor or a wider [min|max]"
+    if not reach > 0.0:
+        return f"correct calibration.{of}"
+    # A power of ten, which a reader of the frames can undo at a glance.
+    factor = 10.0 ** math.ceil(math.log10(wanted / reach))
+    return (
+        f"let the drive send the reading divided by {factor:g}, and multiply "
+        f"calibration.{of}.scale by {factor:g}"
+    )
+
+
+def check_limit(rig: RigFile, limits: Limits) -> None:
+    """Refuse a limit of the force that no reading can reach, because its frame ends before.
+
+    With a range stated, a test ends there at the latest.
+
+    Args:
+        rig: the rig, or one axis of several.
+        limits: those of a test on it.
+
+    Raises:
+        InputError: the limit, and what the frame carries.
+    """
+    limit = limits.force_n
+    if limit is None or not limit.acts or rig.sensors.force.range_n is not None or _unread(rig):
+        return
+    by = calibration(rig)
+    codec = extra_frames.codec_of_link(rig.link)
+    reach = codec.reading_reach(force=True, gain=by.f_gain, offset=by.f_offset_n)
+    if limit.value <= reach:
+        return
+    shown = f"{_rounded_down(reach * 1e-3):.6g} kN"
+    raise InputError(
+        f"found {limit.value * 1e-3:.6g} kN, but f_meas in the frames of the link carries every "
+        f"reading only up to {shown}, so this limit would never act: "
+        f"{_more(rig.link, 'force', limit.value, reach)}; or lower the limit",
+        "limits.force_n",
+    )
+
+
+def _unread(rig: RigFile) -> bool:
+    """Return whether the frames are unknown: a check says so, and real time is refused."""
+    return rig.link is not None and not extra_frames.dbc_is_read(rig.link)
 
 
 def _rounded_down(value: float) -> float:

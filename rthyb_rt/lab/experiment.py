@@ -200,8 +200,15 @@ def prepare(
 
 
 def _noted(setup: Setup, real_time: bool) -> Setup:
-    """Return a test with the notes that follow from its reference and limits."""
-    further = derived_notes(setup.derived.limits) if real_time else []
+    """Return a test with the notes that follow from its reference and limits.
+
+    Raises:
+        InputError: in real time, the frames of the link do not carry a limit.
+    """
+    further = []
+    if real_time:
+        axis_wires.check_limit(setup.rig, setup.test.limits)
+        further = derived_notes(setup.derived.limits)
     notes = (*setup.notes, *_range_notes(setup.rig, setup.reference), *further)
     return replace(setup, notes=notes)
 
