@@ -152,6 +152,23 @@ def test_an_fmu_moves_the_specimen_as_the_programs_own_equation_does(
 
 
 @BOTH
+@pytest.mark.parametrize("bad", ["NAN", "INFINITY", "1e300"])
+def test_what_an_fmu_has_no_value_for_is_recorded_as_nan_and_the_test_goes_on(
+    build: Build, fmi: int, bad: str
+) -> None:
+    """A recorded 0 would look like a velocity."""
+    known = rt.run(of_test(build(fmi), parameters=parameters(), record=["part.v"]))["fmu_part_v"]
+    wrong = f"if (fabs(s->x) > 1e-3) s->value[V] = {bad}"
+    rec = rt.run(of_test(build(fmi, wrong), parameters=parameters(), record=["part.v"]))
+    found = rec["fmu_part_v"]
+    assert rec.completed
+    lost = np.isnan(found)
+    assert 0 < lost.sum() < found.size
+    np.testing.assert_array_equal(found[~lost], known[~lost])
+    assert rt.replay(rec).identical
+
+
+@BOTH
 def test_fmpys_own_master_gives_the_same_displacements(build: Build, fmi: int) -> None:
     path, h, n = build(fmi), 1.0 / 1024.0, 600
     t = np.arange(n) * h
