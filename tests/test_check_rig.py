@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import Rthyb
 from test_config_link import CAN, RIG
+from test_sensors_in_real_time import DEFAULTS as WITH_SENSORS
 
 from rthyb_rt import config
 from rthyb_rt.config import RigFile
@@ -76,6 +77,21 @@ def test_an_old_identification_without_a_sweep_asks_for_one(rthyb: Rthyb, new: P
     assert "10 samples (9.77 ms)" in answer.out
     assert "Note: no frequency response is identified" in answer.out
     assert 'rthyb identify RIG --max-frequency "80 Hz"' in answer.out
+
+
+def test_sensors_without_an_actuator_are_listed_with_range_and_channel(
+    rthyb: Rthyb, tmp_path: Path
+) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(WITH_SENSORS, encoding="utf-8")
+    answer = rthyb("check", "--rig", path)
+    assert answer.code == 0, answer.err
+    lines = {line.split("  ")[0]: line.split("  ", 1)[1].strip() for line in
+             answer.out.splitlines() if line.startswith("Sensor ")}  # fmt: skip
+    assert lines["Sensor column"].startswith("force, range 70.0 kN ")
+    assert lines["Sensor column"].endswith("channel cell of axis left")
+    assert lines["Sensor wire"].startswith("displacement, range 80.0 mm ")
+    assert json.loads(rthyb("check", "--rig", path, "--json").out)["sensors"] == ["wire", "column"]
 
 
 WRONG = {

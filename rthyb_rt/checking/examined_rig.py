@@ -11,6 +11,7 @@ import numpy as np
 from rthyb_rt import config, core
 from rthyb_rt.checking import check_tables, facts
 from rthyb_rt.config import STANDARD_HZ, AxesRig, Identified, RigFile, response
+from rthyb_rt.config.lonesensors import LoneForce
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_rig, axis_wires, experiment, sensor_wires
 from rthyb_rt.numbers import delay, number, quantity
@@ -107,17 +108,20 @@ class ExaminedRig:
     Attributes:
         name: of the rig.
         axes: what is known of each axis.
+        sensors: of those without an actuator: name, range, channel.
         notes, warnings: information, and problems that should be corrected.
     """
 
     name: str
     axes: tuple[ExaminedAxis, ...]
+    sensors: Rows
     notes: list[str]
     warnings: list[str]
 
     def tables(self) -> list[Rows]:
-        """Return a table for each axis: quantity, value, explanation."""
-        return [axis.rows() for axis in self.axes]
+        """Return a table for each axis, and one of the sensors: quantity, value, explanation."""
+        axes = [axis.rows() for axis in self.axes]
+        return [*axes, self.sensors] if self.sensors else axes
 
     def document(self) -> dict[str, Any]:
         """Return the result as a JSON document."""
@@ -127,6 +131,7 @@ class ExaminedRig:
             "ok": True,
             "rig_name": self.name,
             **({"axes": by_name} if all(by_name) else by_name[""]),
+            "sensors": [name.removeprefix("Sensor ") for name, _, _ in self.sensors],
             "notes": self.notes,
             "warnings": self.warnings,
         }
@@ -157,6 +162,7 @@ def examine_rig(rig: RigFile | AxesRig, path: Path, *, stiffness_stated: bool) -
     return ExaminedRig(
         rig.rig.name,
         tuple(axes),
+        _sensor_rows(rig) if isinstance(rig, AxesRig) else [],
         config.omitted(rig) + [_of(axis, text) for axis in axes for text in axis.notes()],
         [_of(axis, text) for axis in axes for text in axis.warnings()],
     )
@@ -172,6 +178,23 @@ def _axis(name: str, rig: RigFile, k_e_n_per_m: float | None, path: Path) -> Exa
         facts.commissioning_of(rig, str(path), name),
         facts.calibration_of(rig),
     )
+
+
+def _sensor_rows(rig: AxesRig) -> Rows:
+    """Return a row for each sensor without an actuator: kind and range, and what reads it."""
+    rows = []
+    for one, place in zip(rig.lone_sensors, rig.sensor_places, strict=True):
+        if isinstance(one, LoneForce):
+            kind, end, unit, factor = "force", one.range_n, "kN", 1e-3
+        else:
+            kind, end, unit, factor = "displacement", one.range_m, "mm", 1e3
+        value = kind if end is None else f"{kind}, range {quantity(end, unit, factor)}"
+        read = "in virtual time only"
+        if place is not None:
+            channel = rig.axis[place[0]].sensors.extra[place[1]].name
+            read = f"channel {channel} of axis {rig.names[place[0]]}"
+        rows.append((f"Sensor {one.name}", value, read))
+    return rows
 
 
 def _try_out(rig: RigFile | AxesRig) -> None:
