@@ -255,16 +255,45 @@ def test_what_a_load_cell_does_by_itself_follows_no_law() -> None:
     assert decided(seen, beyond_forms=20.0).best.names == ("coulomb",)
 
 
-def test_what_looks_like_a_dashpot_does_not_lose_to_one_by_its_excuse() -> None:
-    name, dashpot = next(iter(LAWS.slow_as.items()))
-    alone = of("coulomb", chi2=1160.0)
+@pytest.mark.parametrize("stated", ["viscous", "stiffness"])
+def test_what_a_changed_stated_value_imitates_does_not_lose_to_it_by_its_excuse(
+    stated: str,
+) -> None:
+    alone, name = of("coulomb", chi2=1160.0), "maxwell"
     seen = evidence(
-        alone, of(name, chi2=15_000.0), of(dashpot, chi2=15_000.0),
-        of("coulomb", name, chi2=1100.0), of("coulomb", dashpot, chi2=1130.0),
+        alone, of(name, chi2=15_000.0), of(stated, chi2=15_000.0),
+        of("coulomb", name, chi2=1100.0), of("coulomb", stated, chi2=1130.0),
     )  # fmt: skip
     assert set(decided(seen).best.names) == {"coulomb", name}
-    without = evidence(*(h for h in seen.sets if dashpot not in h.names))
+    without = evidence(*(h for h in seen.sets if stated not in h.names))
     assert decided(without).best is alone
+    better = evidence(*seen.sets[:-1], of("coulomb", stated, chi2=1090.0))
+    assert set(decided(better).best.names) == {"coulomb", stated}
+
+
+def test_an_effect_that_dry_friction_cannot_replace_is_no_form_of_richer_friction() -> None:
+    """A spring of a seventieth of what is explained beside a peak, of a tenth beside friction."""
+    peak = of("stribeck", chi2=1200.0)
+    seen = evidence(
+        peak, of("coulomb", chi2=5000.0), of("cubic", chi2=15_000.0),
+        of("coulomb", "cubic", chi2=1180.0), of("stribeck", "cubic", chi2=1030.0),
+        exact=False,
+    )  # fmt: skip
+    assert decided(seen, less=("plainest",)).best.names == ("cubic", "stribeck")
+    without = evidence(*(h for h in seen.sets if h.names != ("coulomb", "cubic")), exact=False)
+    assert ("cubic", "stribeck") not in {h.names for h in decided(without).ranked}
+
+
+def test_a_peak_does_not_lose_to_its_imitation_by_two_plainer_laws() -> None:
+    plain = of("coulomb", chi2=1060.0)
+    seen = evidence(plain, of("stribeck", chi2=1000.0), null=1_000_000.0)
+    assert decided(seen).best.names == ("coulomb",)
+    imitation = of("coulomb", "viscous", chi2=1005.0)
+    both = replace(seen, sets=(*seen.sets, of("viscous", chi2=900_000.0), imitation))
+    assert decided(both).best.names == ("stribeck",)
+    better = replace(imitation, chi2=970.0)
+    ahead = replace(seen, sets=(*seen.sets, of("viscous", chi2=900_000.0), better))
+    assert decided(ahead).best.names == ("coulomb", "viscous")
 
 
 def test_damping_of_a_free_decay_is_measured_against_damping() -> None:

@@ -60,6 +60,23 @@ def test_delay_that_grows_by_nothing_and_a_limit_never_met_change_nothing(zeta):
     assert np.max(np.abs(plain.x - other.x)) < 1e-7
 
 
+@pytest.mark.parametrize("kappa_s2_m", [0.04, -0.02])
+def test_a_motion_late_by_its_own_speed_follows_the_closed_form(kappa_s2_m):
+    """Behind a lag too fast to matter: x(t) = x0(t - kappa |v0(t)|), from 1.5 s on."""
+    t = np.arange(int(3.0 * cases.FS)) / cases.FS
+    w, size, begins = 2 * np.pi * 1.5, 8e-3, 1.5
+    lag = ActuatorModel(0.0, 2e4, 1.0)
+    late = ActuatorModel(0.0, 2e4, 1.0, kappa_s2_m=kappa_s2_m, kappa_of="motion")
+    motion = actuator(late, size * np.sin(w * t), cases.FS, (begins * cases.FS, lag))
+    by = np.where(t >= begins, kappa_s2_m * np.abs(size * w * np.cos(w * t)), 0.0)
+    exact = size * np.sin(w * (t - by))
+    known = t < 2.99  # a motion that is ahead of itself ends before the command does
+    assert motion.x[known] == pytest.approx(exact[known], abs=2e-6)
+    turns = np.abs(np.cos(w * t)) < 0.05  # there the velocity has a corner
+    speed, inside = np.gradient(exact, t), ~turns & (np.abs(t - begins) > 0.01) & (t > 0.05) & known
+    assert motion.v[inside] == pytest.approx(speed[inside], abs=0.02 * size * w)
+
+
 @pytest.mark.parametrize("where", ["command", "actuator"])
 def test_a_velocity_limit_is_kept(where):
     u = cases.command()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
 import pytest
 from diagnose_cases import F_STD, FS, C, K, M, command, moved
+from scipy import signal
 from scipy.stats import chi2, norm
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
@@ -110,6 +112,35 @@ def test_a_damper_that_warms_by_some_per_cent_is_still_that_damper(share: float)
     assert max(found.values()) < POLICY.changed_numbers
     worn = changes_of(lambda t, x, v: 2e3 * v * (1.0 - 0.4 * (t > 4.0)), "viscous")
     assert worn[SECOND_HALF] > POLICY.changed_numbers
+
+
+def coloured(problem: ResidualProblem, fit: Fit, pole: float) -> tuple[ResidualProblem, Fit]:
+    """The set in noise of the first order, as the estimate of such a recording filters it."""
+    found = replace(
+        problem.estimate, whiten=lambda y: signal.lfilter([1.0, -pole], [1.0], y) / F_STD
+    )
+    other = ResidualProblem(problem.case, problem.ctx, found, problem.effects)
+    again = refine(other, fit.members)
+    assert again is not None
+    return other, again
+
+
+def test_friction_of_which_some_readings_are_a_row_late_is_the_same_everywhere() -> None:
+    """In slow noise, a wrong row at a reversal weighs most; friction that grows still shows."""
+
+    def rubs(more: float) -> Force:
+        def force(t: Floats, x: Floats, v: Floats) -> Floats:
+            late = np.where((v > 0.0) & (np.arange(v.size) % 2 == 0), np.roll(v, 1), v)
+            return 90.0 * np.sign(late) * (1.0 + more * (t > 4.0))
+
+        return force
+
+    same = steady.changes(*coloured(*fitted(rubs(0.0), "coulomb"), 0.95))
+    assert max(c.deviations for c in same) < POLICY.changed_numbers
+    grown = {
+        c.part: c.deviations for c in steady.changes(*coloured(*fitted(rubs(0.8), "coulomb"), 0.95))
+    }
+    assert grown[SECOND_HALF] > POLICY.changed_numbers
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 8])

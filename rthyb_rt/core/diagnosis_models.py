@@ -29,7 +29,10 @@ class ActuatorModel:
     Attributes:
         delay_s, f_hz, zeta, gain: the linear part.
         shift_s: shift of the command relative to the rows, in addition to the delay.
-        kappa_s2_m: additional delay per m/s; of the command's velocity, or the actuator's.
+        kappa_s2_m: additional delay per m/s.
+        kappa_of: what is late by it: the command, by its own velocity ("command") or by the
+            actuator's at that time ("actuator"), or the motion, by its own ("motion"): a delay
+            before the lag, or after it.
         vmax_m_s: velocity limit of the command, or of the actuator itself; 0 for none.
         jumps: whether it moves in steps from row to row and has the velocity of its last step, like
             the virtual rig's pure delay.
@@ -43,7 +46,7 @@ class ActuatorModel:
     gain: float = 1.0
     shift_s: float = 0.0
     kappa_s2_m: float = 0.0
-    kappa_of: Literal["actuator", "command"] = "actuator"
+    kappa_of: Literal["actuator", "command", "motion"] = "actuator"
     vmax_m_s: float = 0.0
     vmax_of: Literal["command", "actuator"] = "command"
     hold: Hold = "foh"
@@ -106,7 +109,29 @@ def actuator(
     if model.jumps:
         v = np.diff(x, prepend=x[0]) * fs_hz
         a = np.diff(v, prepend=v[0]) * fs_hz
-    return ComputedMotion(x, v, a)
+    moved = ComputedMotion(x, v, a)
+    if model.kappa_of == "motion" and model.kappa_s2_m != 0.0:
+        return _late_by_speed(moved, model.kappa_s2_m, fs_hz, before[0] if before else 0.0)
+    return moved
+
+
+def _late_by_speed(
+    on_time: ComputedMotion, kappa_s2_m: float, fs_hz: float, row: float
+) -> ComputedMotion:
+    """Return ``x(t) = x0(t - kappa |v0(t)|)`` from a row on, and its derivatives.
+
+    Between the rows, x0 is the cubic that has the displacements and velocities of both.
+    """
+    n = on_time.x.size
+    late = np.where(np.arange(n) >= row, kappa_s2_m * np.abs(on_time.v), 0.0)
+    at = np.clip(np.arange(n) - late * fs_hz, 0.0, n - 1.0)
+    i = np.minimum(at.astype(np.intp), max(n - 2, 0))
+    j, s = np.minimum(i + 1, n - 1), at - i
+    x0, x1, v0, v1 = on_time.x[i], on_time.x[j], on_time.v[i] / fs_hz, on_time.v[j] / fs_hz
+    x = x0 + s * (v0 + s * (3.0 * (x1 - x0) - 2.0 * v0 - v1 + s * (2.0 * (x0 - x1) + v0 + v1)))
+    growth = np.where(late != 0.0, kappa_s2_m * np.sign(on_time.v) * on_time.a, 0.0)
+    v = (on_time.v[i] + s * (on_time.v[j] - on_time.v[i])) * (1.0 - growth)
+    return ComputedMotion(x, v, np.gradient(v) * fs_hz if n > 1 else on_time.a)
 
 
 def _compiled(model: ActuatorModel, fs_hz: float) -> Any:
@@ -119,7 +144,7 @@ def _compiled(model: ActuatorModel, fs_hz: float) -> Any:
             "damping_ratio": model.zeta,
             "gain": model.gain,
             "shift_s": model.shift_s,
-            "delay_rate_s2_per_m": model.kappa_s2_m,
+            "delay_rate_s2_per_m": 0.0 if model.kappa_of == "motion" else model.kappa_s2_m,
             "velocity_limit_m_per_s": model.vmax_m_s,
             "limit_at": int(model.vmax_of == "actuator"),
             "rate_of": int(model.kappa_of == "command"),

@@ -73,7 +73,9 @@ class ActuatorEffect:
                 for r, z in ((1.0, 1.0), (0.6, 1.0), (0.5, 3.0), (1.6, 1.0))
             ]
         if self.name == "delay_rate":
-            return [({"kappa_of": w}, np.array([0.0])) for w in ("actuator", "command")]
+            # The command late, before the lag, or the motion, after it.
+            of = ("actuator", "command", "motion")
+            return [({"kappa_of": w}, np.array([0.0])) for w in of]
         return [
             ({"vmax_of": w}, np.array([v_max * r]))
             for w in ("command", "actuator")
@@ -546,10 +548,11 @@ def _warm(
             own = known.get(effect.name)
             if own is None:
                 return []
-            settings |= {
+            variants: dict[str, dict[str, Any]] = {
                 "delay_rate": {"kappa_of": own.model.kappa_of},
                 "rate_limit": {"vmax_of": own.model.vmax_of},
-            }.get(effect.name, {})
+            }
+            settings |= variants.get(effect.name, {})
             if effect is lead:
                 values += [float(getattr(fit.model, f)) for f in effect.fields]
             elif effect.limit:

@@ -112,7 +112,6 @@ class Laws:
     Attributes:
         plainer: friction laws, with the simpler law that each contains as a special case.
         relaxing: laws with relaxation, with their equivalent for a negligible relaxation time.
-        slow_as: laws that slow motion cannot distinguish from a simpler law, with that law.
         also: laws equivalent to another law in parallel with a free spring, with that law.
         sliders: sliders in series, any number of which is a form of the same effect.
         wanders, zeros: zeros of the load cell that change with time, and constant ones.
@@ -121,7 +120,6 @@ class Laws:
 
     plainer: Mapping[str, str]
     relaxing: Mapping[str, str]
-    slow_as: Mapping[str, str]
     also: Mapping[str, str]
     sliders: frozenset[str]
     wanders: frozenset[str]
@@ -135,7 +133,6 @@ class Laws:
         return Laws(
             {n: e.plainer for n, e in laws if e.dry and e.plainer},
             {n: e.plainer for n, e in laws if e.relaxes},
-            {n: e.slow_as for n, e in laws if e.slow_as},
             {e.also: n for n, e in laws if e.also},
             frozenset(n for n, e in laws if e.slides),
             frozenset(n for n, e in laws if e.wanders),
@@ -390,7 +387,8 @@ def _no_form(court: Court, of: Hypothesis, which: int, less: Hypothesis) -> bool
     return (
         _completes(court, of, less)
         or _of_no_form(court, of, which)
-        or _before_a_dashpot(court, of, which)
+        or _before_a_stated_value(court, of, which)
+        or _beside_a_plainer(court, of, which)
     )
 
 
@@ -420,19 +418,40 @@ def _of_no_form(court: Court, of: Hypothesis, which: int) -> bool:
     return bool(court.ask("beyond forms", of, (which,)) > court.times(of) * part.price)
 
 
-def _before_a_dashpot(court: Court, of: Hypothesis, which: int) -> bool:
-    """Return whether an effect is better than a dashpot in its place that would be named.
+def _before_a_stated_value(court: Court, of: Hypothesis, which: int) -> bool:
+    """Return whether an effect is better than a changed stated value that would be named instead.
 
-    The dashpot only changes a stated value and is exempt from the share; an effect should not lose
-    to its imitation for that reason.
+    Such a change, as a dashpot or a stiffer spring, is exempt from the share; an effect should not
+    lose to its imitation for that reason.
     """
-    dashpot = court.laws.slow_as.get(of.parts[which].name)
-    if dashpot is None:
+    rest = set(of.without(which))
+    if of.parts[which].stated:
         return False
-    other = court.by_names.get(tuple(sorted((dashpot, *of.without(which)))))
-    if other is None or of.score + court.policy.same_evidence > other.score:
+    return any(
+        len(h.parts) == len(of.parts)
+        and rest < set(h.names)
+        and any(p.stated and not rest & set(p.names) for p in h.parts)
+        and of.score + court.policy.same_evidence < h.score
+        and needed(court, h)
+        for h in court.by_names.values()
+    )
+
+
+def _beside_a_plainer(court: Court, of: Hypothesis, which: int) -> bool:
+    """Return whether an effect is named beside the plainer law that another one contains.
+
+    What the form of dry friction does not explain, that of friction with one more property explains
+    no better; and the set with the plainer law would be named although it fits worse.
+    """
+    friction = court.laws.plainer
+    others = [n for n in of.without(which) if n in friction]
+    if len(others) != 1 or friction[others[0]] in of.names:
         return False
-    return needed(court, other)
+    names = tuple(sorted(friction[n] if n in others else n for n in of.names))
+    plain = court.by_names.get(names)
+    if plain is None or of.score + court.policy.same_evidence > plain.score:
+        return False
+    return needed(court, plain)
 
 
 def goes_on(court: Court, of: Hypothesis) -> bool:
@@ -584,11 +603,26 @@ def plainest(court: Court, sets: Sets) -> Sets:
         least = max(policy.richer_friction_gain, share * (court.null.chi2 - of.chi2))
         wanted = of.price - (plain.price if plain is not None else 0.0) + least
         against = plain.names if plain is not None else ()
-        if gain > wanted or court.refuse(
-            "plainest", of, found=gain, wanted=wanted, against=against
+        if (
+            gain > wanted
+            or (plain is not None and _imitated(court, of, plain, sets))
+            or court.refuse("plainest", of, found=gain, wanted=wanted, against=against)
         ):
             out.append(of)
     return out
+
+
+def _imitated(court: Court, of: Hypothesis, plain: Hypothesis, sets: Sets) -> bool:
+    """Return whether the plainer law would be named with one more effect, which fits worse.
+
+    Then what the richer law explains is more than the form of a jump, for that effect as well.
+    """
+    return any(
+        len(h.parts) == len(plain.parts) + 1
+        and set(plain.names) < set(h.names)
+        and of.score + court.policy.same_evidence < h.score < plain.score
+        for h in sets
+    )
 
 
 def _plainer_of(court: Court, of: Hypothesis, sets: Sets) -> Hypothesis | None:

@@ -626,8 +626,11 @@ def _sweep(
         fitter.fit(group)
     _dashpots(dictionary, fitter)
     fitter.relieve()
-    reached = min((f.chi2 for f in fitter.by_names.values()), default=best)
-    _reform(dictionary, fitter, reached > POLICY.search_ends * rows)
+    first = min(fitter.by_names.values(), key=fitter.score, default=None)
+    # A set that reaches the noise by straining a stated value may stand for another friction law.
+    strained = first is not None and bool(bent(dictionary.problem, first) - set(first.names))
+    reached = first.chi2 if first is not None else best
+    _reform(dictionary, fitter, strained or reached > POLICY.search_ends * rows)
     fitter.exchange()
     # Subsets of refined sets must be present for comparison.
     for fit in list(fitter.by_names.values()):
@@ -651,8 +654,12 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
     """
     problem, groups = fitter.problem, dictionary.groups
     friction = having(lambda e: e.dry)
-    ranked = sorted(fitter.by_names.values(), key=fitter.score)
-    for fit in [f for f in ranked if len(f.members) > 1][:2]:
+    ranked = [f for f in sorted(fitter.by_names.values(), key=fitter.score) if len(f.members) > 1]
+    leading = ranked[:2]
+    if dry:  # the best set with each other law of friction as well
+        of_each = [next((f for f in ranked if n in f.names), None) for n in sorted(friction)]
+        leading += [f for f in of_each if f is not None and f not in leading]
+    for fit in leading:
         for i, member in enumerate(fit.members):
             like = friction if dry and member.name in friction else frozenset((member.name,))
             others = [
@@ -669,7 +676,8 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
             if alone is None:
                 continue
             found = dictionary.sets(others, dictionary.beside(alone))
-            for (g,) in dictionary.best(found, len(like), 2):
+            # All, if the form of friction is in doubt: on the grid, a smoother jump leads.
+            for (g,) in dictionary.best(found, len(like), len(others) if dry else 2):
                 if compatible([*rest, groups[g].member]):
                     fitter.fit((*rest, groups[g].member))
 

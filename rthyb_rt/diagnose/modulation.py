@@ -101,6 +101,10 @@ class Modulated(Effect):
         """Return the law's limits."""
         return self.effect.limits(ctx, trial)
 
+    def steps(self, ctx: Context, trial: Trial) -> list[float]:
+        """Return the law's steps."""
+        return self.effect.steps(ctx, trial)
+
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return the law's verdict at both ends of the channel's range."""
         if self.bare:

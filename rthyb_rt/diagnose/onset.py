@@ -107,6 +107,10 @@ class Late(Effect):
         length = float(ctx.t[-1] - ctx.t[0])
         return [*self.effect.limits(ctx, self.inner(trial)), (ctx.dt, length)]
 
+    def steps(self, ctx: Context, trial: Trial) -> list[float]:
+        """Return the effect's steps, and that of its onset."""
+        return [*self.effect.steps(ctx, self.inner(trial)), 1e-3]
+
 
 class _Before(Effect):
     """The force that an effect would have before its onset, of free size."""

@@ -951,6 +951,22 @@ def design_of(problem: ResidualProblem, fit: Fit) -> Floats:
     return _design(problem, fit.members, blocks, places, fit)
 
 
+def unfiltered_slopes(problem: ResidualProblem, fit: Fit) -> Floats:
+    """Return the slopes of the force itself to (log shapes, coefficients), (n, p), at every row."""
+    bare = copy(problem)
+    bare.estimate = replace(problem.estimate, whiten=lambda force: force, pieces=None)
+    bare.rows, bare.pieces, bare.cut_hz, bare.loudness = (
+        np.arange(len(problem.ctx.x)),
+        None,
+        None,
+        1.0,
+    )
+    bare.y, bare._blocks, bare._kept = np.zeros(bare.rows.size), OrderedDict(), None
+    places = [(i, j) for i, m in enumerate(fit.members) for j in range(len(m.trial.theta))]
+    blocks = bare.blocks(fit.members)
+    return np.column_stack([*_slopes(bare, fit.members, blocks, places, fit), *blocks])
+
+
 def _design(
     problem: ResidualProblem,
     members: Sequence[Member],
@@ -972,9 +988,11 @@ def _slopes(
     """Return the slopes of the evaluated rows to the logarithm of each shape parameter."""
     jacobian = []
     for i, j in places:
-        moved, step = _moved(problem, members[i], j, 1e-3), 1e-3
+        step = members[i].effect.steps(problem.ctx, members[i].trial)[j]
+        moved = _moved(problem, members[i], j, step)
         if moved is None:
-            moved, step = _moved(problem, members[i], j, -1e-3), -1e-3
+            step = -step
+            moved = _moved(problem, members[i], j, step)
         slope = np.zeros(problem.y.size)
         if moved is not None and moved.effect.carries:
             # It changes every block: their sum is whitened in one pass.

@@ -22,7 +22,22 @@ from rthyb_rt.diagnose import evidence
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, ResidualProblem, design_of, inflation, priors_of
+from rthyb_rt.diagnose.select import (
+    Fit,
+    ResidualProblem,
+    design_of,
+    inflation,
+    priors_of,
+    unfiltered_slopes,
+)
+
+INSTANTS = 100
+"""Number of jumps of a force whose readings are separate, at most: the largest."""
+UNSEEN = 0.1
+"""Size of a wrong reading, in standard deviations of the noise, that makes no difference."""
+ASIDE = 3
+"""Rows between a jump and the changes of the force with which it is compared: a delay by a fraction
+of a row spreads it over two."""
 
 
 @dataclass(frozen=True)
@@ -59,22 +74,73 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     if slopes is None:
         return ()
     # The nuisance parameters are the same for the entire recording.
-    own = slopes[:, : slopes.shape[1] - fit.nuisance.size]
+    own = unfiltered_slopes(problem, fit)
     design, prior = with_forms(problem, fit, slopes)
+    design, prior = _with_instants(problem, fit, design, prior)
     shapes = sum(len(m.trial.theta) for m in fit.members)
     # Change of each parameter: for shapes, of the logarithm.
-    free = np.pad(prior, (0, own.shape[1]))
-    held = free.copy()
     numbers = np.abs(np.concatenate([np.ones(shapes), *fit.betas]))
-    at = np.arange(design.shape[1], free.shape[0])
-    held[at, at] = np.maximum(POLICY.changed_within * numbers, 1e-150) ** -2.0
+    held = np.diag(np.maximum(POLICY.changed_within * numbers, 1e-150) ** -2.0)
+    common = _Common.of(design, prior, fit.residual)
     out = []
     for part, rows in _parts(problem):
-        apart = np.column_stack([design, np.where(rows[:, None], own, 0.0)])
-        before = left(apart, held, fit.residual)[0]
-        after, rest = left(apart, free, fit.residual)
+        # A force that changes within a part of the rows is filtered like any other. The rows of a
+        # filtered force would be something else: where friction reverses, half of the filter's
+        # response, which compares the instant of the reversal, and not the friction.
+        changed = [problem.seen(column) for column in np.where(rows[:, None], own, 0.0).T]
+        before, after, rest = common.with_columns(np.column_stack(changed), held)
         out.append(Change(part, (before - after) / inflation(rest), own.shape[1]))
     return tuple(out)
+
+
+@dataclass(frozen=True)
+class _Common:
+    """What several fits share, solved once: the parameters that all of them have.
+
+    Attributes:
+        design: slopes to them, (rows, q).
+        root: square root of the inverse of their normal matrix, (q, k).
+        residual: before any of them changes, (rows,).
+    """
+
+    design: Floats
+    root: Floats
+    residual: Floats
+
+    @staticmethod
+    def of(design: Floats, prior: Floats, residual: Floats) -> _Common:
+        """Solve for a design, (rows, q), with a prior, (q, q)."""
+        gram = design.T @ design + prior
+        unit = 1.0 / np.sqrt(np.maximum(gram.diagonal(), 1e-300))
+        values, vectors = np.linalg.eigh(gram * np.outer(unit, unit))
+        known = values > 1e-10 * values[-1]
+        root = unit[:, None] * vectors[:, known] / np.sqrt(values[known])
+        return _Common(design, root, residual)
+
+    def with_columns(self, more: Floats, held: Floats) -> tuple[float, float, Floats]:
+        """Return chi-squared with further columns that have a prior, and that are free.
+
+        Args:
+            more: the columns, (rows, p).
+            held: their prior, (p, p).
+
+        Returns:
+            chi-squared with the prior, without it, and the residual without it, (rows,).
+        """
+        seen = self.root.T @ (self.design.T @ self.residual)
+        cross = self.root.T @ (self.design.T @ more)
+        right = more.T @ self.residual - cross.T @ seen
+        gram = more.T @ more - cross.T @ cross
+        size = (more**2).sum(axis=0)
+        falls, free = [], np.zeros(right.size)
+        for prior in (held, np.zeros_like(held)):
+            unit = 1.0 / np.sqrt(np.maximum(size + prior.diagonal(), 1e-300))
+            scaled = (gram + prior) * np.outer(unit, unit)
+            free = unit * np.linalg.lstsq(scaled, unit * right, rcond=1e-10)[0]
+            falls.append(float(free @ right))
+        least = float(self.residual @ self.residual - seen @ seen)
+        rest = self.residual - more @ free - self.design @ (self.root @ (seen - cross @ free))
+        return least - falls[0], least - falls[1], rest
 
 
 def standing(problem: ResidualProblem, fit: Fit) -> tuple[float, float] | None:
@@ -134,15 +200,52 @@ def _near(problem: ResidualProblem, fit: Fit) -> Floats:
     return np.column_stack(columns) if columns else np.zeros((fit.residual.size, 0))
 
 
+def _with_instants(
+    problem: ResidualProblem, fit: Fit, design: Floats, prior: Floats
+) -> tuple[Floats, Floats]:
+    """Return design and prior with the readings in which a law's force jumps, each by itself.
+
+    Friction jumps between two rows, in which the velocity changes sign; a delayed load cell shows
+    it later. Which of them already has the new force depends on a fraction of a row, and so on
+    errors of the motion that no parameter describes: each of the two may be wrong by half of the
+    jump. Along an estimated motion, whose reversals are less exact, so may the rows beside them.
+    """
+    laws = (i for i, m in enumerate(fit.members) if not m.effect.sensor)
+    total = np.sum([evidence.contribution(problem, fit, i) for i in laws], axis=0)
+    if total.size <= 2 * ASIDE + 1:
+        return design, prior
+    change = np.diff(total)
+    beside = 0.5 * (change[: -2 * ASIDE] + change[2 * ASIDE :])
+    jump = np.abs(change[ASIDE:-ASIDE] - beside)
+    reach = np.arange(2) if problem.estimate.exact else np.arange(-1, 3)
+    wrong = np.zeros(total.size)
+    for at in np.argsort(jump)[: -INSTANTS - 1 : -1]:
+        near = at + ASIDE + reach
+        wrong[near] = np.maximum(wrong[near], 0.5 * jump[at])
+    columns = [design]
+    for row in np.flatnonzero(wrong):
+        reading = np.zeros(total.size)
+        reading[row] = wrong[row]
+        seen = problem.seen(reading)
+        if seen @ seen > UNSEEN**2:
+            columns.append(seen[:, None])
+    more = np.r_[np.zeros(design.shape[1]), np.ones(len(columns) - 1)]
+    return np.column_stack(columns), np.pad(prior, (0, more.size - prior.shape[0])) + np.diag(more)
+
+
 def _parts(problem: ResidualProblem) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Return divisions of the evaluated rows into two parts: name and one part, (rows,)."""
-    x, v = problem.ctx.x[problem.rows], problem.ctx.v[problem.rows]
-    far, fast, row = np.abs(x), np.abs(v), np.arange(x.size)
+    """Return divisions of the recording that halve its evaluated rows: name and one part, (n,)."""
+    x, v = problem.ctx.x, problem.ctx.v
+    judged = problem.rows
+
+    def upper(values: Floats) -> NDArray[np.bool_]:
+        return np.asarray(values > float(np.median(values[judged])))
+
     return [
-        ("the second half of the recording", row >= x.size // 2),
-        ("large displacements", far > float(np.median(far))),
-        ("fast motion", fast > float(np.median(fast))),
-        ("displacements to one side", x > float(np.median(x))),
+        ("the second half of the recording", np.arange(x.size) >= judged[judged.size // 2]),
+        ("large displacements", upper(np.abs(x))),
+        ("fast motion", upper(np.abs(v))),
+        ("displacements to one side", upper(x)),
         ("motion in one direction", v > 0.0),
     ]
 

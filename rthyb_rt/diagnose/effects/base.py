@@ -329,6 +329,10 @@ class Effect:
         """Return the allowed range of each shape parameter."""
         return [(abs(value) / 30.0, abs(value) * 30.0) for value in trial.theta]
 
+    def steps(self, ctx: Context, trial: Trial) -> list[float]:
+        """Return the relative change of each shape parameter over which slopes are taken."""
+        return [1e-3] * len(trial.theta)
+
     def of_loop(self, ctx: Context, trial: Trial, beta: Floats) -> float:
         """Return the relative change that it causes in the stiffness of a yielding model's loop."""
         return 0.0

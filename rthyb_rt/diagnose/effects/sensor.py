@@ -182,6 +182,10 @@ class Hum(Effect):
         width = 1.0 / (ctx.t[-1] - ctx.t[0])
         return [(max(f - width, 1e-3), f + width)]
 
+    def steps(self, ctx: Context, trial: Trial) -> list[float]:
+        """Return a change by which the phase is 0.02 rad off at the end: it must remain linear."""
+        return [0.02 / (2.0 * np.pi * trial.theta[0] * float(ctx.t[-1] - ctx.t[0]))]
+
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
