@@ -43,6 +43,8 @@ from rthyb_rt.rig.commissioning.guided_motion import (
 from rthyb_rt.rig.links import opening
 
 LIMITS = ("link", "polarity")
+EVERY = pytest.mark.parametrize("axis", NAMES)
+EACH = pytest.mark.parametrize("name", SENSORS)
 WIRE = "along = { first = 1, second = 0.5 }"
 CELL = "along = { first = 0.4 }"
 PER_AXIS = np.linalg.inv([[1.0, 0.0], [1.0, 1.0]])
@@ -252,6 +254,37 @@ def test_a_mistake_is_refused_with_what_was_measured_and_what_was_expected(mista
     assert seen > 0
 
 
+@EVERY
+@pytest.mark.parametrize(
+    ("different", "said"),
+    [
+        # Millimetres for metres: it jumps.
+        ((WIRE, "along = { first = 1000, second = 500 }"), "of sensor wire: the displacement"),
+        # 100 times too large: the end of the range is reached on the way.
+        ((WIRE, "along = { first = 200, second = 100 }"), "no usable reading of sensor wire"),
+    ],
+)
+def test_a_sensor_whose_own_limit_ends_the_motion_is_named_and_the_specimen_brought_back(
+    axis: str, different: tuple[str, str], said: str
+) -> None:
+    theirs = read(changed(DEFAULTS, different))
+    ends, drives_ends = opening.socket_pairs(NAMES)
+    with ends, drives_ends, virtual_rig.in_step(theirs, drives_ends) as drives:
+        rig = read(DEFAULTS).of_axis(axis)
+        connection = Reach(rig, ends.alone(NAMES.index(axis)), "stepped", drives.tick)
+        plan = guide.CommissioningSettings(LIMITS, 1e-3)
+        found = guide.commission(connection, plan, axis=axis)
+        still = GuidedMotion("still", np.zeros(300), with_sensors=False)
+        moved = carry_out(dataclasses.replace(connection, resets=True), still)
+    step = found.steps["polarity"]
+    assert step.passed is False
+    assert step.faults[0].startswith("the motion did not finish: ")
+    assert said in step.faults[0]
+    assert all("sensor wire" in fault for fault in step.faults)
+    began_m = found.steps["link"].figures["displacement_m"]
+    assert abs(moved.start_m - began_m) < 20e-6
+
+
 TWO_WIRES = changed(
     DEFAULTS,
     ("[[sensor]]\nkind = \"displacement\"", '[[sensor]]\nkind = "displacement"\nname = "string"\n'
@@ -349,10 +382,28 @@ def test_a_drive_that_is_switched_off_is_named() -> None:
     assert "sensor column: no usable reading" in found.steps["link"].faults[0]
 
 
-# ---- jogs ---------------------------------------------------------------------------------------
+def test_frames_that_a_link_loses_are_told_as_such_and_not_as_readings_that_a_sensor_lacks() -> (
+    None
+):
+    """The left line loses one frame of 25 while the right axis is commissioned."""
+    rng = np.random.default_rng(3)
 
-EVERY = pytest.mark.parametrize("axis", NAMES)
-EACH = pytest.mark.parametrize("name", SENSORS)
+    def lossy(now: int, frame: bytes) -> bytes | None:
+        return None if now >= 0 and rng.random() < 1 / 25 else frame
+
+    with between(DEFAULTS) as (opened, way):
+        way.axis, way.whole = 0, lossy
+        rig = read(DEFAULTS).of_axis("right")
+        connection = Reach(rig, opened.alone(1), "stepped", way.tick)
+        found = guide.commission(connection, guide.CommissioningSettings(("link",)), axis="right")
+    step = found.steps["link"]
+    assert step.passed is False
+    assert any(fault.startswith("axis left: its drive, which rec") for fault in step.faults)
+    assert not any(fault.startswith("sensor ") for fault in step.faults)
+    assert step.figures["sensors"]["column"]["seen_share"] == 1.0
+
+
+# ---- jogs ---------------------------------------------------------------------------------------
 
 
 def jogged(
@@ -398,6 +449,7 @@ def test_a_jog_trips_when_a_sensor_has_no_usable_reading(
     assert (found.state, found.cause) == ("TRIPPED", cause)
     assert found.end_reason.endswith(f"of sensor {name}")
     assert found.moved_m < 0.1e-3
+    assert all(f"sensor {name}" in fault for fault in found.faults)
 
 
 @EVERY
@@ -409,6 +461,23 @@ def test_a_jog_trips_when_the_drive_with_the_frames_of_a_sensor_goes_silent(
     own = SENSORS[name][0] == axis
     assert found.state == "TRIPPED"
     assert found.cause == ("link_lost" if own else "sensor_lost")
+
+
+@EVERY
+@EACH
+def test_lost_frames_of_either_drive_do_not_end_a_jog(axis: str, name: str) -> None:
+    """Each frame is lost with a probability of 1 in 30, so one pair of fifteen is not complete."""
+    rng = np.random.default_rng(11)
+
+    def lossy(now: int, frame: bytes) -> bytes | None:
+        return None if now >= 0 and rng.random() < 1 / 30 else frame
+
+    found = jogged(axis, name, whole=lossy)
+    assert found.cause == "completed"
+    assert found.faults == ()
+    assert found.sensors[name]["change"] == pytest.approx(
+        expected_wire(1, 0.5, axis) if name == "wire" else expected_cell(0.4, axis), rel=0.02
+    )
 
 
 @EVERY

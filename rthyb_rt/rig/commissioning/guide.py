@@ -203,9 +203,10 @@ def _polarity(connection: Connection, plan: CommissioningSettings) -> CheckedSte
         return None
     moved = undisturbed(connection, limit_checks.small_motion(connection.rig, plan.distance_m))
     verdict = polarity.judge(connection.rig, moved)
-    faults = list(verdict.faults)
+    # A motion that a sensor has ended early shows little about the axis itself.
+    faults = [] if moved.ended_by_sensor else list(verdict.faults)
     if moved.cause != "completed":
-        faults.append(f"the motion did not finish: {moved.end_reason}")
+        faults.append(f"the motion did not finish: {moved.end_in_figures}")
     figures: dict[str, Any] = {
         "commanded_m": moved.commanded_m,
         "moved_m": moved.moved_m,
@@ -213,13 +214,16 @@ def _polarity(connection: Connection, plan: CommissioningSettings) -> CheckedSte
         "force_change_n": moved.change_n,
         "stiffness_n_per_m": verdict.stiffness_n_per_m,
     }
-    sensors, wrong = sensor_checks.by_motion(connection.rig, moved)
+    sensors, wrong = sensor_checks.by_motion(
+        connection.rig, moved, must_show=not moved.ended_by_sensor
+    )
     if sensors:
         figures["sensors"] = sensors
     # If the axis itself moved the wrong way, its sensors cannot be judged by it.
-    if verdict.good:
+    if verdict.good or moved.ended_by_sensor:
         faults += wrong
-    bring_back(connection, moved)
+    # A sensor that is at fault must not prevent the return.
+    bring_back(connection, moved, with_sensors=not (wrong or moved.ended_by_sensor))
     return CheckedStep("polarity", not faults, now(), figures, tuple(faults))
 
 

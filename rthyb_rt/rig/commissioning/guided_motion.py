@@ -16,7 +16,7 @@ from rthyb_rt.config import STANDARD, AxesRig, Limit, Rate, RigFile
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.loop import Clock
 from rthyb_rt.errors import InputError, Problem, RthybError
-from rthyb_rt.lab import beside, experiment, realtime
+from rthyb_rt.lab import beside, experiment, realtime, trips
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.record.recording import RecordedTest
 
@@ -104,6 +104,7 @@ class GuidedMotion:
         velocity_limit_m_per_s, acceleration_limit_m_per_s2: of the command, instead of the rig's.
         stay: a motion that is interrupted ends where it comes to rest, not where it began.
         whole_force: the force limit counts from zero load, not from the load at the beginning.
+        with_sensors: sensors without an actuator are read, and may end the motion.
     """
 
     name: str
@@ -113,6 +114,7 @@ class GuidedMotion:
     acceleration_limit_m_per_s2: float | None = None
     stay: bool = True
     whole_force: bool = True
+    with_sensors: bool = True
 
 
 @dataclass(frozen=True)
@@ -189,6 +191,19 @@ class MotionResult:
     def end_reason(self) -> str:
         """What ended it, as a sentence."""
         return str(self.recording.meta["end_reason"])
+
+    @property
+    def ended_by_sensor(self) -> bool:
+        """Whether a sensor without an actuator ended it."""
+        return " of sensor " in self.end_reason
+
+    @property
+    def end_in_figures(self) -> str:
+        """What ended it, as a sentence with the value reached and the limit, if it has any."""
+        station = self.recording.meta["station"]
+        value, limit = float(station["cause_value"]), float(station["cause_limit"])
+        found = trips.figures(self.cause, value, limit, alone=self.ended_by_sensor)
+        return f"{self.end_reason}: {found}" if found else self.end_reason
 
     @property
     def moved_m(self) -> float:
@@ -429,7 +444,9 @@ def carry_out(
         InputError: no feedback, no rest, or inconsistent settings; nothing has moved.
         RthybError: something else failed; the motion has been stopped.
     """
-    setup = beside.with_sensors(experiment.prescribed(connection.rig, motion.name, motion.path_m))
+    setup = experiment.prescribed(connection.rig, motion.name, motion.path_m)
+    if motion.with_sensors:
+        setup = beside.with_sensors(setup)
     operator = operator or realtime.Operator()
     link = connection.rig.link
     with connection.on_interrupt(operator.stop):
@@ -481,10 +498,15 @@ def undisturbed(
     )
 
 
-def bring_back(connection: Connection, moved: MotionResult) -> None:
+def bring_back(connection: Connection, moved: MotionResult, *, with_sensors: bool = True) -> None:
     """Return slowly to where a motion began, if the command ended elsewhere.
 
     It is the command that is reversed, because the sign of the reading may be the fault.
+
+    Args:
+        connection: the rig.
+        moved: the motion.
+        with_sensors: as in `GuidedMotion`; False if one of the sensors is at fault.
 
     Raises:
         LimitError: a limit or the drive ended the return.
@@ -500,7 +522,8 @@ def bring_back(connection: Connection, moved: MotionResult) -> None:
         rate = connection.rig.rate
         way = eased(back_m, min(velocity, GENTLE_M_PER_S), acceleration, rate)
         path = with_rests(way, rate=rate)
-        returned = carry_out(connection, GuidedMotion("way-back", path))
+        back = GuidedMotion("way-back", path, with_sensors=with_sensors)
+        returned = carry_out(connection, back)
         if returned.cause == "completed":
             return
         if returned.cause in ("operator", "signal", "none"):

@@ -101,7 +101,9 @@ def jog(
     # A motion that had barely begun reveals nothing about signs.
     conclusive = abs(moved.commanded_m) > moved.certain("x_meas_m")
     sensors, wrong = sensor_checks.by_motion(connection.rig, moved, must_show=False)
-    faults = verdict.faults or tuple(wrong)
+    # A motion that a sensor has ended early shows little about the axis itself.
+    of_axis = () if moved.ended_by_sensor else verdict.faults
+    faults = of_axis or tuple(wrong)
     return Jogged(
         asked_m=distance_m,
         speed_m_per_s=speed_m_per_s,

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt.config import RigFile
 from rthyb_rt.config.lonesensors import OneOfSeveral, SensorOfAxes
@@ -50,8 +51,10 @@ def at_rest(rig: RigFile, moved: MotionResult) -> tuple[dict[str, Any], list[str
         return {}, []
     figures, faults = {}, _silent_drives(common, rows)
     for one in common.sensors:
-        name, read = one.sensor.name, _numbers(rows, f"{one.sensor.name}_read")
-        share = read.size / max(rows.size, 1)
+        name, frames = one.sensor.name, rows[_arrived(common, one.axis, rows)]
+        read = _numbers(frames, f"{name}_read")
+        # Frames that do not arrive are the fault of their link, which is told by its own name.
+        share = read.size / frames.size if frames.size else 1.0
         reading = float(read.mean()) if read.size else None
         figures[name] = {
             "reading": reading,
@@ -59,14 +62,14 @@ def at_rest(rig: RigFile, moved: MotionResult) -> tuple[dict[str, Any], list[str
             "unit": "N" if one.is_cell else "m",
             "seen_share": share,
         }
-        if share < LEAST_SEEN or reading is None:
+        if share < LEAST_SEEN:
             faults.append(
                 f"sensor {name}: the channel {one.channel.name} of axis {one.axis} had a number in "
-                f"{100 * share:.1f} % of the ticks; at least {100 * LEAST_SEEN:g} % must have "
+                f"{100 * share:.1f} % of its frames; at least {100 * LEAST_SEEN:g} % must have "
                 "one: is the sensor connected, its amplifier on, and its reading within the range "
                 "of the signal?"
             )
-        elif 0.0 < one.tare_most < abs(reading):
+        elif reading is not None and 0.0 < one.tare_most < abs(reading):
             faults.append(
                 f"sensor {name}: reads {_shown(one, reading)} at rest, but zeroing accepts at most "
                 f"{_shown(one, one.tare_most)} (limits.tare_share_most): relieve the specimen, or "
@@ -75,10 +78,17 @@ def at_rest(rig: RigFile, moved: MotionResult) -> tuple[dict[str, Any], list[str
     return figures, faults
 
 
+def _arrived(common: OneOfSeveral, axis: str, rows: Rows) -> NDArray[np.bool_]:
+    """Return the rows in which a pair of an axis arrived, (n,)."""
+    own = axis == common.name
+    column: Floats = rows["x_read_m" if own else beside.heard_names(common, axis)[0]]
+    return np.isfinite(column)
+
+
 def _silent_drives(common: OneOfSeveral, rows: Rows) -> list[str]:
     faults = []
     for axis in common.others:
-        share = _numbers(rows, beside.heard_names(common, axis)[0]).size / max(rows.size, 1)
+        share = float(_arrived(common, axis, rows).mean()) if rows.size else 0.0
         if share < LEAST_SEEN:
             faults.append(
                 f"axis {axis}: its drive, which receives no commands, sent displacement and force "
@@ -236,12 +246,13 @@ def _change(moved: MotionResult, channel: str) -> tuple[float | None, float]:
 def _fault(one: _Compared, moved: MotionResult) -> str:
     """Return what is wrong with a sensor, with what was expected and the remedy; "" if nothing."""
     after = f"when the axis moved by {quantity(moved.moved_m, 'mm', 1e3)}"
-    wanted = f"{_shown(one.of, one.expected)} was expected from {_axes(one)}"
     if one.change is None:
         return f"gave no number before or after the motion: check {_channel(one.of)}"
+    expected = _shown(one.of, _unless_tiny(one.expected, one.change))
+    wanted = f"{expected} was expected from {_axes(one)}"
     if one.hidden:
         return (
-            f"should change by {_shown(one.of, one.expected)} {after}, which its noise hides "
+            f"should change by {expected} {after}, which its noise hides "
             f"({_shown(one.of, one.certain)} can be seen, and "
             f"{_shown(one.of, min(one.less, one.more))} must be): choose a larger --distance"
         )
