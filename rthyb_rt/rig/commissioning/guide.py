@@ -171,7 +171,8 @@ def rest_figures(moved: MotionResult) -> dict[str, Any]:
     delay = moved.facts["link_delay_samples"]
     return {
         "link": moved.facts["link"],
-        "fresh_share": received.size / max(executed.size, 1),
+        # Of the axis itself, whether or not every sensor beside it had a reading.
+        "fresh_share": np.count_nonzero(executed["missing"] == 0) / max(executed.size, 1),
         "rate_hz": _rate(received),
         "link_delay_samples": None if delay < 0 else delay,
         "slips": int(np.count_nonzero(rows["flags"] & FLAGS["slip"])),
