@@ -125,7 +125,7 @@ def a_peak() -> Evidence:
 def quick() -> Evidence:
     """Relaxation that is over long before the motion turns."""
     return evidence(
-        of("viscous", chi2=1020.0), of(part("maxwell", 25.0, 2), chi2=1000.0, relaxes_rad=0.01)
+        of("viscous", chi2=1020.0), of(part("maxwell", 25.0, 2), chi2=1000.0, settles_rad=0.01)
     )
 
 
@@ -175,8 +175,21 @@ def test_every_rule_has_its_evidence() -> None:
 def test_relaxation_that_is_over_at_once_is_a_dashpot() -> None:
     assert decided(quick()).best.names == ("viscous",)
     assert decided(quick(), ("plainest",)).best.names == ("maxwell",)
-    slow = evidence(*(replace(h, relaxes_rad=1.0) if h.relaxes_rad else h for h in quick().sets))
+    slow = evidence(*(replace(h, settles_rad=1.0) if h.settles_rad else h for h in quick().sets))
     assert decided(slow).best.names == ("maxwell",)
+
+
+def test_a_second_mass_on_a_spring_too_stiff_for_the_motion_is_a_moving_mass() -> None:
+    def seen(settles_rad: float) -> Evidence:
+        return evidence(
+            of("inertia", "cubic", chi2=1025.0), of("inertia", chi2=9000.0),
+            of("cubic", chi2=15_000.0), of("second_mode", chi2=9000.0),
+            of(part("second_mode", 30.0, 3), "cubic", chi2=1000.0, settles_rad=settles_rad),
+        )  # fmt: skip
+
+    assert decided(seen(0.02)).best.names == ("cubic", "inertia")
+    assert ("cubic", "second_mode") not in {h.names for h in decided(seen(0.02)).ranked}
+    assert ("cubic", "second_mode") in {h.names for h in decided(seen(0.5)).equal}
 
 
 def test_sets_that_differ_by_less_than_evidence_tells_are_both_named() -> None:

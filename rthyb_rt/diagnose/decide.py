@@ -63,7 +63,8 @@ class Hypothesis:
         bent: effects that it replaces by moving a stated value out of its tolerance.
         offset_sd: fitted time offset, in standard deviations of its tolerance.
         held_n_per_m, lost_n_per_m: stiffness of its bristles, and loss of its spring.
-        relaxes_rad: longest relaxation time times the motion's angular frequency; 0: none.
+        settles_rad: longest time of a law that acts like a simpler one in slower motion, times the
+            motion's angular frequency; 0: none.
     """
 
     parts: tuple[SetMember, ...]
@@ -72,7 +73,7 @@ class Hypothesis:
     offset_sd: float = 0.0
     held_n_per_m: float = 0.0
     lost_n_per_m: float = 0.0
-    relaxes_rad: float = 0.0
+    settles_rad: float = 0.0
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -111,7 +112,7 @@ class Laws:
 
     Attributes:
         plainer: friction laws, with the simpler law that each contains as a special case.
-        relaxing: laws with relaxation, with their equivalent for a negligible relaxation time.
+        settling: laws that act like a simpler law in motion slow enough, with that law.
         also: laws equivalent to another law in parallel with a free spring, with that law.
         sliders: sliders in series, any number of which is a form of the same effect.
         wanders, zeros: zeros of the load cell that change with time, and constant ones.
@@ -119,7 +120,7 @@ class Laws:
     """
 
     plainer: Mapping[str, str]
-    relaxing: Mapping[str, str]
+    settling: Mapping[str, str]
     also: Mapping[str, str]
     sliders: frozenset[str]
     wanders: frozenset[str]
@@ -132,7 +133,7 @@ class Laws:
         laws = list(catalogue.items())
         return Laws(
             {n: e.plainer for n, e in laws if e.dry and e.plainer},
-            {n: e.plainer for n, e in laws if e.relaxes},
+            {n: e.plainer for n, e in laws if e.settles},
             {e.also: n for n, e in laws if e.also},
             frozenset(n for n, e in laws if e.slides),
             frozenset(n for n, e in laws if e.wanders),
@@ -593,7 +594,8 @@ def plainest(court: Court, sets: Sets) -> Sets:
     """More complex friction must be better than dry friction in its place.
 
     Both contain it as a special case; what they then gain is the form of the jump. The same applies
-    to relaxation with a negligible time, which is a dashpot.
+    to relaxation with a negligible time, which is a dashpot, and to a second mass on a spring that
+    is far too stiff for the motion, which is a moving mass.
     """
     policy, out = court.policy, []
     share = policy.richer_friction_share * court.blurred
@@ -626,7 +628,8 @@ def _imitated(court: Court, of: Hypothesis, plain: Hypothesis, sets: Sets) -> bo
 
 
 def _plainer_of(court: Court, of: Hypothesis, sets: Sets) -> Hypothesis | None:
-    friction, relaxing = court.laws.plainer, court.laws.relaxing
+    friction = court.laws.plainer
+    settling = {n: plain for n, plain in court.laws.settling.items() if n in of.names}
     richer = {n for n in of.names if n in friction}
 
     def among(plainer: Mapping[str, str]) -> Hypothesis | None:
@@ -636,9 +639,9 @@ def _plainer_of(court: Court, of: Hypothesis, sets: Sets) -> Hypothesis | None:
     plain = None
     if len(richer) == 1 and not {friction[n] for n in richer} & set(of.names):
         plain = among(friction)
-    alone = set(relaxing.values()).isdisjoint(of.names)
-    quick = 0.0 < of.relaxes_rad < court.policy.quick_relaxation
-    return among(relaxing) if plain is None and quick and alone else plain
+    alone = set(settling.values()).isdisjoint(of.names)
+    quick = 0.0 < of.settles_rad < court.policy.quick_relaxation
+    return among(settling) if plain is None and quick and alone else plain
 
 
 def simplest_first(court: Court, sets: Sets) -> Sets:

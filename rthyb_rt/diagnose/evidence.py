@@ -108,8 +108,7 @@ class Gathered:
                 held = own
             elif m.name == laws.stiffness:
                 lost = -float(b[0]) * ctx.model.k
-            if m.name in laws.relaxing:
-                times.append(m.trial.theta[0])
+            times.append(m.effect.settling_s(m.trial))
         omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
         return Hypothesis(
             tuple(self._part(m) for m in fit.members),

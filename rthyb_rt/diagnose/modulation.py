@@ -101,6 +101,10 @@ class Modulated(Effect):
         """Return the law's limits."""
         return self.effect.limits(ctx, trial)
 
+    def settling_s(self, trial: Trial) -> float:
+        """Return the law's own time."""
+        return self.effect.settling_s(trial)
+
     def steps(self, ctx: Context, trial: Trial) -> list[float]:
         """Return the law's steps."""
         return self.effect.steps(ctx, trial)

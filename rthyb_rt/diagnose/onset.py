@@ -107,6 +107,10 @@ class Late(Effect):
         length = float(ctx.t[-1] - ctx.t[0])
         return [*self.effect.limits(ctx, self.inner(trial)), (ctx.dt, length)]
 
+    def settling_s(self, trial: Trial) -> float:
+        """Return the effect's own time."""
+        return self.effect.settling_s(self.inner(trial))
+
     def steps(self, ctx: Context, trial: Trial) -> list[float]:
         """Return the effect's steps, and that of its onset."""
         return [*self.effect.steps(ctx, self.inner(trial)), 1e-3]

@@ -171,7 +171,8 @@ class Policy:
     quick_relaxation: float = _entry(
         0.1, "rad", "judgement",
         "Product of relaxation time and angular frequency of the motion up to which relaxation is "
-        "equivalent to viscous damping.",
+        "equivalent to viscous damping; ratio of the motion's frequency to that of a second mode "
+        "up to which the latter is a moving mass.",
     )  # fmt: skip
     form_alone: float = _entry(
         1.5e-3, "fraction of what is explained", "judgement",

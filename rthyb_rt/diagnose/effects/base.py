@@ -187,6 +187,7 @@ class Effect:
             instead if this one fits no better.
         slow_as: name of the law from which slow motion cannot distinguish it.
         relaxes: its first shape parameter is the time in which its force decays, s.
+        settles: in motion that is slow against `settling_s`, it acts like `plainer`.
         slides: it consists of sliders, any number of which is a form of the same effect.
         also: name of the law to which it is equivalent in parallel with a spring of free stiffness.
         of_spring: its parameter that is a fraction of the existing spring.
@@ -227,6 +228,7 @@ class Effect:
     plainer = ""
     slow_as = ""
     relaxes = False
+    settles = False
     slides = False
     also = ""
     of_spring = ""
@@ -328,6 +330,13 @@ class Effect:
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Return the allowed range of each shape parameter."""
         return [(abs(value) / 30.0, abs(value) * 30.0) for value in trial.theta]
+
+    def settling_s(self, trial: Trial) -> float:
+        """Return the time of its own against which slow motion makes it act like `plainer`, s.
+
+        0: none does.
+        """
+        return 0.0
 
     def steps(self, ctx: Context, trial: Trial) -> list[float]:
         """Return the relative change of each shape parameter over which slopes are taken."""

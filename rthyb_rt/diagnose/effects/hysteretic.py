@@ -595,7 +595,7 @@ class Maxwell(Effect):
     params = (Param("km_N_m", "N/m", 0.0, 1e12), Param("tau_s", "s", 1e-4, 1e4))
     equation = "f' + f / tau = km v"
     fingerprint = "a dashpot at low frequency, a spring at high frequency"
-    relaxes = True
+    relaxes = settles = True
     plainer = Viscous.name
     slow_as = Viscous.name
     shown_by = (
@@ -612,6 +612,10 @@ class Maxwell(Effect):
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep it different from a spring and from a dashpot."""
         return [(2.0 * ctx.dt, 20.0)]
+
+    def settling_s(self, trial: Trial) -> float:
+        """Return the relaxation time."""
+        return trial.theta[0]
 
     def settings(
         self, ctx: Context, trial: Trial

@@ -63,6 +63,8 @@ class SecondMode(Effect):
     equation = "y'' + 2 zeta w2 y' + w2^2 y = -a, f = -m2 (2 zeta w2 y' + w2^2 y)"
     fingerprint = "residual oscillates at a frequency of its own"
     shown_by = ("sweep", "a sweep through its natural frequency excites it")
+    settles = True
+    plainer = Inertia.name
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
@@ -79,6 +81,10 @@ class SecondMode(Effect):
         """
         f, most = trial.theta[0], 0.25 * ctx.model.fs_hz
         return [(max(min(f, most) / 1.4, 0.05), min(f * 1.4, most)), (1e-3, 0.4)]
+
+    def settling_s(self, trial: Trial) -> float:
+        """Return the reciprocal of its angular frequency."""
+        return 1.0 / (2.0 * np.pi * trial.theta[0])
 
     def settings(
         self, ctx: Context, trial: Trial
