@@ -722,6 +722,43 @@ def test_a_channel_moved_to_another_drive_invalidates_every_axis() -> None:
         assert now[name] != held[name]
 
 
+SERIAL = at_lines(DEFAULTS).replace("LINE", "/dev/line").replace(", virtual = true", "")
+"""At real drives."""
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('channel = "/dev/line1"', 'channel = "/dev/line9"'),
+        ('channel = "/dev/line1"', 'channel = "/dev/line1", bitrate = 460800'),
+        ('channel = "/dev/line1"', 'channel = "/dev/line1", stop_decel_m_per_s2 = 2'),
+        (
+            'name = "right"',
+            'name = "right"\ncalibration = { displacement = { polarity = -1 } }',
+        ),
+        ('name = "right"', 'name = "right"\ncalibration = { force = { polarity = -1 } }'),
+        ("displacement = { noise_std_m = 5e-6 }", "displacement = { noise_std_m = 4e-6 }"),
+        (
+            "displacement = { noise_std_m = 5e-6 }",
+            "displacement = { noise_std_m = 5e-6, range_m = 0.05 }",
+        ),
+        (
+            "wire_step = 1e-9\n",
+            'wire_step = 1e-9\n[[axis.sensors.extra]]\nname = "acc"\nunit = "g"\n',
+        ),
+    ],
+)
+def test_another_drive_or_calibration_of_one_axis_invalidates_every_axis(
+    old: str, new: str
+) -> None:
+    """By what one axis reads, the check of the other computed what was expected of a sensor."""
+    at = SERIAL.index('name = "right"')
+    edited = SERIAL[:at] + changed(SERIAL[at:], (old, new))
+    held, now = hashes(SERIAL), hashes(edited)
+    for name in NAMES:
+        assert now[name] != held[name]
+
+
 def test_what_does_not_change_a_reading_keeps_the_certificate() -> None:
     held = hashes(DEFAULTS)
     for old, new in (
@@ -743,7 +780,7 @@ def test_rigs_without_sensors_keep_the_certificate_that_they_have() -> None:
 
 
 def real_rig() -> AxesRig:
-    return read(at_lines(DEFAULTS).replace("LINE", "/dev/line").replace(", virtual = true", ""))
+    return read(SERIAL)
 
 
 @pytest.fixture(name="held")
@@ -770,7 +807,7 @@ def test_commissioned_sensors_may_be_used_on_real_drives(held: Path) -> None:
     assert set(known["axes"]) == set(NAMES)
     changed_rig = read(
         changed(
-            at_lines(DEFAULTS).replace("LINE", "/dev/line").replace(", virtual = true", ""),
+            SERIAL,
             (WIRE, "along = { first = 1, second = 0.55 }"),
         )
     )
@@ -790,6 +827,22 @@ def test_a_sensor_that_no_axis_moves_enough_is_not_used_on_real_drives(held: Pat
         certificate.write(certificate.place(held, axis), again)
     with pytest.raises(RefusedError, match="sensor column: no axis moved it enough"):
         certificate.demand(real_rig(), held)
+
+
+def test_a_virtual_rig_beside_a_real_drive_does_not_replace_the_check_of_a_sensor(
+    held: Path,
+) -> None:
+    """The virtual axis needs no certificate and has none; the real one does not move the wire."""
+    mixed = read(
+        changed(SERIAL, ('channel = "/dev/line0"', 'channel = "/dev/line0", virtual = true'))
+    )
+    certificate.place(held, "left").unlink()
+    own = certificate.read(certificate.place(held, "right"))
+    own = dataclasses.replace(own, rig_hash=certificate.rig_hash(mixed.of_axis("right"), "right"))
+    certificate.write(certificate.place(held, "right"), own)
+    with pytest.raises(RefusedError, match="sensor column: no axis moved it enough") as told:
+        certificate.demand(mixed, held)
+    assert "sensor wire" not in str(told.value)
 
 
 @pytest.mark.parametrize(

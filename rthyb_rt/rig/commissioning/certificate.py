@@ -32,6 +32,8 @@ STEPS: Final = ("link", "polarity", "limits", "watchdog", "trip")
 SUFFIX: Final = ".commissioned.json"
 
 _MATTERS: Final = ("link", "calibration", "actuator", "sensors", "limits")
+_READ_BY: Final = ("link", "calibration", "sensors")
+"""Of an axis, what determines the readings of its drive."""
 _FIRST_KEYS: Final[dict[str, tuple[str, ...]]] = {
     "link": ("interface", "bitrate", "data_bitrate", "dbc"),
     "limits": (
@@ -136,8 +138,20 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
     Covers link, calibration, actuator, sensors and limits, but not names, comments, specimen, k_e
     or identified values. A DBC file counts by its content, not by its path. For an axis of several
     its name counts as well, because the kinematics refer to it by name; and if there are sensors
-    without an actuator, so do all of these, with their channels, all axes and the kinematics.
+    without an actuator, so do all of these, link, calibration and sensors of every axis, and the
+    kinematics.
     """
+    content = _content(rig)
+    if axis:
+        content["axis"] = axis
+    if rig.one_of is not None and rig.one_of.sensors:
+        content["sensors_of_axes"] = _of_sensors(rig, rig.one_of)
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _content(rig: RigFile) -> dict[str, Any]:
+    """Return what matters of a rig of one axis, as plain values."""
     content = {key: value for key, value in rig.model_dump().items() if key in _MATTERS}
     for table, first in _FIRST_KEYS.items():
         given = content[table] or {}
@@ -157,34 +171,26 @@ def rig_hash(rig: RigFile, axis: str = "") -> str:
         content["link"]["dbc"] = _digest(Path(rig.link.dbc))
     for key in TOLERANCES:
         content["actuator"].pop(key, None)
-    if axis:
-        content["axis"] = axis
-    if rig.one_of is not None and rig.one_of.sensors:
-        content["sensors_of_axes"] = _of_sensors(rig, rig.one_of)
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-    return hashlib.sha256(text.encode()).hexdigest()
+    return content
 
 
 def _of_sensors(rig: RigFile, common: OneOfSeveral) -> dict[str, Any]:
     """Return what sign and scale of the sensors without an actuator were checked against.
 
-    It is the same for every axis, because each axis moves them: the sensors, their channels and the
-    frames that contain these, and the kinematics.
+    It is the same for every axis, because each axis moves them: the sensors, the kinematics, and of
+    every axis the drive that answers and what its own sensors read. Each check compared the sensors
+    with the readings of all axes, so that one axis that reads otherwise undoes all of them.
     """
-    links = {common.name: rig.link} | {name: other.link for name, other in common.others.items()}
-    read = []
-    for one in common.sensors:
-        link = links[one.axis]
-        read.append(
-            {
-                "sensor": one.sensor.model_dump(exclude_none=True),
-                "axis": one.axis,
-                "number": one.number,
-                "channel": one.channel.model_dump(exclude_none=True),
-                "dbc": _digest(Path(link.dbc)) if link is not None and link.dbc else None,
-            }
-        )
-    return {"read": read, **common.meaning}
+    axes = {common.name: rig, **common.others}
+    of_axes = {
+        name: {key: value for key, value in _content(axes[name]).items() if key in _READ_BY}
+        for name in common.names
+    }
+    read = [
+        {"sensor": one.sensor.model_dump(exclude_none=True), "axis": one.axis, "number": one.number}
+        for one in common.sensors
+    ]
+    return {"read": read, "of_axes": of_axes, **common.meaning}
 
 
 def _digest(path: Path) -> str:
@@ -387,7 +393,7 @@ def standing(rig: RigFile, rig_path: Path, axis: str = "") -> Standing:
     Raises:
         InputError: its certificate cannot be read.
     """
-    demanded = rig.link is not None and not rig.link.virtual
+    demanded = _is_real(rig)
     holds, older = find(rig, rig_path, axis)
     lacks = demanded and (holds is None or bool(holds.lacking))
     why_not = _why_not(rig, rig_path, holds, older, axis) if lacks else ""
@@ -427,7 +433,9 @@ def inconclusive(rig: RigFile | AxesRig, rig_path: Path) -> list[str]:
     """Return the sensors without an actuator that every polarity check leaves undetermined.
 
     Each axis may move a sensor so little, compared with what the axes read, that a wrong sign or a
-    factor of 2 would pass; but not all axes may. Nothing is said before every axis has passed.
+    factor of 2 would pass; but not all axes may. Nothing is said before every axis has passed. If
+    there are real drives, only their checks count: a virtual rig beside them, which needs none,
+    moves nothing that a sensor could see.
 
     Returns:
         A sentence for each sensor, with the remedy.
@@ -437,9 +445,11 @@ def inconclusive(rig: RigFile | AxesRig, rig_path: Path) -> list[str]:
     """
     if not isinstance(rig, AxesRig) or not rig.lone_sensors:
         return []
-    held = [find(own, rig_path, axis)[0] for own, axis in each(rig)]
+    axes = each(rig)
+    count = [(own, axis) for own, axis in axes if _is_real(own)] or axes
+    held = [find(own, rig_path, axis)[0] for own, axis in count]
     passed = [one.steps["polarity"] for one in held if one is not None and one.date_of("polarity")]
-    if len(passed) < len(rig.names):
+    if len(passed) < len(count):
         return []
     shown = {name for step in passed for name in _conclusive(step)}
     return [
@@ -462,7 +472,9 @@ def _conclusive(step: CheckedStep) -> list[str]:
 def _joint(rig: RigFile) -> str:
     """Return what else the certificate of an axis with common sensors depends on, in words."""
     common = rig.one_of
-    return ", [[sensor]], [kinematics]" if common is not None and common.sensors else ""
+    if common is None or not common.sensors:
+        return ""
+    return ", [[sensor]], [kinematics], link, calibration or sensors of another axis"
 
 
 def _known(rig: RigFile, axis: str, found: Standing) -> dict[str, Any]:
@@ -474,6 +486,11 @@ def _known(rig: RigFile, axis: str, found: Standing) -> dict[str, Any]:
         "rig_hash": rig_hash(rig, axis),
         **dates,
     }
+
+
+def _is_real(rig: RigFile) -> bool:
+    """Return whether a real drive is at the other end."""
+    return rig.link is not None and not rig.link.virtual
 
 
 def _why_not(
