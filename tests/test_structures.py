@@ -18,6 +18,7 @@ from frames import beam_stiffness, shear_building
 
 from rthyb_rt import config
 from rthyb_rt.analysis import summary
+from rthyb_rt.analysis.linear_parts import LinearStep
 from rthyb_rt.config import deriving, matrixfile
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.structures import MatrixFile
@@ -285,7 +286,18 @@ def but(matrix: Any, i: int, j: int, value: float) -> Any:
         (changed(labels=["a", "b", "a", "c"]), 'labels: found "a" twice; must be different'),
         (changed(labels=["a", "b"]), "labels: found 2 labels; must be 4"),
         (changed(influence=np.ones(3)), "influence: has the shape (3,); must have 4 rows"),
-        (changed(influence=np.full(4, np.nan)), "influence: found a number that is not finite"),
+        (
+            changed(influence=np.array([1.0, 1.0, np.nan, 1.0])),
+            'influence: found nan at "3.x" (row 3, column 1); must be from -1e+06 to 1e+06',
+        ),
+        (
+            changed(influence=np.array([[1.0, 0.0, 1.0, 2e6]])),
+            'influence: found 2e+06 at "4.x" (row 1, column 4)',
+        ),
+        (
+            changed(influence=np.array([[1.0, 0.0], [1.0, -np.inf], [1.0, 0.0], [0.0, 1.0]])),
+            'influence: found -inf at "2.x" (row 2, column 2)',
+        ),
         (changed(K=K4.astype(str)), ": K: found an array of <U"),
         ({"mass": M4, "K": K4}, "has no M; it must have M (masses, kg) and K"),
         (changed(M=but(but(M4, 0, 0, 0.0), 0, 1, 5.0)), "M: found 5 in row 1, column 2 and 0 in"),
@@ -492,3 +504,91 @@ def test_a_central_difference_beyond_its_bound_is_refused() -> None:
     )
     with pytest.raises(InputError, match="central-difference at 1024 Hz is unstable"):
         structure(stiff)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("M.csv", but(M4, 1, 1, -1.0), 'M: found a mass of -1 kg at "2.x" (row 2)'),
+        ("K.csv", but(K4, 1, 2, 7.0), "K: found 7 in row 2, column 3"),
+        ("C.csv", C4[:3, :3], "C has 3 rows and M 4"),
+        ("labels.txt", ["1.x", "2.x", "1.x", "4.x"], 'labels: found "1.x" twice'),
+        ("labels.txt", ["1.x", "2.x", "3.x"], "labels: found 3 labels; must be 4"),
+        ("influence.csv", np.array([1.0, np.nan, 1.0, 1.0]), 'influence: found nan at "2.x"'),
+        ("influence.csv", np.ones(3), "influence: has the shape (3, 1)"),
+    ],
+)
+def test_of_several_files_the_one_with_the_error_is_named(
+    name: str, content: Any, said: str, tmp_path: Path
+) -> None:
+    matrices = written(tmp_path, "csv").replace(" }", ', influence = "influence.csv" }')
+    np.savetxt(tmp_path / "influence.csv", np.ones(4))
+    np.savetxt(tmp_path / name, content, delimiter=",", fmt="%s")
+    with pytest.raises(InputError) as refused:
+        from_file(tmp_path, matrices)
+    assert said in str(refused.value)
+    assert str(tmp_path / name) in str(refused.value)
+
+
+# ---- motions without mass ------------------------------------------------------------------------
+
+JOINTED = np.array([[6e6, -3e6, 0.0], [-3e6, 5e6, -2e6], [0.0, -2e6, 2e6]])
+"""Three springs in a row, the joint between the second and the third without mass."""
+
+
+def jointed(folder: Path, keys: str, mass: Any = (3000.0, 0.0, 2000.0)) -> SparseStructure:
+    m = np.asarray(mass)
+    np.savez(folder / "a.npz", M=np.diag(m) if m.ndim == 1 else m, K=JOINTED, C=1e-4 * JOINTED)
+    path = folder / "test.toml"
+    path.write_text(
+        f'{HEAD}numerical.matrices.file = "a.npz"\n{keys}\n[[interface]]\nname = "x"\ndof = "1"\n'
+    )
+    found = deriving.structure_of_test(config.load_test(path), K_E, 1.0 / 1024.0)
+    assert isinstance(found, SparseStructure)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("keys", "where", "value"),
+    [
+        ('numerical.integrator = "cr"', "numerical.integrator", 'found "cr"'),
+        ("numerical.rho_inf = 1.0", "numerical.rho_inf", "found rho_inf = 1"),
+        (
+            'numerical.integrator = "central-difference"',
+            "numerical.integrator",
+            'found "central-difference", which divides by the mass',
+        ),
+    ],
+)
+def test_a_joint_without_mass_is_refused_with_an_integrator_that_cannot_calm_it(
+    keys: str, where: str, value: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError) as refused:
+        jointed(tmp_path, keys)
+    assert refused.value.problems[0].where.endswith(where)
+    assert value in str(refused.value)
+    assert 'without mass: "2"; use integrator = "kr-alpha"' in str(refused.value)
+    # With mass there the same keys are good.
+    jointed(tmp_path, keys, (3000.0, 500.0, 2000.0))
+
+
+def test_a_row_of_equal_motions_with_one_mass_is_refused_where_each_has_a_diagonal(
+    tmp_path: Path,
+) -> None:
+    """A mass at the mean of two degrees of freedom: their difference has none."""
+    mean = np.array([[3000.0, 0, 0], [0, 500, 500], [0, 500, 500]])
+    with pytest.raises(InputError, match="a combination of degrees of freedom"):
+        jointed(tmp_path, 'numerical.integrator = "cr"', mean)
+
+
+@pytest.mark.parametrize("rho_inf", [0.0, 0.5, 0.8, 0.95])
+def test_a_joint_without_mass_dies_out_at_the_spectral_radius_at_infinity(
+    rho_inf: float, tmp_path: Path
+) -> None:
+    """Kolay & Ricles (2014): both roots of an infinite frequency are -rho_inf."""
+    found = jointed(tmp_path, f"numerical.rho_inf = {rho_inf}")
+    step = LinearStep.of(replace(found.part, k_e_n_per_m=(0.0,)))
+    roots = np.linalg.eigvals(step.a)
+    at_half = roots[np.argmin(np.abs(roots + rho_inf))]
+    assert at_half == pytest.approx(-rho_inf, abs=1e-6)
+    assert np.abs(roots).max() < 1.0

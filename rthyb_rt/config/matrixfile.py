@@ -12,7 +12,7 @@ import base64
 import io
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -30,6 +30,8 @@ Floats = NDArray[np.float64]
 SYMMETRY: Final = 1e-6
 """Relative to the largest entry of two rows: rounding in finite-element output."""
 MAX_BYTES: Final = 500 * 10**6
+MOST_INFLUENCE: Final = 1e6
+"""Far beyond a lever arm in any unit: a larger number is another quantity, or a mistake."""
 _NAMES: Final = {"mass": "M", "stiffness": "K", "damping": "C"}
 
 
@@ -190,8 +192,10 @@ def _of_parts(files: MatrixFiles, folder: Path) -> MatrixData:
         _check_there(path)
         lines = path.read_text(encoding="utf-8").replace(",", "\n").splitlines()
         arrays["labels"] = np.array([line.strip() for line in lines if line.strip()])
+        places["labels"] = str(path)
     if files.influence is not None:
         arrays["influence"] = _one_matrix(folder / files.influence)
+        places["influence"] = str(folder / files.influence)
     return check_arrays(arrays, str(folder), places)
 
 
@@ -227,18 +231,21 @@ def check_arrays(
     Args:
         arrays: the arrays by name.
         where: name of the file for messages.
-        places: file of each matrix, if each has its own.
+        places: file of each array, if each has its own.
 
     Raises:
         InputError: the arrays are invalid; with file, place, value and what is allowed.
     """
-    places = places or {}
+    files = places or {}
+
+    def place(name: str) -> str:
+        return f"{files.get(name, where)}: {name}"
+
     found: dict[str, Symmetric] = {}
     for name in ("M", "K", "C"):
-        place = f"{places.get(name, where)}: {name}"
-        matrix = _matrix(arrays, name, place)
+        matrix = _matrix(arrays, name, place(name))
         if matrix is not None:
-            found[name] = _checked(matrix, place)
+            found[name] = _checked(matrix, place(name))
     missing = [name for name in ("M", "K") if name not in found]
     if missing:
         there = ", ".join(sorted(arrays)) or "nothing"
@@ -252,13 +259,14 @@ def check_arrays(
     for name, one in found.items():
         if one.size != n:
             raise InputError(
-                f"{name} has {one.size} rows and M {n}; all must have the same size", where
+                f"{name} has {one.size} rows and M {n}; all must have the same size",
+                files.get(name, where),
             )
     if not 1 <= n <= SPARSE_MAX:
         raise InputError(f"found {n} degrees of freedom; must be 1 to {SPARSE_MAX}", where)
-    labels = _labels(arrays.get("labels"), n, where)
-    _check_masses(found["M"], labels, where)
-    influence = _influence(arrays, n, where)
+    labels = _labels(arrays.get("labels"), n, place("labels"))
+    _check_masses(found["M"], labels, place("M"))
+    influence = _influence(arrays, labels, place)
     return MatrixData(found["M"], found["K"], found.get("C"), labels, influence)
 
 
@@ -328,7 +336,7 @@ def _check_masses(mass: Symmetric, labels: tuple[str, ...], where: str) -> None:
         raise InputError(
             f"found a mass of {diagonal[at]:g} kg at {written(labels[at])} (row {at + 1}); must be "
             "0 or more",
-            f"{where}: M",
+            where,
         )
     coupled = np.flatnonzero(~on & ((diagonal[mass.row] == 0.0) | (diagonal[mass.column] == 0.0)))
     if coupled.size:
@@ -337,12 +345,10 @@ def _check_masses(mass: Symmetric, labels: tuple[str, ...], where: str) -> None:
             f"found {mass.value[k]:g} in row {mass.row[k] + 1}, column {mass.column[k] + 1} "
             "beside a mass of 0 on the diagonal; a degree of freedom without mass must have "
             "zeros in its row and column",
-            f"{where}: M",
+            where,
         )
     if not np.any(diagonal > 0.0):
-        raise InputError(
-            "found no mass; at least one degree of freedom must have mass", f"{where}: M"
-        )
+        raise InputError("found no mass; at least one degree of freedom must have mass", where)
 
 
 def _labels(given: Any, n: int, where: str) -> tuple[str, ...]:
@@ -353,29 +359,41 @@ def _labels(given: Any, n: int, where: str) -> tuple[str, ...]:
     names = tuple(str(one.ravel()[0] if isinstance(one, np.ndarray) and one.size else one).strip()
                   for one in flat)  # fmt: skip
     if len(names) != n or not all(names):
-        raise InputError(f"found {len(names)} labels; must be {n}, none empty", f"{where}: labels")
+        raise InputError(f"found {len(names)} labels; must be {n}, none empty", where)
     if len(set(names)) < n:
         seen: set[str] = set()
         twice = next(one for one in names if one in seen or seen.add(one))  # type: ignore[func-returns-value]
-        raise InputError(f"found {written(twice)} twice; must be different", f"{where}: labels")
+        raise InputError(f"found {written(twice)} twice; must be different", where)
     return names
 
 
-def _influence(arrays: Mapping[str, Any], n: int, where: str) -> dict[str, Floats]:
-    place = f"{where}: influence"
+def _influence(
+    arrays: Mapping[str, Any], labels: tuple[str, ...], place: Callable[[str], str]
+) -> dict[str, Floats]:
     if "influence" not in arrays:
         return {}
+    n, where = len(labels), place("influence")
     given = arrays["influence"]
     given = given.toarray() if hasattr(given, "toarray") else np.asarray(given)
     if given.dtype.kind not in "fiub":
-        raise InputError(f"found {given.dtype}; must be numbers", place)
-    values = np.atleast_2d(given.astype(np.float64))
-    if values.shape[0] != n and values.shape[1] == n:
+        raise InputError(f"found {given.dtype}; must be numbers", where)
+    values = given.astype(np.float64)
+    values = values if values.ndim == 2 else values.reshape(-1, 1)
+    in_a_row = values.shape[0] != n and values.shape[1] == n
+    if in_a_row:
         values = values.T
     if values.shape[0] != n:
-        raise InputError(f"has the shape {given.shape}; must have {n} rows", place)
-    if not np.all(np.isfinite(values)) or np.abs(values).max(initial=0.0) > 1e6:
-        raise InputError("found a number that is not finite, or beyond 1e6", place)
+        raise InputError(f"has the shape {given.shape}; must have {n} rows", where)
+    bad = np.argwhere(~(np.abs(values) <= MOST_INFLUENCE))
+    if bad.size:
+        at, direction = bad[0]
+        row, column = (direction, at) if in_a_row else (at, direction)
+        raise InputError(
+            f"found {values[at, direction]:g} at {written(labels[at])} (row {row + 1}, column "
+            f"{column + 1}); must be from {-MOST_INFLUENCE:g} to {MOST_INFLUENCE:g}: the "
+            "displacement for a unit displacement of the ground",
+            where,
+        )
     names = arrays.get("directions")
     directions = (
         [str(i + 1) for i in range(values.shape[1])]
@@ -385,6 +403,6 @@ def _influence(arrays: Mapping[str, Any], n: int, where: str) -> dict[str, Float
     if len(directions) != values.shape[1]:
         raise InputError(
             f"found {len(directions)} directions for {values.shape[1]} columns",
-            f"{where}: directions",
+            place("directions"),
         )
     return {name: values[:, i].copy() for i, name in enumerate(directions)}

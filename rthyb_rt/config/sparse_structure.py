@@ -35,6 +35,7 @@ from rthyb_rt.core.sparse import (
     SparseIntegrator,
     Symmetric,
     Term,
+    factored,
     initial_stiffness,
     least_restrained,
     lowest_modes,
@@ -377,6 +378,7 @@ def build(
     )
     place = "numerical.storeys" if isinstance(given, Storeys) else "numerical.matrices"
     try:
+        _check_masses(bare, keys)
         if keys.damping is not None:
             structure = replace(structure, part=_damped(structure, keys.damping))
         SparsePart(structure.part)
@@ -409,9 +411,14 @@ def _where_loose(structure: SparseStructure) -> str:
     # Rounded, so that degrees of freedom that move as far stand in the order of their rows.
     order = np.argsort(-np.round(np.abs(shape), 3), kind="stable")
     moving = [int(at) for at in order if abs(shape[at]) >= _CLEARLY]
-    names = ", ".join(written(structure.labels[at]) for at in moving[:_NAMED])
-    more = len(moving) - _NAMED
-    return f": nothing restrains {names}" + (f" and {more} more" if more > 0 else "")
+    return f": nothing restrains {_named([structure.labels[at] for at in moving])}"
+
+
+def _named(labels: Sequence[str]) -> str:
+    """Return labels for a message, the first `_NAMED` of them."""
+    more = len(labels) - _NAMED
+    names = ", ".join(written(label) for label in labels[:_NAMED])
+    return names + (f" and {more} more" if more > 0 else "")
 
 
 def _check_count(bare: _Bare, keys: Keys, axes: int) -> None:
@@ -423,6 +430,45 @@ def _check_count(bare: _Bare, keys: Keys, axes: int) -> None:
         f"found {found} directions{f' ({names})' if names else ''}; the rig has "
         + ("one actuator, which moves one" if axes == 1 else f"{axes} axes and needs as many"),
         "interface",
+    )
+
+
+def _check_masses(bare: _Bare, keys: Keys) -> None:
+    """Reject motions without mass if the integrator has no way to bring them to rest.
+
+    Their frequency is infinite, and there the roots of a step are -rho_inf (Kolay & Ricles 2014).
+    With 1, which is also `cr`, they change their sign at every sample and do not decay, whatever
+    the stiffness and damping; central differences divide by the mass.
+
+    Raises:
+        InputError: naming the motions, and what may be used instead.
+        LibraryMissing: qdldl or SciPy is not installed.
+    """
+    if keys.integrator == "kr-alpha" and keys.rho_inf < 1.0:
+        return
+    mass = bare.mass.matrix()
+    without = [label for label, m in zip(bare.labels, mass.diagonal(), strict=True) if m == 0.0]
+    where = _named(without)
+    if not without:
+        try:
+            factored(mass, "the mass matrix")
+            return
+        except LibraryMissing:
+            raise
+        except CoreError as error:
+            where = f"a combination of degrees of freedom ({error})"
+    own = keys.integrator == "kr-alpha"
+    reason = (
+        "which divides by the mass"
+        if keys.integrator == "central-difference"
+        else "with which a motion without mass changes its sign at every sample and does not decay "
+        "(spectral radius 1 at infinite frequency)"
+    )
+    raise InputError(
+        f"found {'rho_inf = 1' if own else written(keys.integrator)}, {reason}; without mass: "
+        f'{where}; use integrator = "kr-alpha" with rho_inf from 0 to below 1 (without the key '
+        "0.8), or give these motions a mass",
+        "numerical.rho_inf" if own else "numerical.integrator",
     )
 
 

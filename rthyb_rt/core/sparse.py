@@ -114,8 +114,8 @@ class Weights:
     """The weights of an integrator: Kolay & Ricles (2014), by ``rho_inf``.
 
     With ``rho_inf`` 1 their method averages the equation of Chen & Ricles (2008) over two samples.
-    Started in equilibrium the two agree; without the average nothing can oscillate at half the
-    rate.
+    Started in equilibrium the two agree; without the average nothing with a mass can oscillate at
+    half the rate.
     """
 
     alpha_m: float
