@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -843,6 +844,100 @@ def test_a_virtual_rig_beside_a_real_drive_does_not_replace_the_check_of_a_senso
     with pytest.raises(RefusedError, match="sensor column: no axis moved it enough") as told:
         certificate.demand(mixed, held)
     assert "sensor wire" not in str(told.value)
+
+
+NO_NOISE = (
+    ("noise_std_m = 2e-6\nrange", "range"),
+    ("noise_std_n = 10\nrange", "range"),
+)
+"""Both sensors without what their limits follow from."""
+WATCHED = 'stuck_s = "0.2 s"\njump_{unit} = {most}\nrange_{unit}'
+
+
+@pytest.mark.parametrize(
+    ("pairs", "said"),
+    [
+        (
+            NO_NOISE[:1],
+            "sensor wire: noise_std_m and stuck_s and jump_m are missing, so that a reading that "
+            "repeats itself or jumps would not end a test",
+        ),
+        (NO_NOISE[1:], "sensor column: noise_std_n and stuck_s and jump_n are missing"),
+        (
+            (NO_NOISE[0], ('name = "wire"\n', 'name = "wire"\nstuck_s = 0.2\n')),
+            "sensor wire: noise_std_m and jump_m are missing",
+        ),
+        (
+            (("noise_std_m = 2e-6\nrange", "noise_std_m = 2e-6\nlsb_m = 1e-5\nrange"),),
+            "sensor wire: noise_std_m is 2.00 um, less than half of the step of its readings, "
+            "10.0 um, so that no limit on repeated readings can be derived: state stuck_s",
+        ),
+        (
+            (('name = "wire"\n', 'name = "wire"\njump_m = { value = 1e-3, enable = false }\n'),),
+            "sensor wire: jump_m must not be switched off on a real drive",
+        ),
+    ],
+)
+def test_a_sensor_of_which_nothing_watches_the_readings_is_not_used_on_real_drives(
+    held: Path, pairs: tuple[tuple[str, str], ...], said: str
+) -> None:
+    with pytest.raises(RefusedError) as told:
+        certificate.demand(read(changed(SERIAL, *pairs)), held)
+    assert said in str(told.value)
+
+
+def test_a_sensor_with_limits_of_its_own_needs_no_noise_on_real_drives(held: Path) -> None:
+    text = changed(
+        SERIAL,
+        ("noise_std_m = 2e-6\nrange_m", WATCHED.format(unit="m", most=1e-3)),
+        ("noise_std_n = 10\nrange_n", WATCHED.format(unit="n", most=5e3)),
+    )
+    rig = read(text)
+    for axis in NAMES:
+        own = certificate.read(certificate.place(held, axis))
+        own = dataclasses.replace(own, rig_hash=certificate.rig_hash(rig.of_axis(axis), axis))
+        certificate.write(certificate.place(held, axis), own)
+    assert certificate.demand(rig, held)["commissioning"]["demanded"] is True
+    # Without them, the noise that commissioning has measured is proposed.
+    bare = read(changed(SERIAL, *NO_NOISE))
+    for axis in NAMES:
+        own = certificate.read(certificate.place(held, axis))
+        own = dataclasses.replace(own, rig_hash=certificate.rig_hash(bare.of_axis(axis), axis))
+        certificate.write(certificate.place(held, axis), own)
+    with pytest.raises(RefusedError) as told:
+        certificate.demand(bare, held)
+    assert re.search(r"2\.0\d um was measured at rest: state noise_std_m = 2e-06", str(told.value))
+    assert re.search(r"(9\.\d\d|10\.\d) N was measured at rest", str(told.value))
+
+
+def test_the_link_check_of_a_real_drive_proposes_the_noise_that_it_measured() -> None:
+    ours = changed(SERIAL, NO_NOISE[0])
+    (fault,) = commissioned("left", DEFAULTS, ours, ("link",)).steps["link"].faults
+    assert re.search(r"sensor wire: noise_std_m and .* state noise_std_m = 2e-06 or", fault)
+
+
+@EVERY
+@pytest.mark.parametrize(
+    ("stated", "said"),
+    [
+        (
+            "noise_std_m = 2e-5",
+            r"sensor wire: noise_std_m is 20\.0 um, but its noise at rest is (1\.9\d|2\.0\d) um; "
+            "a factor of 3 is allowed: limits on repeated readings and jumps, which follow from it,"
+            " would not act",
+        ),
+        ("noise_std_m = 2e-7", "limits on jumps, which follow from it, would end good tests"),
+        ("noise_std_m = 5e-6", ""),
+        ("noise_std_m = 8e-7", ""),
+    ],
+)
+def test_a_noise_that_is_not_that_of_the_sensor_at_rest_is_refused(
+    axis: str, stated: str, said: str
+) -> None:
+    ours = changed(DEFAULTS, ("noise_std_m = 2e-6\nrange", f"{stated}\nrange"))
+    found = commissioned(axis, DEFAULTS, ours, ("link",)).steps["link"]
+    assert found.passed is (not said), found.faults
+    assert not said or re.search(said, found.faults[0])
 
 
 @pytest.mark.parametrize(

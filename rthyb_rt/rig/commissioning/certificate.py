@@ -23,8 +23,10 @@ from rthyb_rt.config.rate import STANDARD_HZ
 from rthyb_rt.config.rigfile import TOLERANCES
 from rthyb_rt.core.sizes import STANDARD_RATE_HZ
 from rthyb_rt.errors import InputError, RthybError
+from rthyb_rt.lab import beside
 from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.record.recording import replacing
+from rthyb_rt.rig.commissioning import sensor_noise
 
 SCHEMA: Final = "rthyb-commissioned/1"
 STEPS: Final = ("link", "polarity", "limits", "watchdog", "trip")
@@ -416,7 +418,7 @@ def demand(rig: RigFile | AxesRig, rig_path: Path) -> dict[str, Any]:
         if found.why_not
     ]
     if any(found.demanded for found in stands.values()):
-        why_not += inconclusive(rig, rig_path)
+        why_not += inconclusive(rig, rig_path) + _unwatched(rig, stands)
     if why_not:
         raise RefusedError("; ".join(why_not), where=str(rig_path))
     known = {axis: _known(own, axis, stands[axis]) for own, axis in each(rig)}
@@ -460,6 +462,29 @@ def inconclusive(rig: RigFile | AxesRig, rig_path: Path) -> list[str]:
         for one in rig.lone_sensors
         if one.name not in shown
     ]
+
+
+def _unwatched(rig: RigFile | AxesRig, stands: dict[str, Standing]) -> list[str]:
+    """Return the sensors without an actuator of which a frozen or jumping reading is not seen."""
+    if not isinstance(rig, AxesRig):
+        return []
+    view = rig.of_axis(rig.names[0])
+    found = []
+    for one in view.one_of.sensors if view.one_of is not None else ():
+        noise = [_rest_noise(own.holds, one.sensor.name) for own in stands.values()]
+        known = max((value for value in noise if value is not None), default=None)
+        why = sensor_noise.unwatched(one.sensor, beside.step_of(view, one), known)
+        found += [f"sensor {one.sensor.name}: {why}"] if why else []
+    return found
+
+
+def _rest_noise(holds: Certificate | None, sensor: str) -> float | None:
+    """Return the noise of a sensor that the link check of an axis has measured, if it has any."""
+    step = None if holds is None else holds.steps.get("link")
+    seen = None if step is None else step.figures.get("sensors")
+    own = seen.get(sensor) if isinstance(seen, dict) else None
+    noise = own.get("noise") if isinstance(own, dict) else None
+    return noise if isinstance(noise, float) else None
 
 
 def _conclusive(step: CheckedStep) -> list[str]:

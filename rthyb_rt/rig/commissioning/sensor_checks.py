@@ -20,6 +20,7 @@ from rthyb_rt.config import RigFile
 from rthyb_rt.config.lonesensors import OneOfSeveral, SensorOfAxes
 from rthyb_rt.lab import beside
 from rthyb_rt.numbers import quantity
+from rthyb_rt.rig.commissioning import sensor_noise
 from rthyb_rt.rig.commissioning.guided_motion import Floats, MotionResult, Rows
 from rthyb_rt.rig.commissioning.polarity import SLOPE_TOLERANCE
 
@@ -56,9 +57,10 @@ def at_rest(rig: RigFile, moved: MotionResult) -> tuple[dict[str, Any], list[str
         # Frames that do not arrive are the fault of their link, which is told by its own name.
         share = read.size / frames.size if frames.size else 1.0
         reading = float(read.mean()) if read.size else None
+        noise = float(read.std()) if read.size else None
         figures[name] = {
             "reading": reading,
-            "noise": float(read.std()) if read.size else None,
+            "noise": noise,
             "unit": "N" if one.is_cell else "m",
             "seen_share": share,
         }
@@ -75,7 +77,18 @@ def at_rest(rig: RigFile, moved: MotionResult) -> tuple[dict[str, Any], list[str
                 f"{_shown(one, one.tare_most)} (limits.tare_share_most): relieve the specimen, or "
                 f"correct the zero of the sensor, its own or the offset in {_scale(one)}"
             )
+        elif noise is not None:
+            faults += _of_noise(rig, one, noise)
     return figures, faults
+
+
+def _of_noise(rig: RigFile, one: SensorOfAxes, noise: float) -> list[str]:
+    """Return what is wrong with the noise that is stated, from which the limits follow."""
+    step, link = beside.step_of(rig, one), rig.link
+    found = sensor_noise.implausible(one.sensor, step, noise)
+    if not found and link is not None and not link.virtual:
+        found = sensor_noise.unwatched(one.sensor, step, noise)
+    return [f"sensor {one.sensor.name}: {found}"] if found else []
 
 
 def _arrived(common: OneOfSeveral, axis: str, rows: Rows) -> NDArray[np.bool_]:
