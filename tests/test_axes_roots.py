@@ -290,3 +290,28 @@ def test_unstable_loop_of_two_axes_is_refused_where_one_of_them_is_real(tmp_path
         assert text is not None
         assert "compensate the delay" in text
     assert loop_stability.demand(linked(frame(tmp_path, "matrix"), virtual=False)) is None
+
+
+def test_rotations_without_mass_that_the_step_does_not_damp_are_at_the_limit_of_stability() -> None:
+    """As the core would take them: a test file with them is refused before."""
+    setup = axes_experiment.prepare(
+        config.load_test(FRAME), config.load_any_rig(config.shipped_rig("two-axis-frame"))
+    )
+    assert isinstance(setup.controller.numerical, SparseConfig)
+    part = dataclasses.replace(setup.controller.numerical, rho_inf=1.0)
+    controller = dataclasses.replace(setup.controller, numerical=part)
+    undamped = dataclasses.replace(setup, controller=controller)
+    verdict = loop_stability.judge(undamped)
+    assert verdict is not None
+    assert verdict.at_limit
+    assert verdict.frequency_hz == pytest.approx(512.0)
+    assert (verdict.gain_margin, verdict.delay_margin_samples) == (0.0, 0.0)
+    text = loop_stability.demand(undamped)
+    assert text is not None
+    assert "at the limit of stability, so motion does not decay" in text
+    assert 'integrator = "kr-alpha" and rho_inf below 1' in text
+    with pytest.raises(
+        InputError, match=r"largest root is 1\.00000 at 512 Hz, and must be below 1"
+    ):
+        loop_stability.demand(linked(undamped, virtual=False))
+    assert loop_stability.demand(linked(setup, virtual=False)) is None

@@ -18,7 +18,7 @@ from rthyb_rt.analysis import loop_roots, loop_stability, margins
 from rthyb_rt.analysis.loop_roots import Block, LoopVerdict, judge
 from rthyb_rt.benchmark import plants as rths_benchmark
 from rthyb_rt.checking import check_tables, examined
-from rthyb_rt.config import RigFile, response
+from rthyb_rt.config import Rate, RigFile, response
 from rthyb_rt.config.rigfile import Identified
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -561,3 +561,27 @@ def test_a_delay_is_swept_at_many_frequencies_in_little_memory() -> None:
     np.testing.assert_allclose(found[:, 0], z**-100.0, atol=1e-9)
     # Its matrices are 3.2 GB; a service that loads a test must not take that from the others.
     assert peak < 50e6
+
+
+@pytest.mark.parametrize(
+    ("ratio", "unstable", "at_limit"),
+    [(0.001, False, False), (0.0, True, True), (-0.001, True, False)],
+)
+def test_an_oscillator_without_damping_is_at_the_limit_and_not_stable(
+    ratio: float, unstable: bool, at_limit: bool
+) -> None:
+    """Roots exp(h s) of a mass on a spring, and a rig whose force does not act on it."""
+    s = 2.0 * math.pi * 5.0 * complex(-ratio, math.sqrt(1.0 - ratio**2))
+    root = np.exp(s * H)
+    bottom = np.array([1.0, -2.0 * root.real, abs(root) ** 2])
+    none = loop_roots.gain(0.0)
+    loop = loop_roots.LinearLoop(loop_roots.rational(np.array([1.0]), bottom), none, none)
+    found = loop_roots.verdict(loop, Rate(1024.0), 80.0)
+    assert found.radius == pytest.approx(math.exp(s.real * H), rel=1e-12)
+    assert (found.unstable, found.at_limit) == (unstable, at_limit)
+    assert loop.stable() != unstable
+    text = loop_roots.remark(found, "")
+    assert (text is None) == (not unstable)
+    if text is not None:
+        assert ("at the limit of stability" in text) == at_limit
+        assert ("the motion will grow" in text) != at_limit

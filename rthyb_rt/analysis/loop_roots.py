@@ -37,7 +37,8 @@ Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 
 ROUNDING: Final = 1e-7
-"""Tolerance above 1 for a root on the unit circle: an undamped structure is not unstable."""
+"""Distance from 1 within which a root is on the unit circle, where motion and noise do not decay.
+A double root is found to the square root of the rounding error, 1.5e-8."""
 MOST_GAIN: Final = 4.0
 """Search limit of the gain margin; nobody needs more."""
 THIN_GAIN: Final = 1.25
@@ -303,8 +304,8 @@ class AnyLoop(ABC):
         """Return the additional delay of the rig at which stability ends, samples; inf: none."""
 
     def stable(self, by: float = 1.0) -> bool:
-        """Return whether no root is outside the unit circle."""
-        return bool(np.abs(self.roots(by)).max() <= 1.0 + ROUNDING)
+        """Return whether every root is inside the unit circle."""
+        return bool(np.abs(self.roots(by)).max() < 1.0 - ROUNDING)
 
     def gain_margin(self) -> float:
         """Return the factor on the rig's response at which stability ends, at most `MOST_GAIN`."""
@@ -403,8 +404,13 @@ class LoopVerdict:
 
     @property
     def unstable(self) -> bool:
-        """Whether the motion grows without excitation."""
-        return self.radius > 1.0 + ROUNDING
+        """Whether the motion does not decay without excitation: it grows, or neither."""
+        return self.radius >= 1.0 - ROUNDING
+
+    @property
+    def at_limit(self) -> bool:
+        """Whether the motion neither grows nor decays, so that noise builds it up."""
+        return self.unstable and self.radius <= 1.0 + ROUNDING
 
     @property
     def thin(self) -> bool:
@@ -464,6 +470,10 @@ def badness(found: LoopVerdict) -> tuple[bool, float, float]:
     return found.unstable, -found.gain_margin, -found.delay_margin_samples
 
 
+_UNDAMPED: Final = (
+    "increase the damping of the structure, or damp what the step cannot resolve with "
+    'integrator = "kr-alpha" and rho_inf below 1'
+)
 _SLOW: Final = "compensate the delay, or increase the damping of the structure"
 
 
@@ -493,10 +503,14 @@ def remark(found: LoopVerdict | None, fast: str) -> str | None:
             f"resonance of actuator and specimen can be the cause; {response.REMEDY}"
         )
     remedy = _SLOW if found.frequency_hz <= response.SLOW_HZ else fast
+    what = "unstable, so the motion will grow"
+    if found.at_limit:
+        remedy = _UNDAMPED
+        what = "at the limit of stability, so motion does not decay and noise builds it up"
     return (
         "the whole loop (numerical part, control law, rig, force compensation; specimen elastic) "
-        f"is unstable, so the motion will grow: its largest root is {found.radius:.5f} at "
-        f"{found.frequency_hz:.3g} Hz, and must be below 1; {known}; {remedy}"
+        f"is {what}: its largest root is {found.radius:.5f} at {found.frequency_hz:.3g} Hz, and "
+        f"must be below 1; {known}; {remedy}"
     )
 
 
@@ -518,7 +532,7 @@ def verdict(
     roots = loop.roots()
     largest = roots[np.argmax(np.abs(roots))]
     radius, frequency = float(np.abs(largest)), float(abs(np.angle(largest))) * rate.hz
-    stable = radius <= 1.0 + ROUNDING
+    stable = radius < 1.0 - ROUNDING
     f_hz, loop_gain = (np.zeros(0), np.zeros(0)) if unseen is None else unseen
     at = int(np.argmax(loop_gain)) if loop_gain.size else 0
     felt = bool(loop_gain.size) and loop_gain[at] > 0.0
