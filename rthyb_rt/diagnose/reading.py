@@ -19,6 +19,7 @@ from rthyb_rt import units
 from rthyb_rt.diagnose import channel_sizes
 from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
+from rthyb_rt.diagnose.drive_clock import drive_clock
 from rthyb_rt.diagnose.estimate import filled, filled_if_short, quasi_static, white_noise
 from rthyb_rt.diagnose.external_table import Lab, read_lab, time_unit
 from rthyb_rt.diagnose.mapping import EXAMPLE, Wish, proposals
@@ -61,7 +62,9 @@ def read_case(
     lab = None
     if own is not None:
         t, channels, notes = _own(own, of)
-        _take_extras(own, wishes if beside is None else (), channels, notes, of)
+        asked = wishes if beside is None else ()
+        _take_extras(own, asked, channels, notes, of)
+        t, channels = _by_the_drive(own, of, t, channels, {w.channel for w in asked}, notes)
         model = at_rate(model, own.fs_hz)
     else:
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
@@ -240,6 +243,48 @@ def _own(rec: RecordedTest, of: OfAxis | None) -> tuple[Floats, dict[str, Floats
     if not np.any(out["ag"]):
         del out["ag"]
     return np.ascontiguousarray(t, dtype=np.float64), out, notes
+
+
+def _by_the_drive(
+    rec: RecordedTest,
+    of: OfAxis | None,
+    t: Floats,
+    channels: dict[str, Floats],
+    mapped: set[str],
+    notes: list[str],
+) -> tuple[Floats, dict[str, Floats]]:
+    """Return the recording in the time of the drive, if it is another one; ``notes`` says so.
+
+    Args:
+        rec: the recording.
+        of: its axis; None: the only one.
+        t: time, (n,), s.
+        channels: by name, (n,) each.
+        mapped: channels that were replaced by extra channels, which arrive with the pairs.
+        notes: for the reader.
+    """
+    from rthyb_rt.core import FLAGS
+
+    mask = rec.running()
+    s, axis = rec.samples[mask], rec.axis(of.name)[mask] if of is not None else rec.samples[mask]
+    made_up = (s["flags"] & (FLAGS["predicted"] | FLAGS["blind"])) != 0
+    numbers = (s["tick"], axis["count"], axis["echo"])
+    ticks, counts, echoes = (np.asarray(a, dtype=np.int64) for a in numbers)
+    sent = (s["flags"] & FLAGS["blind"]) == 0
+    clock = drive_clock(ticks, counts, echoes, ~made_up, sent)
+    if clock is None:
+        return t, channels
+    often = "once" if clock.shifts == 1 else f"{clock.shifts} times"
+    notes.append(
+        f"the drive's sample count shifted {often} against the ticks of this PC; "
+        "readings and commands are placed by it"
+    )
+    by_pairs = {"x_meas", "f_meas", *mapped}
+    placed = {
+        name: clock.of_pairs(values) if name in by_pairs else clock.of_commands(values)
+        for name, values in channels.items()
+    }
+    return t[0] + np.arange(clock.measured.size) / rec.fs_hz, placed
 
 
 def _uniform(
