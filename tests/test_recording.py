@@ -156,12 +156,12 @@ FULL_DISK = """
 import resource, sys
 from recording_data import recording
 from rthyb_rt import errors, report
-from rthyb_rt.record import export, recording as recordings
+from rthyb_rt.record import mat_csv, recording as recordings
 rec = recording(2.0)
 resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000))
 for write, name in (
     (lambda path: recordings.write(path, rec), "recording.h5"),
-    (lambda path: export.to_csv(rec, path), "recording.csv"),
+    (lambda path: mat_csv.to_csv(rec, path), "recording.csv"),
     (lambda path: report.write_report(rec, path), "report.html"),
 ):
     try:
