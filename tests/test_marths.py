@@ -247,8 +247,9 @@ def test_rodeac_is_what_another_derivation_of_it_is() -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("integrator", marths.PARTS)
-@pytest.mark.parametrize("plant", [marths.NOMINAL, 8001, 8012])
+@pytest.mark.parametrize("plant", [marths.NOMINAL, *frame.SEEDS])
 def test_our_own_keeps_to_what_is_wanted_of_it(plant: int, integrator: str) -> None:
+    """J2 of 3.3 and 2.0 % is wanted on the nominal plant; 3.5 and 2.2 % would do on the worst."""
     figures = marths.measure(MarthsRun("matrix-inverse", "elcentro", plant, integrator)).figures
     first, second = of(figures, "J2")
     assert first <= 3.3
