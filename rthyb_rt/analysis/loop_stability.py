@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from rthyb_rt.analysis import axes_roots, loop_roots
+from rthyb_rt.analysis import axes_noise, axes_roots, loop_roots
 from rthyb_rt.analysis.loop_roots import LoopVerdict
 from rthyb_rt.config import response
 from rthyb_rt.errors import InputError
@@ -27,10 +27,12 @@ def judge(setup: Setup) -> LoopVerdict | None:
 
 
 def remark(setup: Setup, found: LoopVerdict | None) -> str | None:
-    """Return a remark for the user on a loop that is unstable or nearly so, or None."""
+    """Return a remark on a loop that is unstable or nearly so, or passes on much noise, or None."""
     if setup.group is None:
         return loop_roots.remark(found, _advice(setup, found))
-    return loop_roots.remark(found, _FAST_AXES)
+    if found is None:
+        return None
+    return loop_roots.remark(found, _FAST_AXES) or axes_noise.remark(setup)
 
 
 def _advice(setup: Setup, found: LoopVerdict | None) -> str:

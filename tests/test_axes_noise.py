@@ -1,0 +1,83 @@
+"""Noise of the sensors in the commands of several axes: predicted, and as a run has it."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from rthyb_rt import config, core
+from rthyb_rt.analysis import axes_noise, axes_roots, loop_stability
+from rthyb_rt.lab import axes_experiment, virtual_time
+from rthyb_rt.lab.experiment import Setup
+
+FRAME = Path(__file__).parents[1] / "examples" / "two-actuator-frame.toml"
+RATE_HZ = 1024.0
+
+
+def frame(folder: Path, rho_inf: float, more: str = "", pga: str = "0.12 g") -> Setup:
+    """Return the shipped test of two actuators, whose rotations have no mass."""
+    text = FRAME.read_text("utf-8").replace('"two-actuator-frame/', f'"{FRAME.with_suffix("")}/')
+    text = text.replace("rho_inf = 0.5", f"rho_inf = {rho_inf}")
+    text = re.sub(r"pga_g = .*", f'pga_g = "{pga}"', text)
+    text = re.sub(r"duration_s = .*", 'duration_s = "8 s"', text)
+    path = folder / "frame.toml"
+    path.write_text(text + more, "utf-8")
+    return axes_experiment.prepare(
+        config.load_test(path), config.load_any_rig(config.shipped_rig("two-axis-frame"))
+    )
+
+
+def linear(setup: Setup) -> Setup:
+    """Return a test without limits of the command, and with the tangent stiffness held at k_e."""
+    controller = setup.controller
+    free = {"velocity_limit_m_per_s": 1e3, "acceleration_limit_m_per_s2": 1e6}
+    axes = tuple(dataclasses.replace(axis, **free) for axis in controller.axes)
+    assert controller.matrix_rfc is not None
+    # What so much noise could have caused has no influence on the stiffness.
+    held = dataclasses.replace(controller.matrix_rfc, rest_noise=(1.0, 1.0))
+    return dataclasses.replace(
+        setup, controller=dataclasses.replace(controller, axes=axes, matrix_rfc=held)
+    )
+
+
+@pytest.mark.parametrize("rho_inf", [0.0, 0.8, 0.95])
+@pytest.mark.parametrize("cutoff_hz", [0.0, 60.0])
+def test_a_specimen_at_rest_is_shaken_by_noise_as_predicted(
+    rho_inf: float, cutoff_hz: float, tmp_path: Path
+) -> None:
+    """With a law that does not learn at rest, and hardly any ground motion."""
+    still = f"rfc = {{ cutoff_hz = {cutoff_hz} }}\nmatrix = {{ gate_factor = 1e6 }}\n"
+    setup = linear(frame(tmp_path, rho_inf, still, "0.00001 g"))
+    known = axes_roots.axes_and_laws(setup)
+    assert known is not None
+    assert setup.group is not None
+    jacobian = setup.group.rig.core_kinematics().jacobian()
+    loop = axes_roots.loop_of(setup.controller, known[0], known[1][0], jacobian)
+    predicted = axes_noise.accelerations(setup, loop)
+    rec = virtual_time.run(setup)
+    rows = rec.samples[rec.samples["state"] == core.RUNNING]
+    found = [np.diff(rows[name], 2).std() * RATE_HZ**2 for name in ("x_plc_m", "x_plc_m_1")]
+    assert found == pytest.approx(predicted, rel=0.05)
+
+
+def test_noise_that_exceeds_the_acceleration_limit_is_said_before_the_test(tmp_path: Path) -> None:
+    setup = frame(tmp_path, 0.95)
+    text = loop_stability.demand(setup)
+    assert text is not None
+    assert "noise of the sensors alone makes the command of axis lower accelerate by" in text
+    assert "controller.rfc.cutoff_hz" in text
+    found = axes_noise.judge(setup)
+    assert found is not None
+    sigmas = found.limit_m_per_s2 / found.acceleration_m_per_s2
+    assert found.limited == pytest.approx(2.0 * scipy.stats.norm.sf(sigmas), rel=1e-9)
+
+
+def test_a_filter_or_more_damping_of_the_step_keeps_noise_below_the_limit(tmp_path: Path) -> None:
+    assert loop_stability.demand(frame(tmp_path, 0.5)) is None
+    filtered = "rfc = { cutoff_hz = 60 }\n"
+    assert loop_stability.demand(frame(tmp_path, 0.95, filtered)) is None
