@@ -32,7 +32,8 @@ typedef struct {
     const char *key;  /* in a test file, below [controller] */
     const char *unit; /* "" for a dimensionless number */
     double low, high;
-    double standard; /* default; NaN: must be given in the test file or the rig file */
+    double
+        standard; /* default; NaN: none, so that the test file must give it, or the rig file at rig_key */
     const char *meaning;
     int32_t open;        /* enum rthyb_open: bounds that are excluded from the range */
     const char *rig_key; /* key in a rig file, used if the test file has no value; or NULL */

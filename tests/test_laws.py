@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from rthyb_rt._core import ffi, lib
 import rthyb_rt
 from rthyb_rt import config, core, units
 from rthyb_rt.config import lawtables
-from rthyb_rt.core.laws import LAWS, PASSING, LawDescription, parameters
+from rthyb_rt.core.laws import LAWS, PASSING, LawDescription, Parameter, parameters
 from rthyb_rt.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,7 +29,16 @@ each_law = pytest.mark.parametrize("name", LAWS)
 def settings_of(law: LawDescription, **changes: float) -> dict[str, float]:
     """A law's defaults; a delay that only a rig knows is eight samples."""
     found = {p.key: 8.0 if p.default is None else p.default for p in law.parameters}
-    return found | changes
+    return found | owed(law) | changes
+
+
+def owed(law: LawDescription) -> dict[str, float]:
+    """What only a test file can give: the middle of its range."""
+    return {
+        p.key: 0.5 * (p.low + p.high)
+        for p in law.parameters
+        if p.default is None and p.rig_key is None
+    }
 
 
 def config_of(name: str, **more: Any) -> core.LawConfig:
@@ -110,7 +120,6 @@ def test_a_laws_table_is_one_that_files_figures_and_summaries_can_be_made_of(nam
         assert math.isfinite(p.low)
         assert math.isfinite(p.high)
         assert p.low < p.high
-        assert p.default is not None or p.rig_key is not None
         if p.default is not None:
             assert lawtables.range_of(p).read(p.default) == p.default
         if p.words is not None:
@@ -161,7 +170,8 @@ def test_every_setting_of_a_law_has_its_key_its_range_and_its_place_in_the_schem
 @each_law
 def test_a_resolved_file_states_all_that_its_law_reads(name: str) -> None:
     rig = config.load_rig(config.shipped_rig("shaking-table-portal-frame"))
-    test = config.parse_test(TEST + f'type = "{name}"\n')
+    given = "".join(f"{key} = {value!r}\n" for key, value in owed(LAWS[name]).items())
+    test = config.parse_test(TEST + f'type = "{name}"\n{given}')
     derived = config.derive(test, rig)
     text = config.dump(config.resolve(test, derived))
     again = config.parse_test(text)
@@ -169,6 +179,45 @@ def test_a_resolved_file_states_all_that_its_law_reads(name: str) -> None:
         derived.law_settings
     )
     assert config.derive(again, rig).law_settings == derived.law_settings
+
+
+@pytest.mark.parametrize(
+    ("rig_key", "unit", "said"),
+    [
+        (
+            None,
+            "s",
+            "missing, and it has no default; give controller.ours.depth in the test file: "
+            "the depth must be from 1 to 4 s",
+        ),
+        (
+            "identified.depth_m",
+            "",
+            'missing, and rig "shaking-table-portal-frame" has no identified.depth_m to use '
+            "instead; give controller.ours.depth in the test file: the depth must be from 1 to 4, "
+            "or run `rthyb identify RIG`",
+        ),
+    ],
+)
+def test_a_setting_without_a_default_is_asked_for_where_it_can_be_given(
+    monkeypatch: pytest.MonkeyPatch, rig_key: str | None, unit: str, said: str
+) -> None:
+    """A law of a laboratory's own whose table has NaN for a default, with and without a rig key."""
+    depth = Parameter(
+        "ours.depth", unit, 1.0, 4.0, None, "the depth", False, False, rig_key, words=None
+    )
+    ours = replace(LAWS["ats"], name="ours", parameters=(*LAWS["ats"].parameters, depth))
+    monkeypatch.setitem(LAWS, "ours", ours)
+    test = config.parse_test(TEST + 'type = "ats"\n')
+    test = test.model_copy(
+        update={"controller": test.controller.model_copy(update={"type": "ours"})}
+    )
+    with pytest.raises(InputError) as caught:
+        config.derive(test, config.load_rig(config.shipped_rig("shaking-table-portal-frame")))
+    assert [str(each) for each in caught.value.problems] == [f"controller.ours.depth: {said}"]
+    # The benchmark leaves out a law that has to be told something by a test file.
+    assert ours.runs_unset == (rig_key is not None)
+    assert LAWS["ats"].runs_unset
 
 
 def test_settings_of_a_law_that_is_not_chosen_are_left_as_they_are() -> None:

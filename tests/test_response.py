@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from rthyb_rt.analysis import summary
 from rthyb_rt.benchmark import plants as rths_benchmark
 from rthyb_rt.config import Rate, RigFile, response, rigsettings
 from rthyb_rt.config.rigfile import Identified
+from rthyb_rt.core.laws import LAWS
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import experiment, virtual_time
@@ -236,6 +238,21 @@ def test_inverse_names_a_response_that_it_cannot_use(change: object, complaint: 
     assert complaint in str(caught.value)
     assert "rthyb identify" in str(caught.value)
     assert len(caught.value.problems) == 1
+
+
+@pytest.mark.parametrize("identified", [True, False])
+def test_law_fitted_to_a_response_that_is_too_short_is_refused_under_its_own_name(
+    monkeypatch: pytest.MonkeyPatch, identified: bool
+) -> None:
+    monkeypatch.setitem(LAWS, "ours", replace(LAWS["inverse"], name="ours"))
+    test = config.parse_test(TEST.format(rate=1024, law="inverse", more=""))
+    test = test.model_copy(
+        update={"controller": test.controller.model_copy(update={"type": "ours"})}
+    )
+    rig = old() if identified else old().model_copy(update={"identified": None})
+    with pytest.raises(InputError, match="the control law ours needs") as caught:
+        config.derive(test, rig)
+    assert "law inverse" not in str(caught.value)
 
 
 def test_gain_alpha_beta_needs_no_more_than_the_sweep_to_ten_hertz() -> None:

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from rthyb_rt.config import lawtables, rigsettings, timescale
 from rthyb_rt.config import limits as limits_file
-from rthyb_rt.config import rigsettings, timescale
 from rthyb_rt.config.numerical import Matrices
 from rthyb_rt.config.own_tables import PythonClass
 from rthyb_rt.config.placing import placing
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from rthyb_rt.config.numerical_structure import Mode, Structure
     from rthyb_rt.config.own_structure import OwnStructure
     from rthyb_rt.config.sparse_structure import SparseStructure
+    from rthyb_rt.core.laws import Parameter
 
 DEFAULT_WINDOW_PERIODS = 0.1
 """The paper's conclusion: a tenth of the period."""
@@ -466,14 +467,7 @@ def law_settings(
         if value is None:
             value = controller.setting(parameter.key)
         if value is None and controller.plc_enabled:
-            problems.append(
-                Problem(
-                    f"controller.{parameter.key}",
-                    f'missing, and rig "{rig.rig.name}" has no {parameter.rig_key} to use '
-                    f"instead; give controller.{parameter.key} in {parameter.unit}, or run "
-                    "`rthyb identify RIG`",
-                )
-            )
+            problems.append(Problem(f"controller.{parameter.key}", _absent(parameter, rig)))
         # It compensates nothing.
         settings[parameter.key] = max(parameter.low, 0.0) if value is None else value
     if any(math.isnan(value) for value in settings.values()):
@@ -489,6 +483,18 @@ def law_settings(
             )
         problems.append(Problem(f"controller.{key}", text))
     return settings
+
+
+def _absent(parameter: Parameter, rig: RigFile) -> str:
+    """Return the message for a setting that neither the files nor the law's table give."""
+    allowed = lawtables.range_of(parameter).allowed()
+    give = f"give controller.{parameter.key} in the test file: {allowed}"
+    if parameter.rig_key is None:
+        return f"missing, and it has no default; {give}"
+    return (
+        f'missing, and rig "{rig.rig.name}" has no {parameter.rig_key} to use instead; {give}, or '
+        "run `rthyb identify RIG`"
+    )
 
 
 def window_samples_of(test: TestFile, period: float, rate: Rate, problems: list[Problem]) -> int:

@@ -165,13 +165,14 @@ def hold_of(rig: RigFile) -> str | None:
     return None if rig.actuator.kind == "pure-delay" else rig.rig.command_hold
 
 
-def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
+def fitted(rig: RigFile, rate: Rate, roll_off_hz: float, law: str) -> Inverse:
     """Return the inverse of a rig's identified response.
 
     Args:
         rig: with the response in its section ``identified``.
         rate: rate of the test.
         roll_off_hz: roll-off frequency of the inverse, below half the rate.
+        law: name of the control law that needs it, for messages.
 
     Raises:
         InputError: the response is missing or too short, or the fit is unstable or inaccurate.
@@ -180,15 +181,15 @@ def fitted(rig: RigFile, rate: Rate, roll_off_hz: float) -> Inverse:
     found = rig.identified
     if found is None or not found.frequency_hz:
         raise InputError(
-            "the control law inverse needs the identified response of the rig, and there is "
-            f"none: {REMEDY}",
+            f"the control law {law} needs the identified response of the rig, and there is none: "
+            f"{REMEDY}",
             where,
         )
     top = max(found.frequency_hz)
     if top < LEAST_TOP_HZ or len(found.frequency_hz) < LEAST_TONES:
         raise InputError(
             f"the response has {len(found.frequency_hz)} frequencies up to {top:g} Hz; the control "
-            f"law inverse needs {LEAST_TONES} or more, up to at least {LEAST_TOP_HZ:g} Hz: "
+            f"law {law} needs {LEAST_TONES} or more, up to at least {LEAST_TOP_HZ:g} Hz: "
             f"{REMEDY}, or use the law gain-alpha-beta, for which 10 Hz is enough",
             where,
         )

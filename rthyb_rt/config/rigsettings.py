@@ -65,7 +65,8 @@ def law_settings_of_rig(
             if f"{table}.{COEFFICIENTS[0]}" in fitted:
                 roll_off = controller.setting(f"{table}.fit_roll_off_hz") or 0.0
                 # The law itself rejects a frequency that this rate does not have.
-                start = _inverse(roll_off, rig, rate) if roll_off < 0.5 * rate.hz else {}
+                low = roll_off < 0.5 * rate.hz
+                start = _inverse(roll_off, rig, rate, controller.type) if low else {}
             else:
                 key = f"{table}.roll_off_hz"
                 roll_off = found.get(key) or controller.setting(key) or 0.0
@@ -96,12 +97,12 @@ def _reject_no_inverse(controller: Controller, problems: list[Problem]) -> None:
         )
 
 
-def _inverse(roll_off_hz: float, rig: RigFile, rate: Rate) -> dict[str, float]:
+def _inverse(roll_off_hz: float, rig: RigFile, rate: Rate, law: str) -> dict[str, float]:
     """Return the coefficients of the rig's inverse, by the last part of their keys."""
     # NumPy is slow to import, and most laws need no fit.
     from rthyb_rt.config import response
 
-    inverse = response.fitted(rig, rate, roll_off_hz)
+    inverse = response.fitted(rig, rate, roll_off_hz, law)
     return {f"b{j}": float(value) for j, value in enumerate(inverse.b)}
 
 

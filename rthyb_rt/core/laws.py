@@ -22,7 +22,8 @@ class Parameter:
         key: key in a test file below ``[controller]``, with a point between table and key.
         unit: SI unit; "" for a dimensionless number.
         low, high: allowed range; ``open_low`` and ``open_high`` exclude the bound itself.
-        default: value if the file gives none; None: the test file or the rig file must give it.
+        default: value if the file gives none; None: the test file must give it, or
+            the rig file at ``rig_key``.
         meaning: description, worded as the beginning of a sentence.
         rig_key: key in a rig file, which applies if the test file does not give the value.
         words: text for summaries, with ``{}`` for the number.
@@ -84,6 +85,11 @@ class LawDescription:
     as_printed: bool = False
     learns_curvature: bool = False
     benchmark_start: str = "rig"
+
+    @property
+    def runs_unset(self) -> bool:
+        """Whether every setting has a default or a place in the rig file."""
+        return all(p.default is not None or p.rig_key for p in self.parameters)
 
     @property
     def learns(self) -> bool:
