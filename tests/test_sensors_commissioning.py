@@ -371,6 +371,57 @@ def test_a_motion_that_the_noise_of_a_sensor_hides_is_not_judged() -> None:
     assert "which its noise hides" in found.faults[0]
 
 
+def checked_through(axis: str, name: str, change: Change) -> certificate.CheckedStep:
+    """The polarity check while the number of a sensor is changed on its way, from the beginning."""
+    with between(DEFAULTS) as (opened, way):
+        way.axis, way.change, way.begun = NAMES.index(SENSORS[name][0]), change, 0
+        rig = read(DEFAULTS).of_axis(axis)
+        connection = Reach(rig, opened.alone(NAMES.index(axis)), "stepped", way.tick)
+        found = guide.commission(connection, guide.CommissioningSettings(LIMITS), axis=axis)
+    assert found.steps["link"].passed, found.steps["link"].faults
+    return found.steps["polarity"]
+
+
+def low_pass(tau_s: float, noise: int) -> Change:
+    """A filter of the first order before a converter with the noise of the sensor."""
+    rng, share, state = np.random.default_rng(7), -np.expm1(-1 / (1024 * tau_s)), list[float]()
+
+    def change(_: int, raw: int) -> int:
+        last = state[-1] if state else float(raw)
+        state[:] = [last + share * (raw - last)]
+        return round(state[0] + rng.normal(scale=noise))
+
+    return change
+
+
+@pytest.mark.parametrize(("name", "noise"), [("wire", 2000), ("column", 10_000)])
+@pytest.mark.parametrize("tau_s", [0.002, 0.01, 0.05, 0.3])
+def test_a_slow_filter_is_refused_with_its_delay_in_ms(name: str, noise: int, tau_s: float) -> None:
+    """The mean delay of a filter of the first order is its time constant.
+
+    Allowed: a quarter of the delay of the axis, 11 ms and what its link adds, and two samples.
+    """
+    found = checked_through("left", name, low_pass(tau_s, noise))
+    figures = found.figures["sensors"][name]
+    assert 11e-3 / 4 + 2 / 1024 < figures["lag_most_s"] < 14e-3 / 4 + 2 / 1024
+    if tau_s < 0.1:  # slower, it has not come to rest when the motion is judged
+        assert figures["lag_s"] == pytest.approx(tau_s, rel=0.05, abs=1e-3)
+    assert found.passed is (tau_s < 0.004)
+    if not found.passed:
+        (fault,) = found.faults
+        assert re.match(rf"sensor {name}: reads \d+(\.\d+)? ms late while the axis moves", fault)
+        assert re.search(r"at most 4\.\d+ ms is allowed, 25 % of the delay of the axis", fault)
+
+
+@pytest.mark.parametrize(("name", "noise"), [("wire", 2000), ("column", 10_000)])
+def test_a_sensor_that_reads_the_same_on_both_sides_is_refused(name: str, noise: int) -> None:
+    """A rectified signal changes as it should on one of them."""
+    rng = np.random.default_rng(9)
+    found = checked_through("left", name, lambda _, raw: abs(raw) + round(rng.normal(scale=noise)))
+    (fault,) = found.faults
+    assert fault.startswith(f"sensor {name}: did not respond when the axis moved by −2.00 mm")
+
+
 def test_a_drive_that_is_switched_off_is_named() -> None:
     """The left drive sends nothing while the right axis is commissioned."""
     text = changed(DEFAULTS, (CELL + "\n", CELL + "\n"))

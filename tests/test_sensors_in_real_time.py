@@ -8,7 +8,7 @@ import os
 import re
 import socket
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -93,7 +93,9 @@ class Between:
             for frame in waiting(of_drive):
                 passed = self.passed(frame) if k == self.axis else frame
                 if passed is not None:
-                    of_controller.send(passed)
+                    # Like a bus, it does not wait for a controller that does not listen.
+                    with suppress(BlockingIOError):
+                        of_controller.send(passed, socket.MSG_DONTWAIT)
 
     def passed(self, frame: bytes) -> bytes | None:
         """A frame of the axis with the sensor: the number of the force frame is at byte 8."""

@@ -456,9 +456,9 @@ def inconclusive(rig: RigFile | AxesRig, rig_path: Path) -> list[str]:
     shown = {name for step in passed for name in _conclusive(step)}
     return [
         f"sensor {one.name}: no axis moved it enough, compared with what the axes read, to show a "
-        "wrong sign or a factor of 2 of its scale: repeat the polarity check with a larger "
-        f"distance (`rthyb commission {rig_path} --steps polarity --distance ...`), or record it "
-        "as an extra channel alone, without [[sensor]]"
+        "wrong sign, a factor of 2 of its scale, or that it reads too late: repeat the polarity "
+        f"check with a larger distance (`rthyb commission {rig_path} --steps polarity --distance "
+        "...`), or record it as an extra channel alone, without [[sensor]]"
         for one in rig.lone_sensors
         if one.name not in shown
     ]

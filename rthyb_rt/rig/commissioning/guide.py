@@ -82,7 +82,9 @@ def commission(
         RthybError: a motion failed for a reason other than the one being checked.
     """
     check_limits(connection.rig)
-    check_distance(connection.rig, plan.distance_m)
+    # With sensors without an actuator, one motion leads from one side to the other.
+    sides = 2.0 if "polarity" in plan.steps and _has_sensors(connection) else 1.0
+    check_distance(connection.rig, sides * plan.distance_m)
     rig = connection.rig
     # The operator confirms each motion and knows why the drive stopped: most often by a check.
     connection = replace(connection, resets=True)
@@ -199,8 +201,7 @@ def _rate(received: Rows) -> float | None:
 
 
 def _polarity(connection: Connection, plan: CommissioningSettings) -> CheckedStep | None:
-    question = f"Move by {plan.distance_m * 1e3:g} mm and back, at 1 mm/s, to see both signs?"
-    if not plan.allowed(question):
+    if not plan.allowed(_polarity_question(connection, plan.distance_m)):
         return None
     moved = undisturbed(connection, limit_checks.small_motion(connection.rig, plan.distance_m))
     verdict = polarity.judge(connection.rig, moved)
@@ -224,8 +225,50 @@ def _polarity(connection: Connection, plan: CommissioningSettings) -> CheckedSte
     if verdict.good or moved.ended_by_sensor:
         faults += wrong
     # A sensor that is at fault must not prevent the return.
-    bring_back(connection, moved, with_sensors=not (wrong or moved.ended_by_sensor))
+    at_fault = bool(wrong or moved.ended_by_sensor)
+    if sensors and not faults:
+        figures["sensors"], faults = _other_way(connection, plan.distance_m, sensors)
+        at_fault = bool(faults)
+    bring_back(connection, moved, with_sensors=not at_fault)
     return CheckedStep("polarity", not faults, now(), figures, tuple(faults))
+
+
+def _polarity_question(connection: Connection, distance_m: float) -> str:
+    shown = f"{distance_m * 1e3:g} mm"
+    if not _has_sensors(connection):
+        return f"Move by {shown} and back, at 1 mm/s, to see both signs?"
+    return (
+        f"Move by {shown} at 1 mm/s, then faster to {-distance_m * 1e3:g} mm, and back, to see "
+        "both signs, and which sensors without an actuator read too late?"
+    )
+
+
+def _has_sensors(connection: Connection) -> bool:
+    common = connection.rig.one_of
+    return common is not None and bool(common.sensors)
+
+
+def _other_way(
+    connection: Connection, distance_m: float, there: dict[str, Any]
+) -> tuple[dict[str, Any], list[str]]:
+    """Move as far to the other side, faster, and judge the sensors without an actuator again.
+
+    A reading that is the same on both sides has changed as it should on one of them; and one that
+    is late has changed as it should once everything is at rest.
+
+    Returns:
+        The figures of both motions, and what is wrong. The axis is then where it began.
+    """
+    motion = limit_checks.brisk_motion(connection.rig, -2.0 * distance_m)
+    moved = undisturbed(connection, motion)
+    faults = []
+    if moved.cause != "completed":
+        faults.append(f"the motion to the other side did not finish: {moved.end_in_figures}")
+    back, wrong = sensor_checks.by_motion(
+        connection.rig, moved, must_show=not moved.ended_by_sensor, timely=True
+    )
+    bring_back(connection, moved, with_sensors=not (wrong or moved.ended_by_sensor))
+    return sensor_checks.both_ways(there, back), faults + wrong
 
 
 # ---- limits -------------------------------------------------------------------------------------

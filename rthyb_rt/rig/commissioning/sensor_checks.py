@@ -20,9 +20,10 @@ from rthyb_rt.config import RigFile
 from rthyb_rt.config.lonesensors import OneOfSeveral, SensorOfAxes
 from rthyb_rt.lab import beside
 from rthyb_rt.numbers import quantity
-from rthyb_rt.rig.commissioning import sensor_noise
+from rthyb_rt.rig.commissioning import sensor_lag, sensor_noise
 from rthyb_rt.rig.commissioning.guided_motion import Floats, MotionResult, Rows
 from rthyb_rt.rig.commissioning.polarity import SLOPE_TOLERANCE
+from rthyb_rt.rig.commissioning.sensor_lag import SensorLag
 
 FORCE_FACTOR: Final = math.sqrt(2.0)
 """Allowed ratio of the change of a load cell to the one expected, either way.
@@ -112,8 +113,26 @@ def _silent_drives(common: OneOfSeveral, rows: Rows) -> list[str]:
     return faults
 
 
+def both_ways(there: dict[str, Any], back: dict[str, Any]) -> dict[str, Any]:
+    """Return the figures of two motions in opposite directions as those of one.
+
+    A sensor was judged only if both would have shown its mistakes.
+    """
+    return {
+        name: {
+            **one,
+            "conclusive": one["conclusive"] and back[name]["conclusive"],
+            "change_back": back[name]["change"],
+            "expected_back": back[name]["expected"],
+            "lag_s": back[name]["lag_s"],
+            "lag_most_s": back[name]["lag_most_s"],
+        }
+        for name, one in there.items()
+    }
+
+
 def by_motion(
-    rig: RigFile, moved: MotionResult, *, must_show: bool = True
+    rig: RigFile, moved: MotionResult, *, must_show: bool = True, timely: bool = False
 ) -> tuple[dict[str, Any], list[str]]:
     """Judge the change of the readings after a slow motion that has come to rest.
 
@@ -121,6 +140,7 @@ def by_motion(
         rig: the axis that moved.
         moved: its motion.
         must_show: whether it is a fault that the motion is too small to judge a sensor.
+        timely: whether it was fast enough to see which sensors read too late, and these are judged.
 
     Returns:
         Change of each sensor and the one expected, by its name, m or N, and what is wrong, with the
@@ -129,16 +149,8 @@ def by_motion(
     common = rig.one_of
     if common is None:
         return {}, []
-    seen = [_compared(rig, one, moved) for one in common.sensors]
-    figures = {
-        one.of.sensor.name: {
-            "change": one.change,
-            "expected": one.expected,
-            "unit": "N" if one.of.is_cell else "m",
-            "conclusive": one.conclusive,
-        }
-        for one in seen
-    }
+    seen = [_compared(rig, one, moved, timely=timely) for one in common.sensors]
+    figures = {one.of.sensor.name: one.as_json() for one in seen}
     faults = [(one, _fault(one, moved)) for one in seen if must_show or not one.hidden]
     wrong = [one for one, fault in faults if fault]
     return figures, [
@@ -164,6 +176,8 @@ class _Compared:
         less, more: by how much the change may be less or more than expected, in its direction.
         certain: the smallest difference of the two that is significant against the noise.
         moves: whether the axis moves the sensor by more than a mounting by eye leaves undetermined.
+        timely: whether it must be seen that the sensor does not read too late.
+        lag: by how much it does; None: not known.
     """
 
     of: SensorOfAxes
@@ -174,6 +188,23 @@ class _Compared:
     more: float
     certain: float
     moves: bool
+    timely: bool
+    lag: SensorLag | None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what a certificate has of it, as plain values."""
+        lag = self.lag
+        late = {
+            "lag_s": None if lag is None else lag.found.seconds,
+            "lag_most_s": None if lag is None else lag.most,
+        }
+        return {
+            "change": self.change,
+            "expected": self.expected,
+            "unit": "N" if self.of.is_cell else "m",
+            "conclusive": self.conclusive,
+            **(late if self.timely else {}),
+        }
 
     def fits(self, change: float | None) -> bool:
         """Return whether a change is one that this sensor may have."""
@@ -190,12 +221,14 @@ class _Compared:
 
     @property
     def conclusive(self) -> bool:
-        """Whether the least mistakes of a sign or a scale would have been seen."""
+        """Whether the least mistakes of a sign or a scale, and a lag, would have been seen."""
         mistakes = (-1.0, 0.5, 2.0)
+        if self.timely and (self.lag is None or not self.lag.seen):
+            return False
         return self.moves and not any(self.fits(by * self.expected) for by in mistakes)
 
 
-def _compared(rig: RigFile, one: SensorOfAxes, moved: MotionResult) -> _Compared:
+def _compared(rig: RigFile, one: SensorOfAxes, moved: MotionResult, *, timely: bool) -> _Compared:
     """Compare a sensor with all axes: r = a u, or r = a F, as in the kinematics.
 
     It may be off by a share of what is expected, or, if that is little, by a small share of the
@@ -210,6 +243,12 @@ def _compared(rig: RigFile, one: SensorOfAxes, moved: MotionResult) -> _Compared
     sizes = np.abs(by_axis)
     askew = ASKEW * max(float(np.array(one.terms) @ sizes), max(one.terms) * float(sizes.max()))
     low, high = (1.0 / FORCE_FACTOR, FORCE_FACTOR) if one.is_cell else _SLOPES
+    moves = abs(expected) > askew
+
+    def of_axes(rows: Rows) -> Floats:
+        read: Floats = np.array(one.by_axis) @ [rows[_column(common, k, one)] for k in common.names]
+        return read
+
     return _Compared(
         one,
         change,
@@ -220,7 +259,11 @@ def _compared(rig: RigFile, one: SensorOfAxes, moved: MotionResult) -> _Compared
         noise
         + 2.0 * beside.step_of(rig, one)
         + float(np.abs(one.by_axis) @ np.array([noise for _, noise in axes])),
-        abs(expected) > askew,
+        moves,
+        timely,
+        sensor_lag.of_sensor(moved, of_axes, f"{one.sensor.name}_read")
+        if timely and moves
+        else None,
     )
 
 
@@ -270,14 +313,14 @@ def _fault(one: _Compared, moved: MotionResult) -> str:
             f"{_shown(one.of, min(one.less, one.more))} must be): choose a larger --distance"
         )
     if one.fits(one.change):
-        return ""
+        return _late(one)
     found = _shown(one.of, _unless_tiny(one.change, one.expected))
     if not one.moves:
         return (
             f"changed by {found} {after}, where {wanted} by its along: correct its along, or check "
             f"how it is mounted, and which sensor is connected to {_channel(one.of)}"
         )
-    if abs(one.change) <= one.certain:
+    if abs(one.change) <= max(one.certain, ASKEW * abs(one.expected)):
         return (
             f"did not respond {after}: {found} where {wanted}; is it mounted, and connected to the "
             f"drive of axis {one.of.axis} as its {_channel(one.of)}?"
@@ -296,14 +339,32 @@ def _fault(one: _Compared, moved: MotionResult) -> str:
     )
 
 
+def _late(one: _Compared) -> str:
+    """Return that a sensor reads too late or too early, in words; "" if it does not."""
+    if one.lag is None or not one.lag.too_large:
+        return ""
+    lag_s = one.lag.found.seconds
+    late = "late" if lag_s > 0.0 else "early"
+    return (
+        f"reads {quantity(abs(lag_s), 'ms', 1e3)} {late} while the axis moves, compared with "
+        f"{_what(one)} of the axes; at most {quantity(one.lag.most, 'ms', 1e3)} is allowed, "
+        f"{100 * sensor_lag.SHARE:g} % of the delay of the axis and {sensor_lag.SAMPLES:g} "
+        "samples: look for a filter in the amplifiers of the sensor and of the axes, for a slow "
+        "converter, or for play or friction, which shows less with a smaller --distance"
+    )
+
+
+def _what(one: _Compared) -> str:
+    return "load cells" if one.of.is_cell else "displacement sensors"
+
+
 def _axes(one: _Compared) -> str:
     """Return the readings of the axes from which something was expected, in words."""
-    what = "load cells" if one.of.is_cell else "displacement sensors"
     most = max(map(abs, one.by_axis.values()))
     read = ", ".join(
         f"{axis} {_shown(one.of, _unless_tiny(value, most))}" for axis, value in one.by_axis.items()
     )
-    return f"the {what} of the axes ({read})"
+    return f"the {_what(one)} of the axes ({read})"
 
 
 def _unless_tiny(value: float, beside: float) -> float:
