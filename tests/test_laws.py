@@ -194,8 +194,7 @@ def test_a_resolved_file_states_all_that_its_law_reads(name: str) -> None:
             "identified.depth_m",
             "",
             'missing, and rig "shaking-table-portal-frame" has no identified.depth_m to use '
-            "instead; give controller.ours.depth in the test file: the depth must be from 1 to 4, "
-            "or run `rthyb identify RIG`",
+            "instead; give controller.ours.depth, or run `rthyb identify RIG`",
         ),
     ],
 )

@@ -487,13 +487,14 @@ def law_settings(
 
 def _absent(parameter: Parameter, rig: RigFile) -> str:
     """Return the message for a setting that neither the files nor the law's table give."""
-    allowed = lawtables.range_of(parameter).allowed()
-    give = f"give controller.{parameter.key} in the test file: {allowed}"
+    key = f"controller.{parameter.key}"
     if parameter.rig_key is None:
-        return f"missing, and it has no default; {give}"
+        allowed = lawtables.range_of(parameter).allowed()
+        return f"missing, and it has no default; give {key} in the test file: {allowed}"
+    unit = f" in {parameter.unit}" if parameter.unit else ""
     return (
-        f'missing, and rig "{rig.rig.name}" has no {parameter.rig_key} to use instead; {give}, or '
-        "run `rthyb identify RIG`"
+        f'missing, and rig "{rig.rig.name}" has no {parameter.rig_key} to use instead; '
+        f"give {key}{unit}, or run `rthyb identify RIG`"
     )
 
 
