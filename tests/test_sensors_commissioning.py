@@ -25,6 +25,7 @@ from test_sensors_in_real_time import (
 )
 from test_sensors_without_actuator import WITH_BOTH, quiet, read
 
+from rthyb_rt import config as files
 from rthyb_rt import core
 from rthyb_rt.cli import connecting
 from rthyb_rt.config import AxesRig
@@ -711,6 +712,12 @@ def test_more_drives_than_links_are_refused() -> None:
         with pytest.raises(core.CoreError, match="there may be up to 4 together"):
             loop.Loop(one.station, way.wire, at, sensors=[(1, 0), (0, 0)], heard=[way] * 4)
         at.close()
+
+
+def test_a_sensor_in_the_file_of_one_axis_is_told_to_need_several() -> None:
+    text = files.shipped_rig("first-order-5hz").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match=r"sensor: not available here: .* rig of several axes"):
+        files.parse_any_rig(text + '\n[[sensor]]\nkind = "force"\nname = "column"\n', "one.toml")
 
 
 # ---- certificates -------------------------------------------------------------------------------

@@ -381,6 +381,8 @@ class Table(BaseModel):
 
     choices: ClassVar[tuple[Alternatives, ...]] = ()
     checks: ClassVar[tuple[Condition, ...]] = ()
+    foreign: ClassVar[dict[str, str]] = {}
+    """Keys of another kind of file, each with what to do instead of using it here."""
 
     @classmethod
     def expand(cls, data: Any) -> Any:
@@ -445,6 +447,8 @@ class Table(BaseModel):
         fields = {info.alias or name: info for name, info in cls.model_fields.items()}
         if kind == "extra_forbidden":
             known = list(fields)
+            if key in cls.foreign:
+                return loc, f"not available here: {cls.foreign[key]}"
             return loc, f"unknown key{nearest(key, known)}; allowed here: {', '.join(known)}"
         info = fields.get(key)
         if kind == "missing" and info is not None:

@@ -1191,6 +1191,10 @@ class RigFile(WholeFile):
         Condition("specimen", ("actuator", "specimen"), _valve_moves_a_mass),
         Condition("sensors", ("sensors", "link"), extras_arrive),
     )
+    foreign: ClassVar[dict[str, str]] = {
+        "sensor": "sensors without an actuator need a rig of several axes ([[axis]] and "
+        "[kinematics]); with one axis, record it as [[sensors.extra]] alone"
+    }
 
     schema_: Literal["rthyb-rig/1"] = Field(alias="schema")
     rig: RigInfo
