@@ -129,3 +129,18 @@ def test_figures_need_a_test(rthyb: Rthyb, tmp_path: Path) -> None:
     assert answer.code == 2
     assert "give TEST.toml too" in answer.err
     assert not list(tmp_path.iterdir())
+
+
+def test_settings_of_a_test_are_refused_where_only_a_rig_is_checked(rthyb: Rthyb) -> None:
+    rig = ("check", "--rig", "rths-benchmark")
+    settings = ("--set", "controller.type=ats", "--set", "numerical.period_s=1")
+    answer = rthyb(*rig, *settings)
+    assert answer.code == 3
+    assert answer.err.splitlines() == [
+        f"rthyb: --set {key}: belongs to a test, and without a test only the rig is checked; give "
+        "TEST.toml as well, or leave this setting out"
+        for key in ("controller.type", "numerical.period_s")
+    ]
+    # A key that no file has is still told as such.
+    assert "unknown key" in rthyb(*rig, "--set", "specimens=1").err
+    assert rthyb(*rig, "--set", "rig.actuator.gain=1.02").code == 0

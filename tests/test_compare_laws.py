@@ -95,3 +95,18 @@ def test_the_command_prints_a_line_a_law_and_all_measures_as_json(rthyb: Rthyb) 
     assert isinstance(laws, list)
     assert {one["law"] for one in laws} == {"ats", "none"}
     assert all(math.isfinite(one["tracking_nrmse"]) for one in laws)
+
+
+def test_why_a_law_ended_early_is_a_line_below_the_table_which_stays_as_narrow(
+    rthyb: Rthyb,
+) -> None:
+    """In a file or a pipe, where a line has no end: without compensation the frame diverges."""
+    laws = ("--law", "ats", "--law", "none")
+    shown = rthyb("compare-laws", "frame-three-storeys", "--set", "test.duration_s=3", *laws)
+    table, below = shown.out.split("\nNot completed:\n")
+    assert [line.split()[0] for line in table.splitlines()[2:]] == ["ats", "none"]
+    widest = max(len(line) for line in table.splitlines() if "─" not in line)
+    assert max(map(len, table.splitlines())) == widest
+    (why,) = below.splitlines()
+    assert why.startswith("  none: force ")
+    assert "without compensation this structure remains stable up to" in why

@@ -280,6 +280,19 @@ def test_missing_file_is_named_with_the_remedy(tmp_path: Path) -> None:
     assert caught.value.exit_code == 3
 
 
+def test_missing_file_with_the_name_of_a_shipped_one_is_told_of_it(tmp_path: Path) -> None:
+    missing = tmp_path / "frame-three-storeys.toml"
+    with pytest.raises(InputError) as caught:
+        config.load_test(missing)
+    assert str(caught.value) == (
+        f"{missing}: no such file; give the path of a test file, or frame-three-storeys without "
+        ".toml for the test that comes with the program"
+    )
+    # It is no rig.
+    with pytest.raises(InputError, match=r"no such file; give the path of a rig file$"):
+        config.load_rig(missing)
+
+
 def test_folder_or_odd_path_in_place_of_a_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         config.load_rig(tmp_path)

@@ -11,6 +11,8 @@ from rthyb_rt.cli import interrupts, terminal
 from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rthyb_rt.checking.checked_axes import ExaminedAxes
     from rthyb_rt.checking.examined import Examined
     from rthyb_rt.checking.examined_rig import ExaminedRig
@@ -95,6 +97,7 @@ def _check_rig(
         raise typer.BadParameter(
             "draws the stability of a test; give TEST.toml too", param_hint="--plot"
         )
+    _reject_settings_of_a_test(settings or ())
     path, changes = config.find_rig(name), dict[str, str]()
     for part in config.split_overrides(settings or ()):
         changes |= part
@@ -105,6 +108,31 @@ def _check_rig(
     _print_tables(found, terminal.people(as_json))
     if as_json:
         terminal.print_json(found.document())
+
+
+def _reject_settings_of_a_test(settings: Sequence[str]) -> None:
+    """Reject what only a test file has; a rig is checked without one.
+
+    Raises:
+        InputError: with each such setting.
+    """
+    from rthyb_rt import config
+    from rthyb_rt.errors import InputError, Problem
+
+    of_a_test, _ = config.split_overrides(settings)
+    sections = set(config.TestFile.model_fields)
+    sections -= set(config.RigFile.model_fields) | set(config.AxesRig.model_fields)
+    problems = [
+        Problem(
+            f"--set {key}",
+            "belongs to a test, and without a test only the rig is checked; give TEST.toml as "
+            "well, or leave this setting out",
+        )
+        for key in of_a_test
+        if key.partition(".")[0] in sections
+    ]
+    if problems:
+        raise InputError(problems)
 
 
 def _write_page(found: Examined | ExaminedAxes, plot: Path | None, file: IO[str]) -> None:

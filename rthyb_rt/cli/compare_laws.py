@@ -64,30 +64,35 @@ def compare_laws(
 
 
 def _print(rows: Sequence[dict[str, Any]], file: IO[str]) -> None:
+    """Print the table, and below it why tests did not complete: sentences, too long for it."""
+    from rthyb_rt.campaign.plan import COMPLETED
 
     grid = terminal.ruled_table()
     grid.add_column("law", no_wrap=True)
     for head in ("response", "largest difference", "tracking", "delay at the end"):
         grid.add_column(head, justify="right", no_wrap=True)
-    grid.add_column("end", overflow="fold")
     for row in rows:
         grid.add_row(row["law"], *_cells(row))
     terminal.show(grid, file)
+    ended = [row for row in rows if row["ending"] != COMPLETED]
+    if ended:
+        print("\nNot completed:", file=file)
+    for row in ended:
+        print(f"  {row['law']}: {' '.join(str(row['cause']).split())}", file=file)
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    """Return response, greatest difference, tracking, delay and ending for a law."""
+    """Return response, greatest difference, tracking and delay for a law."""
     from rthyb_rt.campaign.plan import COMPLETED
     from rthyb_rt.numbers import delay, number, percent
 
     if row["ending"] != COMPLETED:
         # Figures up to an early end cannot be compared with those of a complete test.
-        return ["–", "–", "–", "–", " ".join(str(row["cause"]).split())]
+        return ["–"] * 4
     difference, alpha = row["response_peak_difference_m"], row["alpha_end"]
     return [
         percent(row["response_nrmse"]),
         "–" if difference is None else f"{number(1e3 * difference)} mm",
         percent(row["tracking_nrmse"]),
         "–" if alpha is None else delay(alpha, row["fs_hz"]),
-        "",
     ]

@@ -761,7 +761,9 @@ def read_text(path: str | Path, kind: str) -> str:
         with Path(path).open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise InputError(f"no such file; give the path of a {kind} file", str(path)) from None
+        raise InputError(
+            f"no such file; give the path of a {kind} file{_shipped_as(path, kind)}", str(path)
+        ) from None
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise InputError(
@@ -781,6 +783,14 @@ def read_text(path: str | Path, kind: str) -> str:
             f"byte {data[error.start]:#04x} is not UTF-8 text; save the file as UTF-8",
             f"{path}:{line}",
         ) from None
+
+
+def _shipped_as(path: str | Path, kind: str) -> str:
+    """Return a hint if a shipped file has the name of a path that does not exist."""
+    name = Path(path).stem
+    if kind not in ("test", "rig") or name not in shipped("test" if kind == "test" else "rig"):
+        return ""
+    return f", or {name} without .toml for the {kind} that comes with the program"
 
 
 def _table_at(raw: Any, path: KeyPath) -> Any:
