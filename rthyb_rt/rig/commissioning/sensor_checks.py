@@ -347,7 +347,7 @@ def _late(one: _Compared) -> str:
     late = "late" if lag_s > 0.0 else "early"
     return (
         f"reads {quantity(abs(lag_s), 'ms', 1e3)} {late} while the axis moves, compared with "
-        f"{_what(one)} of the axes; at most {quantity(one.lag.most, 'ms', 1e3)} is allowed, "
+        f"the {_what(one)} of the axes; at most {quantity(one.lag.most, 'ms', 1e3)} is allowed, "
         f"{100 * sensor_lag.SHARE:g} % of the delay of the axis and {sensor_lag.SAMPLES:g} "
         "samples: look for a filter in the amplifiers of the sensor and of the axes, for a slow "
         "converter, or for play or friction, which shows less with a smaller --distance"
