@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import Rthyb
 from kernels import FS_HZ, Floats, H, smooth_motion, time_s
 from rthyb_rt._core import ffi, lib
 
@@ -224,6 +225,34 @@ def test_settings_of_a_law_that_is_not_chosen_are_left_as_they_are() -> None:
     own = {p.key.split(".")[0] for law in LAWS.values() for p in law.parameters if "." in p.key}
     for table in own - {"delay_estimator"}:
         assert f"[controller.{table}]" not in text
+
+
+def test_settings_on_the_command_line_for_a_law_that_is_not_chosen_are_named(
+    rthyb: Rthyb, tmp_path: Path
+) -> None:
+    other, shared = "controller.amb.cutoff_hz", "controller.delay_estimator.memory_s"
+    given = ("--set", f"{other}=10", "--set", f"{shared}=3")
+
+    def notes(kind: str) -> list[str]:
+        answer = rthyb("check", "section4.2", "--set", f"controller.type={kind}", *given)
+        assert answer.code == 0, answer.err
+        return [line for line in answer.err.splitlines() if "is not used" in line]
+
+    assert notes("ats") == [
+        f"rthyb: note: --set {other} is not used: it belongs to the control law amb, and "
+        "controller.type is ats",
+        f"rthyb: note: --set {shared} is not used: it belongs to the control law alpha-beta, and "
+        "controller.type is ats",
+    ]
+    assert [line.split()[3] for line in notes("amb")] == [shared]
+    assert [line.split()[3] for line in notes("alpha-beta")] == [other]
+    # In a file, the table of another law may stand ready.
+    test = tmp_path / "test.toml"
+    test.write_text(TEST + 'type = "ats"\namb.cutoff_hz = 10\n', encoding="utf-8")
+    answer = rthyb("check", test, "--rig", "shaking-table-portal-frame")
+    assert (answer.code, answer.err) == (0, "")
+    # A sweep over laws sets what only some of them use.
+    assert lawtables.unused(["ats", "amb"], [f"{other}=10"]) == []
 
 
 def test_a_setting_that_the_law_has_not_is_refused() -> None:

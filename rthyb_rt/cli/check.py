@@ -8,7 +8,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from rthyb_rt.cli import interrupts, terminal
-from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
+from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any, note_unused
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -69,6 +69,7 @@ def check(
 
         page_file(plot)
     test_file, rig_file = load_any(test, rig, settings)
+    note_unused(test_file, settings)
     if isinstance(rig_file, AxesRig):
         axes = examine_axes(test_file, rig_file)
         _print_axes(axes, terminal.people(as_json))

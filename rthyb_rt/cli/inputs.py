@@ -86,3 +86,16 @@ def load_any(
     from rthyb_rt import config
 
     return config.load_any_both(test_path, rig, settings or ())
+
+
+def note_unused(test: TestFile, settings: list[str] | None) -> None:
+    """Name settings on stderr that belong to a control law which the test does not use.
+
+    In a file they may stand ready for another run; on the command line they are mistakes.
+    """
+    from rthyb_rt.cli import terminal
+    from rthyb_rt.config import lawtables
+
+    laws = dict.fromkeys([test.controller.type, *(one.type for one in test.controller.axis)])
+    for text in lawtables.unused(list(laws), settings or ()):
+        terminal.tell(f"note: {text}")

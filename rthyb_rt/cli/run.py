@@ -12,7 +12,7 @@ import typer
 from rthyb_rt.cli import interrupts, run_axes, terminal
 from rthyb_rt.cli.connecting import clock_of, opened_link
 from rthyb_rt.cli.folders import publish, refuse_taken, report_beside, staged
-from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
+from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any, note_unused
 from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
@@ -117,6 +117,7 @@ def run(
         )
     started = datetime.datetime.now(datetime.UTC)
     test_file, rig_file = load_any(test, rig, settings)
+    note_unused(test_file, settings)
     axes = rig_file.names if isinstance(rig_file, config.AxesRig) else ()
     mishaps = _mishaps(fault, axes, config.Rate(test_file.test.sample_rate_hz)) if fault else ()
     if isinstance(rig_file, config.AxesRig):

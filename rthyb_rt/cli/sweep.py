@@ -11,7 +11,7 @@ import typer
 
 from rthyb_rt.cli import campaign as campaigns
 from rthyb_rt.cli import interrupts, terminal
-from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any
+from rthyb_rt.cli.inputs import JsonOption, RigOption, SetOption, load_any, note_unused
 from rthyb_rt.errors import InputError, Problem
 
 if TYPE_CHECKING:
@@ -86,6 +86,8 @@ def sweep(
 
     campaigns.refuse_both(jobs, cluster)
     test_file, rig_file = load_any(test, rig, settings)
+    if not any(one.partition("=")[0].strip() == "controller.type" for one in over):
+        note_unused(test_file, settings)
     called = name or f"{test_file.test.name}-{_CALLED}"
     values = {
         "campaign": {"name": called, "keep": keep},

@@ -89,6 +89,27 @@ def setting(table: Table, key: str) -> float | None:
     return found[0][1].default if found else None
 
 
+def unused(used: Sequence[str], settings: Sequence[str]) -> list[str]:
+    """Return what settings are not used because they belong to control laws not chosen.
+
+    Args:
+        used: names of the laws of the test.
+        settings: ``key=value`` as given with ``--set``.
+    """
+    if not set(used) <= set(LAWS):
+        return []  # of the user's own, whose settings are not in the table of this program
+    known, found = parameters(), []
+    for setting in settings:
+        place = setting.partition("=")[0].strip()
+        of = [law.name for law, _ in known.get(place.removeprefix("controller."), ())]
+        if place.startswith("controller.") and of and not set(of) & set(used):
+            found.append(
+                f"--set {place} is not used: it belongs to the control law {' or '.join(of)}, and "
+                f"controller.type is {' and '.join(used)}"
+            )
+    return found
+
+
 def with_settings(table: _T, values: Mapping[str, float]) -> _T:
     """Return a [controller] table with the given settings of laws written out, by their keys."""
     own = {key: value for key, value in values.items() if "." not in key}
