@@ -57,14 +57,18 @@ def text(path: str) -> str:
         return ""
 
 
-def that_name_all(names: Sequence[str], *folders: str) -> set[str]:
-    """Return the files below some folders in which every name occurs."""
-    listed = subprocess.run(
+def listed(*folders: str) -> list[str]:
+    """Return the sources and pages below some folders."""
+    paths = subprocess.run(
         ["git", "ls-files", *folders], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.split()
+    return [path for path in paths if path.endswith((".c", ".h", ".py", ".md"))]
+
+
+def that_name_all(names: Sequence[str], *folders: str) -> set[str]:
+    """Return the files below some folders in which every name occurs."""
     patterns = [spellings(name) for name in names]
-    sources = (path for path in listed if path.endswith((".c", ".h", ".py", ".md")))
-    return {path for path in sources if all(one.search(text(path)) for one in patterns)}
+    return {path for path in listed(*folders) if all(one.search(text(path)) for one in patterns)}
 
 
 ELEMENTS = list(settings.ELEMENT_PARAMS)
@@ -118,6 +122,53 @@ def test_no_other_file_names_every_effect() -> None:
         "effect in the catalogue of the diagnosis",
         lambda path: path.endswith((".py", ".md")) and not path.startswith("tests/"),
     )
+
+
+NUMERICAL = "numerical part in C"
+MATRICES = {"dense": "DenseConfig", "sparse": "SparseConfig"}
+"""Numerical parts that are matrices, with the class of their settings: they have every place."""
+HANDED_ON = "rthyb_rt/config/", "rthyb_rt/lab/", "docs/", "tests/test_"
+"""A part is known there by the keys of a test, by exception, and by its equation."""
+
+
+def that_name_both_matrices(paths: Sequence[str]) -> set[str]:
+    """Return the files in which two numerical parts have a place each."""
+    patterns = [
+        re.compile(
+            rf"\bRTHYB_NUMERICAL_{kind.upper()}\b|\brthyb_{kind}_(?:ops|config)\b|\b{name}\b"
+        )
+        for kind, name in MATRICES.items()
+    ]
+    return {path for path in paths if all(one.search(text(path)) for one in patterns)}
+
+
+def test_a_numerical_part_has_a_place_in_each_file_of_its_recipe_and_in_no_other() -> None:
+    count, paths = recipe(NUMERICAL)
+    assert len(set(paths)) == len(paths) == count
+    here = [path for path in paths if PLACEHOLDER not in path]
+    assert all((ROOT / path).is_file() for path in here)
+    placed = {path for path in here if not path.startswith(HANDED_ON)}
+    assert that_name_both_matrices(here) >= placed
+    assert that_name_both_matrices(listed("csrc", "rthyb_rt")) == {
+        p for p in placed if not p.startswith("tests/")
+    }
+    (own,) = (path for path in paths if PLACEHOLDER in path)
+    for kind in MATRICES:
+        assert (ROOT / own.replace(PLACEHOLDER, kind)).is_file()
+
+
+def test_the_operations_of_a_numerical_part_are_those_of_its_header() -> None:
+    page = (
+        text("docs/extending.md").partition("### A numerical part in C\n")[2].partition("\n## ")[0]
+    )
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \|", page, re.MULTILINE)
+    body = re.findall(
+        r"typedef struct \{(.*?)\} rthyb_numerical_ops;", text("csrc/numerical.h"), re.DOTALL
+    )
+    assert [name for name, _ in rows] == re.findall(r"\(\*(\w+)\)", body[0])
+    # The core asks for an operation that a kind need not have, before it calls it.
+    asked = re.findall(r"ops->(\w+)(?: \?|\)\n)", text("csrc/numerical.c"))
+    assert [name for name, called in rows if "optional" in called] == asked
 
 
 def test_every_effect_has_its_picture() -> None:
