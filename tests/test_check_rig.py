@@ -97,7 +97,7 @@ def test_sensors_without_an_actuator_are_listed_with_range_and_channel(
 WRONG = {
     "a key": ("rig.limits.force=3", "limits.force: unknown key"),
     "a value": ("rig.actuator.delay_samples=-1", "delay_samples: found -1"),
-    "a key of a test": ("controller.w1=3", "controller.w1: unknown key"),
+    "a key of a test": ("controller.w1=3", "controller.w1: belongs to a test"),
     "a range that no frame carries": ('rig.sensors.force.range_n="5 MN"', "only up to 2147.48 kN"),
 }
 
