@@ -78,6 +78,10 @@ def _holds(hold: Hold) -> int:
     return int(lib.RTHYB_ZOH if hold == "zoh" else lib.RTHYB_FOH)
 
 
+BLOCK = 1 << 15
+"""Rows that are delayed at a time."""
+
+
 def actuator(
     model: ActuatorModel,
     x_cmd_m: Floats,
@@ -123,14 +127,19 @@ def _late_by_speed(
     Between the rows, x0 is the cubic that has the displacements and velocities of both.
     """
     n = on_time.x.size
-    late = np.where(np.arange(n) >= row, kappa_s2_m * np.abs(on_time.v), 0.0)
-    at = np.clip(np.arange(n) - late * fs_hz, 0.0, n - 1.0)
-    i = np.minimum(at.astype(np.intp), max(n - 2, 0))
-    j, s = np.minimum(i + 1, n - 1), at - i
-    x0, x1, v0, v1 = on_time.x[i], on_time.x[j], on_time.v[i] / fs_hz, on_time.v[j] / fs_hz
-    x = x0 + s * (v0 + s * (3.0 * (x1 - x0) - 2.0 * v0 - v1 + s * (2.0 * (x0 - x1) + v0 + v1)))
-    growth = np.where(late != 0.0, kappa_s2_m * np.sign(on_time.v) * on_time.a, 0.0)
-    v = (on_time.v[i] + s * (on_time.v[j] - on_time.v[i])) * (1.0 - growth)
+    x, v = np.empty(n), np.empty(n)
+    for first in range(0, n, BLOCK):  # in blocks: a long recording has no dozen copies
+        at = np.arange(first, min(first + BLOCK, n))
+        own, speed = on_time.v[at], np.where(at >= row, kappa_s2_m * np.abs(on_time.v[at]), 0.0)
+        place = np.clip(at - speed * fs_hz, 0.0, n - 1.0)
+        i = np.minimum(place.astype(np.intp), max(n - 2, 0))
+        j, s = np.minimum(i + 1, n - 1), place - i
+        x0, x1, v0, v1 = on_time.x[i], on_time.x[j], on_time.v[i] / fs_hz, on_time.v[j] / fs_hz
+        x[at] = x0 + s * (
+            v0 + s * (3.0 * (x1 - x0) - 2.0 * v0 - v1 + s * (2.0 * (x0 - x1) + v0 + v1))
+        )
+        growth = np.where(speed != 0.0, kappa_s2_m * np.sign(own) * on_time.a[at], 0.0)
+        v[at] = (on_time.v[i] + s * (on_time.v[j] - on_time.v[i])) * (1.0 - growth)
     return ComputedMotion(x, v, np.gradient(v) * fs_hz if n > 1 else on_time.a)
 
 

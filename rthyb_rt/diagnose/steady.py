@@ -222,15 +222,17 @@ def _with_instants(
     for at in np.argsort(jump)[: -INSTANTS - 1 : -1]:
         near = at + ASIDE + reach
         wrong[near] = np.maximum(wrong[near], 0.5 * jump[at])
-    columns = [design]
-    for row in np.flatnonzero(wrong):
+    known, places = design.shape[1], np.flatnonzero(wrong)
+    # In one piece: a copy of it would be the largest array of a long recording.
+    whole = np.empty((design.shape[0], known + places.size))
+    whole[:, :known] = design
+    for row in places:
         reading = np.zeros(total.size)
         reading[row] = wrong[row]
-        seen = problem.seen(reading)
-        if seen @ seen > UNSEEN**2:
-            columns.append(seen[:, None])
-    more = np.r_[np.zeros(design.shape[1]), np.ones(len(columns) - 1)]
-    return np.column_stack(columns), np.pad(prior, (0, more.size - prior.shape[0])) + np.diag(more)
+        whole[:, known] = problem.seen(reading)
+        known += int(whole[:, known] @ whole[:, known] > UNSEEN**2)
+    more = np.r_[np.zeros(design.shape[1]), np.ones(known - design.shape[1])]
+    return whole[:, :known], np.pad(prior, (0, more.size - prior.shape[0])) + np.diag(more)
 
 
 def _parts(problem: ResidualProblem) -> list[tuple[str, NDArray[np.bool_]]]:
