@@ -282,6 +282,11 @@ def test_what_a_changed_stated_value_imitates_does_not_lose_to_it_by_its_excuse(
     assert decided(without).best is alone
     better = evidence(*seen.sets[:-1], of("coulomb", stated, chi2=1090.0))
     assert set(decided(better).best.names) == {"coulomb", stated}
+    other = evidence(
+        alone, of("gap", chi2=15_000.0), of(stated, chi2=15_000.0),
+        of("coulomb", "gap", chi2=1100.0), of("coulomb", stated, chi2=1130.0),
+    )  # fmt: skip
+    assert set(decided(other).best.names) == {"coulomb", stated}
 
 
 def test_an_effect_that_dry_friction_cannot_replace_is_no_form_of_richer_friction() -> None:

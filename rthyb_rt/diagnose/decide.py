@@ -113,6 +113,7 @@ class Laws:
     Attributes:
         plainer: friction laws, with the simpler law that each contains as a special case.
         settling: laws that act like a simpler law in motion slow enough, with that law.
+        limits: laws that slow, or fast, motion cannot distinguish from other ones, with those.
         also: laws equivalent to another law in parallel with a free spring, with that law.
         sliders: sliders in series, any number of which is a form of the same effect.
         wanders, zeros: zeros of the load cell that change with time, and constant ones.
@@ -121,6 +122,7 @@ class Laws:
 
     plainer: Mapping[str, str]
     settling: Mapping[str, str]
+    limits: Mapping[str, frozenset[str]]
     also: Mapping[str, str]
     sliders: frozenset[str]
     wanders: frozenset[str]
@@ -134,6 +136,7 @@ class Laws:
         return Laws(
             {n: e.plainer for n, e in laws if e.dry and e.plainer},
             {n: e.plainer for n, e in laws if e.settles},
+            {n: frozenset({e.slow_as, e.fast_as}) - {""} for n, e in laws},
             {e.also: n for n, e in laws if e.also},
             frozenset(n for n, e in laws if e.slides),
             frozenset(n for n, e in laws if e.wanders),
@@ -422,16 +425,17 @@ def _of_no_form(court: Court, of: Hypothesis, which: int) -> bool:
 def _before_a_stated_value(court: Court, of: Hypothesis, which: int) -> bool:
     """Return whether an effect is better than a changed stated value that would be named instead.
 
-    Such a change, as a dashpot or a stiffer spring, is exempt from the share; an effect should not
-    lose to its imitation for that reason.
+    Such a change is exempt from the share; an effect should not lose to its imitation for that
+    reason: relaxation to the dashpot that it is in slow motion, or the spring in fast motion.
     """
-    rest = set(of.without(which))
-    if of.parts[which].stated:
+    rest, part = set(of.without(which)), of.parts[which]
+    limits = court.laws.limits.get(part.name, frozenset())
+    if part.stated or not limits:
         return False
     return any(
         len(h.parts) == len(of.parts)
         and rest < set(h.names)
-        and any(p.stated and not rest & set(p.names) for p in h.parts)
+        and any(p.stated and p.name in limits and p.name not in rest for p in h.parts)
         and of.score + court.policy.same_evidence < h.score
         and needed(court, h)
         for h in court.by_names.values()

@@ -185,7 +185,8 @@ class Effect:
         dry: it is a form of dry friction.
         plainer: name of the simpler law that it contains as a special case; that one is named
             instead if this one fits no better.
-        slow_as: name of the law from which slow motion cannot distinguish it.
+        slow_as, fast_as: names of the laws from which motion slow, or fast, against a time of its
+            own cannot distinguish it.
         relaxes: its first shape parameter is the time in which its force decays, s.
         settles: in motion that is slow against `settling_s`, it acts like `plainer`.
         slides: it consists of sliders, any number of which is a form of the same effect.
@@ -226,7 +227,7 @@ class Effect:
     static = False
     dry = False
     plainer = ""
-    slow_as = ""
+    slow_as = fast_as = ""
     relaxes = False
     settles = False
     slides = False

@@ -10,6 +10,7 @@ from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import iwan
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.friction import Lugre, Viscous
+from rthyb_rt.diagnose.effects.springs import Stiffness
 from rthyb_rt.diagnose.policy import POLICY
 
 LARGE = ("multi_amplitude", "a memory of amplitude appears when small cycles follow large ones")
@@ -597,7 +598,7 @@ class Maxwell(Effect):
     fingerprint = "a dashpot at low frequency, a spring at high frequency"
     relaxes = settles = True
     plainer = Viscous.name
-    slow_as = Viscous.name
+    slow_as, fast_as = Viscous.name, Stiffness.name
     shown_by = (
         "sweep",
         "its force changes from velocity-proportional to displacement-proportional around 1 / "
