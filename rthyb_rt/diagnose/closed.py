@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from rthyb_rt import config, core
-from rthyb_rt.core import FLAGS, RUNNING
+from rthyb_rt.core import RUNNING
 from rthyb_rt.diagnose.case import NO_READING, Floats, Model
+from rthyb_rt.diagnose.drive_clock import made_up
 from rthyb_rt.diagnose.predict import nrmse
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
@@ -167,8 +168,8 @@ def _signals(samples: core.RecordArray) -> dict[str, Floats]:
     out = {name: samples[key].astype(np.float64) for name, key in SIGNALS.items()}
     for values in out.values():
         values[~(np.abs(values) < NO_READING)] = np.nan
-    made_up = (samples["flags"] & (FLAGS["predicted"] | FLAGS["blind"])) != 0
-    out["x_meas"][made_up] = out["f_meas"][made_up] = np.nan
+    unknown = made_up(samples)
+    out["x_meas"][unknown] = out["f_meas"][unknown] = np.nan
     return out
 
 

@@ -428,17 +428,14 @@ def _before_a_stated_value(court: Court, of: Hypothesis, which: int) -> bool:
     Such a change is exempt from the share; an effect should not lose to its imitation for that
     reason: relaxation to the dashpot that it is in slow motion, or the spring in fast motion.
     """
-    rest, part = set(of.without(which)), of.parts[which]
-    limits = court.laws.limits.get(part.name, frozenset())
-    if part.stated or not limits:
-        return False
+    rest = of.without(which)
+    limits = court.laws.limits.get(of.parts[which].name, frozenset()) - set(rest)
+    others = (court.by_names.get(tuple(sorted((name, *rest)))) for name in sorted(limits))
     return any(
-        len(h.parts) == len(of.parts)
-        and rest < set(h.names)
-        and any(p.stated and p.name in limits and p.name not in rest for p in h.parts)
-        and of.score + court.policy.same_evidence < h.score
-        and needed(court, h)
-        for h in court.by_names.values()
+        other is not None
+        and any(p.stated and p.name in limits for p in other.parts)
+        and _named_though_worse(court, of, other)
+        for other in others
     )
 
 
@@ -454,9 +451,13 @@ def _beside_a_plainer(court: Court, of: Hypothesis, which: int) -> bool:
         return False
     names = tuple(sorted(friction[n] if n in others else n for n in of.names))
     plain = court.by_names.get(names)
-    if plain is None or of.score + court.policy.same_evidence > plain.score:
-        return False
-    return needed(court, plain)
+    return plain is not None and _named_though_worse(court, of, plain)
+
+
+def _named_though_worse(court: Court, of: Hypothesis, other: Hypothesis) -> bool:
+    """Return whether another set fits clearly worse, and each of its effects is needed."""
+    worse = of.score + court.policy.same_evidence <= other.score
+    return worse and needed(court, other)
 
 
 def goes_on(court: Court, of: Hypothesis) -> bool:

@@ -15,9 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rthyb_rt.core import FLAGS
 from rthyb_rt.diagnose.case import Floats
 
 Rows = NDArray[np.intp]
+
+
+def made_up(samples: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Return the rows of a recording of this program without a pair of their own, (n,)."""
+    return np.asarray((samples["flags"] & (FLAGS["predicted"] | FLAGS["blind"])) != 0)
+
 
 MOST = 0.05
 """Fraction of the pairs from which a count that differs from that of the ticks does not number the

@@ -19,7 +19,7 @@ from rthyb_rt import units
 from rthyb_rt.diagnose import channel_sizes
 from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
-from rthyb_rt.diagnose.drive_clock import drive_clock
+from rthyb_rt.diagnose.drive_clock import drive_clock, made_up
 from rthyb_rt.diagnose.estimate import filled, filled_if_short, quasi_static, white_noise
 from rthyb_rt.diagnose.external_table import Lab, read_lab, time_unit
 from rthyb_rt.diagnose.mapping import EXAMPLE, Wish, proposals
@@ -223,19 +223,17 @@ def _at_rest(rec: RecordedTest, values: Floats) -> float:
 
 
 def _own(rec: RecordedTest, of: OfAxis | None) -> tuple[Floats, dict[str, Floats], list[str]]:
-    from rthyb_rt.core import FLAGS
-
     mask = rec.running()
     s = rec.samples[mask]
     channels = of.signals(rec) if of is not None else {
         "ag": s["ag_mps2"], "x_num": s["x_num_m"], "x_cmd": s["x_cmd_m"],
         "x_meas": s["x_meas_m"].copy(), "f_meas": s["f_meas_n"].copy(),
     }  # fmt: skip
-    made_up = (s["flags"] & (FLAGS["predicted"] | FLAGS["blind"])) != 0
+    unknown = made_up(s)
     notes = []
-    if made_up.any():
-        channels["x_meas"][made_up] = channels["f_meas"][made_up] = np.nan
-        notes.append(f"{int(made_up.sum())} rows were predicted during the test and are excluded")
+    if unknown.any():
+        channels["x_meas"][unknown] = channels["f_meas"][unknown] = np.nan
+        notes.append(f"{int(unknown.sum())} rows were predicted during the test and are excluded")
     t = rec.time_s()[mask]
     out = {k: np.ascontiguousarray(v, dtype=np.float64) for k, v in channels.items()}
     for values in out.values():
@@ -267,11 +265,10 @@ def _by_the_drive(
 
     mask = rec.running()
     s, axis = rec.samples[mask], rec.axis(of.name)[mask] if of is not None else rec.samples[mask]
-    made_up = (s["flags"] & (FLAGS["predicted"] | FLAGS["blind"])) != 0
     numbers = (s["tick"], axis["count"], axis["echo"])
     ticks, counts, echoes = (np.asarray(a, dtype=np.int64) for a in numbers)
     sent = (s["flags"] & FLAGS["blind"]) == 0
-    clock = drive_clock(ticks, counts, echoes, ~made_up, sent)
+    clock = drive_clock(ticks, counts, echoes, ~made_up(s), sent)
     if clock is None:
         return t, channels
     often = "once" if clock.shifts == 1 else f"{clock.shifts} times"

@@ -101,11 +101,13 @@ class _Common:
         design: slopes to them, (rows, q).
         root: square root of the inverse of their normal matrix, (q, k).
         residual: before any of them changes, (rows,).
+        seen: what they explain of it, (k,), by the root.
     """
 
     design: Floats
     root: Floats
     residual: Floats
+    seen: Floats
 
     @staticmethod
     def of(design: Floats, prior: Floats, residual: Floats) -> _Common:
@@ -115,7 +117,17 @@ class _Common:
         values, vectors = np.linalg.eigh(gram * np.outer(unit, unit))
         known = values > 1e-10 * values[-1]
         root = unit[:, None] * vectors[:, known] / np.sqrt(values[known])
-        return _Common(design, root, residual)
+        return _Common(design, root, residual, root.T @ (design.T @ residual))
+
+    @property
+    def least(self) -> float:
+        """Chi-squared, with the priors, if no other parameter changes."""
+        return float(self.residual @ self.residual - self.seen @ self.seen)
+
+    @property
+    def rest(self) -> Floats:
+        """The residual then, (rows,)."""
+        return np.asarray(self.residual - self.design @ (self.root @ self.seen))
 
     def with_columns(self, more: Floats, held: Floats) -> tuple[float, float, Floats]:
         """Return chi-squared with further columns that have a prior, and that are free.
@@ -127,9 +139,8 @@ class _Common:
         Returns:
             chi-squared with the prior, without it, and the residual without it, (rows,).
         """
-        seen = self.root.T @ (self.design.T @ self.residual)
         cross = self.root.T @ (self.design.T @ more)
-        right = more.T @ self.residual - cross.T @ seen
+        right = more.T @ self.residual - cross.T @ self.seen
         gram = more.T @ more - cross.T @ cross
         size = (more**2).sum(axis=0)
         falls, free = [], np.zeros(right.size)
@@ -138,9 +149,8 @@ class _Common:
             scaled = (gram + prior) * np.outer(unit, unit)
             free = unit * np.linalg.lstsq(scaled, unit * right, rcond=1e-10)[0]
             falls.append(float(free @ right))
-        least = float(self.residual @ self.residual - seen @ seen)
-        rest = self.residual - more @ free - self.design @ (self.root @ (seen - cross @ free))
-        return least - falls[0], least - falls[1], rest
+        rest = self.rest - more @ free + self.design @ (self.root @ (cross @ free))
+        return self.least - falls[0], self.least - falls[1], rest
 
 
 def standing(problem: ResidualProblem, fit: Fit) -> tuple[float, float] | None:
@@ -254,9 +264,5 @@ def _parts(problem: ResidualProblem) -> list[tuple[str, NDArray[np.bool_]]]:
 
 def left(design: Floats, prior: Floats, residual: Floats) -> tuple[float, Floats]:
     """Return chi-squared of least squares with its priors, and the residual, (rows,)."""
-    gram = design.T @ design + prior
-    unit = 1.0 / np.sqrt(np.maximum(gram.diagonal(), 1e-300))
-    right = unit * (design.T @ residual)
-    beta = unit * np.linalg.lstsq(gram * np.outer(unit, unit), right, rcond=1e-10)[0]
-    rest = residual - design @ beta
-    return float(rest @ rest + beta @ prior @ beta), rest
+    found = _Common.of(design, prior, residual)
+    return found.least, found.rest
