@@ -4,14 +4,14 @@
  * is predicted, and after as many ticks as for a pair the test trips. */
 #include "station.h"
 
-static int is_displacement(const rthyb_station *s, int k)
+int lone_is_displacement(const rthyb_station *s, int k)
 {
     return k < s->cfg.controller.kinematics.displacement_sensors;
 }
 
 static int is_sensible(const rthyb_station *s, int k, double reading)
 {
-    const double most = is_displacement(s, k) ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N;
+    const double most = lone_is_displacement(s, k) ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N;
     return judge(reading, most) == RTHYB_OK;
 }
 
@@ -40,7 +40,7 @@ int lone_check(const rthyb_station_config *cfg)
 
 static finding at_end_of_range(const rthyb_station *s, int k, double reading)
 {
-    const int cause = is_displacement(s, k) ? RTHYB_CAUSE_POSITION : RTHYB_CAUSE_FORCE;
+    const int cause = lone_is_displacement(s, k) ? RTHYB_CAUSE_POSITION : RTHYB_CAUSE_FORCE;
     return (finding){cause, reading, s->cfg.lone[k].range, of_sensor(k)};
 }
 
@@ -81,7 +81,7 @@ int lone_off_scale(const rthyb_station *s)
     int bits = 0;
     for (int k = 0; k < lones_of(s); k++)
         if (s->lone[k].off_scale)
-            bits |= is_displacement(s, k) ? AXIS_OFF_X : AXIS_OFF_F;
+            bits |= lone_is_displacement(s, k) ? AXIS_OFF_X : AXIS_OFF_F;
     return bits;
 }
 
@@ -90,7 +90,8 @@ uint32_t lone_leaps(rthyb_station *s)
     uint32_t leapt = 0;
     for (int k = 0; k < lones_of(s); k++) {
         rthyb_lone *own = &s->lone[k];
-        const int cause = is_displacement(s, k) ? RTHYB_CAUSE_SENSOR_JUMP : RTHYB_CAUSE_FORCE_JUMP;
+        const int cause =
+            lone_is_displacement(s, k) ? RTHYB_CAUSE_SENSOR_JUMP : RTHYB_CAUSE_FORCE_JUMP;
         const finding at = {.cause = cause, .where = of_sensor(k)};
         if (!watch_is_steady(s, &s->cfg.lone[k].jump, at, &own->leaps, own->seen, own->reading))
             leapt |= 1u << k;
@@ -140,7 +141,8 @@ static void check_stuck(rthyb_station *s, int k)
     own->still_ticks++;
     if (!(watch->value > 0.0) || (double)own->still_ticks < watch->value || !has_moved(s, k))
         return;
-    const int cause = is_displacement(s, k) ? RTHYB_CAUSE_SENSOR_STUCK : RTHYB_CAUSE_FORCE_STUCK;
+    const int cause =
+        lone_is_displacement(s, k) ? RTHYB_CAUSE_SENSOR_STUCK : RTHYB_CAUSE_FORCE_STUCK;
     const finding found = {cause, (double)own->still_ticks, watch->value, of_sensor(k)};
     s->noted |= watch_react(s, found, watch->reaction, RTHYB_S_SENSOR_STUCK);
 }
@@ -185,7 +187,8 @@ int lone_is_far_off(const rthyb_station *s, finding *found)
         const double tare = s->lone[k].sum / s->cfg.tare_ticks, most = s->cfg.lone[k].tare_most;
         if (!(most > 0.0) || !(fabs(tare) > most))
             continue;
-        const int cause = is_displacement(s, k) ? RTHYB_CAUSE_RIG_POSITION : RTHYB_CAUSE_RIG_FORCE;
+        const int cause =
+            lone_is_displacement(s, k) ? RTHYB_CAUSE_RIG_POSITION : RTHYB_CAUSE_RIG_FORCE;
         *found = (finding){cause, tare, most, of_sensor(k)};
         return 1;
     }
@@ -208,7 +211,7 @@ int lone_finds(const rthyb_station *s, int which, finding *found)
 {
     for (int k = 0; k < lones_of(s); k++) {
         const rthyb_lone *own = &s->lone[k];
-        if (!own->off_scale || !(which & (is_displacement(s, k) ? AXIS_OFF_X : AXIS_OFF_F)))
+        if (!own->off_scale || !(which & (lone_is_displacement(s, k) ? AXIS_OFF_X : AXIS_OFF_F)))
             continue;
         *found = at_end_of_range(s, k, own->reading);
         return 1;
@@ -230,7 +233,7 @@ int lone_not_taken(const rthyb_station *s, uint32_t axis_missing, finding *found
         (finding){RTHYB_CAUSE_SENSOR_LOST, missing[longest], s->ticks.lost, of_sensor(longest)};
     if (own->has_reading && !own->off_scale && own->leaps.count > 0) {
         found->cause =
-            is_displacement(s, longest) ? RTHYB_CAUSE_SENSOR_JUMP : RTHYB_CAUSE_FORCE_JUMP;
+            lone_is_displacement(s, longest) ? RTHYB_CAUSE_SENSOR_JUMP : RTHYB_CAUSE_FORCE_JUMP;
         found->value = own->leaps.level - own->seen;
         found->limit = s->cfg.lone[longest].jump.value;
     }

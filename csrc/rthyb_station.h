@@ -85,7 +85,9 @@ enum rthyb_station_size {
     RTHYB_LOST_TICKS = 20, /* ticks of 1/1024 s without a pair after which the link is lost */
     /* most skipped ticks that are made up for later: RTHYB_LOST_TICKS at 4096 Hz */
     RTHYB_BLIND_MAX = 80,
-    RTHYB_RECENT_MAX = 4096 /* ticks in the last second, at 4096 Hz */
+    RTHYB_RECENT_MAX = 4096, /* ticks in the last second, at 4096 Hz */
+    /* displacement sensor and load cell of each axis, then the sensors without an actuator */
+    RTHYB_READINGS_ALL = 2 * RTHYB_COUPLED_MAX + RTHYB_SENSORS_ALL
 };
 
 /* State of an axis; readings are before tare. */
@@ -111,6 +113,13 @@ typedef struct {
     uint64_t map[RTHYB_RECENT_MAX / 64];
     uint32_t count;
 } rthyb_recent;
+
+/* Ticks of the last second in which a reading was at the end of its sensor's range, and the last such reading, before
+ * tare. */
+typedef struct {
+    rthyb_recent ticks;
+    double reading;
+} rthyb_range_end;
 
 /* Time constants of a station, in its ticks. */
 typedef struct {
@@ -140,7 +149,7 @@ typedef struct {
     /* measured value, in the unit of the monitored quantity (m, N, ticks ...), */
     double cause_value;
     double cause_limit; /* and its limit; both 0 if the cause has no number */
-    uint32_t indicated; /* bit 1 << cause: the cause occurred but did not change the state */
+    uint64_t indicated; /* bit 1 << cause: the cause occurred but did not change the state */
     int32_t interrupted;
     uint64_t tick;                      /* ticks of the station */
     uint64_t in_state;                  /* ticks since the state was entered */
@@ -173,6 +182,7 @@ typedef struct {
     int32_t refused_axis, refused_interface, refused_sensor; /* index, or -1 */
     double indicator_slope; /* of the tracking indicator, mean of 0.25 s, m^2/s */
     rthyb_recent skips, losses;
+    rthyb_range_end ends[RTHYB_READINGS_ALL];
     uint64_t skipped;     /* total */
     int32_t trip_frames;  /* trip frames still to be sent */
     int32_t reset_frames; /* number of further commands with RTHYB_NOTICE_RESET */

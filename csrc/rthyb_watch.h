@@ -41,6 +41,9 @@ enum rthyb_cause {
     /* the positions of the axes correspond to no pose of the specimen; has no watch */
     RTHYB_CAUSE_NO_POSE,
     RTHYB_CAUSE_SENSOR_LOST, /* no usable reading of a sensor without an actuator; has no watch */
+    /* LOST_PAIRS, mostly because this displacement sensor, or load cell, was at the end of its range; no watch */
+    RTHYB_CAUSE_SENSOR_RANGE,
+    RTHYB_CAUSE_FORCE_RANGE,
     RTHYB_CAUSE_COUNT
 };
 

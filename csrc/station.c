@@ -334,6 +334,7 @@ static void begin_test(rthyb_station *s)
     for (int j = 0; j < interfaces_of(s); j++)
         s->over_interface[j] = (rthyb_overload){.seen = s->tick};
     s->losses = (rthyb_recent){.count = 0};
+    memset(s->ends, 0, sizeof s->ends);
     rthyb_controller_rest(&s->controller, x);
     for (int i = 0; i < axes_of(s); i++)
         s->controller.axis[i].x_m1 = s->axis[i].seen_x - s->axis[i].tare_x;
@@ -495,8 +496,30 @@ static void remember(rthyb_recent *recent, uint64_t tick, uint32_t length, int i
     *word = is_set ? *word | bit : *word & ~bit;
 }
 
+static void note_end(rthyb_station *s, int place, int is_end, double reading)
+{
+    rthyb_range_end *end = &s->ends[place];
+    remember(&end->ticks, s->tick, s->ticks.recent, is_end);
+    end->reading = is_end ? reading : end->reading;
+}
+
+/* Which readings of this tick were at the end of their range; a skipped tick has none. */
+static void note_ends(rthyb_station *s, int was_skipped)
+{
+    const int n = axes_of(s);
+    for (int i = 0; i < n; i++) {
+        const rthyb_axis *a = &s->axis[i];
+        const int off_scale = was_skipped ? 0 : a->off_scale;
+        note_end(s, 2 * i, off_scale & AXIS_OFF_X, a->reading_x_m);
+        note_end(s, 2 * i + 1, off_scale & AXIS_OFF_F, a->reading_f_n);
+    }
+    for (int k = 0; k < lones_of(s); k++)
+        note_end(s, 2 * n + k, !was_skipped && s->lone[k].off_scale, s->lone[k].reading);
+}
+
 static void note_tick(rthyb_station *s, int was_skipped)
 {
+    note_ends(s, was_skipped);
     remember(&s->skips, s->tick, s->ticks.recent, was_skipped);
     remember(&s->losses, s->tick, s->ticks.recent, !was_skipped && s->controller.missing > 0);
     s->skipped += (uint64_t)(was_skipped != 0);

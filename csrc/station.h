@@ -108,6 +108,7 @@ int lone_check(const rthyb_station_config *cfg);
 int lone_is_sound(const rthyb_station *s, const rthyb_station_input *in, finding *found);
 /* Stores the readings of this tick; 1 if all are plausible. */
 int lone_look(rthyb_station *s, const rthyb_station_input *in);
+int lone_is_displacement(const rthyb_station *s, int k);
 /* Bits of enum axis_off, for any of them. */
 int lone_off_scale(const rthyb_station *s);
 /* Bit k: the reading of sensor k has jumped and is rejected. */

@@ -24,7 +24,7 @@ static void react(rthyb_station *s, finding found, int reaction)
         station_blame(s, found);
         course_hold(s);
     } else if (reaction != RTHYB_REACT_NONE) {
-        s->indicated |= 1u << found.cause;
+        s->indicated |= (uint64_t)1 << found.cause;
     }
 }
 
@@ -340,6 +340,47 @@ static int check_commands(rthyb_station *s)
     return code;
 }
 
+/* Whether most of the pairs that the last second lacks are missing because one reading was at the
+ * end of its range; *found describes the one that was so most often. */
+static int ends_made_losses(const rthyb_station *s, finding *found)
+{
+    const int n = axes_of(s), count = 2 * n + lones_of(s);
+    uint32_t most = s->losses.count / 2;
+    int worst = -1;
+    for (int k = 0; k < count; k++) {
+        const uint32_t own = s->ends[k].ticks.count;
+        if (own <= most)
+            continue;
+        most = own;
+        worst = k;
+    }
+    if (worst < 0)
+        return 0;
+    const int lone = worst - 2 * n, axis = worst / 2;
+    const int of_x = lone < 0 ? worst % 2 == 0 : lone_is_displacement(s, lone);
+    const rthyb_axis_config *own = &s->cfg.axis[axis < n ? axis : 0];
+    const double of_axis_range = of_x ? own->x_range_m : own->f_range_n;
+    *found = (finding){
+        .cause = of_x ? RTHYB_CAUSE_SENSOR_RANGE : RTHYB_CAUSE_FORCE_RANGE,
+        .value = s->ends[worst].reading,
+        .limit = lone < 0 ? of_axis_range : s->cfg.lone[lone].range,
+        .where = lone < 0 ? of_axis(axis) : of_sensor(lone),
+    };
+    return 1;
+}
+
+/* The share of lost pairs. Its cause is a sensor rather than the link if that is what made them. */
+static int check_losses(rthyb_station *s)
+{
+    const rthyb_watch *watch = &s->cfg.watch[RTHYB_CAUSE_LOST_PAIRS];
+    const double share = share_of(s, &s->losses);
+    finding found = {RTHYB_CAUSE_LOST_PAIRS, share, watch->value, 0};
+    if (watch->reaction == RTHYB_REACT_NONE || !(watch->value > 0.0) || !(share > watch->value))
+        return RTHYB_OK;
+    (void)ends_made_losses(s, &found);
+    return watch_react(s, found, watch->reaction, RTHYB_S_LOST_RATE);
+}
+
 void watch_moving(rthyb_station *s, rthyb_record *r, double indicator_before)
 {
     const double h = s->cfg.controller.period_s;
@@ -352,7 +393,7 @@ void watch_moving(rthyb_station *s, rthyb_record *r, double indicator_before)
     code |= watch_check(s, RTHYB_CAUSE_INDICATOR, s->indicator_slope, RTHYB_S_INDICATOR_LIMIT);
     code |= watch_check(s, RTHYB_CAUSE_ENERGY, r->energy_error_j, RTHYB_S_ENERGY_LIMIT);
     code |= watch_check(s, RTHYB_CAUSE_LOST_WARNING, share_of(s, &s->losses), RTHYB_S_LOST_RATE);
-    code |= watch_check(s, RTHYB_CAUSE_LOST_PAIRS, share_of(s, &s->losses), RTHYB_S_LOST_RATE);
+    code |= check_losses(s);
     r->code = (uint16_t)code;
 }
 

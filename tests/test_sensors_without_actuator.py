@@ -24,7 +24,7 @@ from rthyb_rt.analysis import several_axes as analysis
 from rthyb_rt.analysis import structure_balance
 from rthyb_rt.config import AxesRig
 from rthyb_rt.core import AxisReading, CoreError, loop, wire
-from rthyb_rt.core.group import SensorWatches
+from rthyb_rt.core.group import AxisConfig, SensorWatches
 from rthyb_rt.core.kinematics import Kinematics
 from rthyb_rt.core.library import STATUS
 from rthyb_rt.errors import InputError, RthybError
@@ -308,6 +308,74 @@ def test_a_reading_out_of_range_is_not_used_and_trips_like_a_lost_one(k: int, va
     assert one.channels[-1][3 + k] == value
 
 
+LOSSES = {"watches": {"lost_pairs": core.Watch(0.1, "ramp-out")}}
+
+
+def now_and_then(one: Beside, fault: Callable[[int], dict[str, Any]]) -> None:
+    """Ticks with a fault, until the test ends for its share of lost pairs."""
+    for n in range(1200):
+        one.step(**fault(n))
+        if one.station.state != "RUNNING":
+            return
+
+
+@pytest.mark.parametrize("k", [0, 2])
+@pytest.mark.parametrize("last_good", [True, False])
+def test_a_sensor_that_is_at_the_end_of_its_range_now_and_then_is_the_cause_of_lost_pairs(
+    k: int, last_good: bool
+) -> None:
+    one = bench(**LOSSES).running(200)
+    beyond = (0.2, 0.0, -2.5e4)[k]
+    ticks = 10 if last_good else 19
+    now_and_then(one, lambda n: {"faults": {k: beyond} if n % 20 < ticks else {}})
+    assert (one.station.state, one.station.cause_sensor) == ("RAMP_OUT", k)
+    assert one.station.cause == ("sensor_range" if k == 0 else "force_range")
+    assert one.station.cause_value == beyond
+    assert one.station.cause_limit == (0.2 if k == 0 else 2e4)
+    placed = core.placed_cause(int(one.rows()["cause"][-1]))
+    assert placed == (core.CAUSES.index(one.station.cause), None, None, k)
+    assert one.rows()["code"][-1] & STATUS["lost_rate"]
+
+
+def test_the_sensor_that_made_most_of_the_lost_pairs_is_named_and_otherwise_none() -> None:
+    """Two sensors by turns, frames that are lost, and frames that are lost beside one sensor."""
+    both = bench(**LOSSES).running(200)
+    now_and_then(
+        both, lambda n: {"faults": {2: 2e4} if n % 10 < 3 else {0: 0.2} if n % 10 < 4 else {}}
+    )
+    assert (both.station.cause, both.station.cause_sensor) == ("force_range", 2)
+    frames = bench(**LOSSES).running(200)
+    now_and_then(
+        frames, lambda n: {"faults": {0: None} if n % 10 < 2 else {0: 0.2} if n % 10 < 4 else {}}
+    )
+    assert (frames.station.cause, frames.station.cause_sensor) == ("lost_pairs", None)
+    assert frames.station.cause_value == pytest.approx(103 / 1024)
+
+
+@pytest.mark.parametrize(("half", "range_"), [("x_m", "x_range_m"), ("f_n", "f_range_n")])
+def test_an_axis_at_the_end_of_a_range_now_and_then_is_the_cause_of_lost_pairs(
+    half: str, range_: str
+) -> None:
+    """Of an axis without a limit on its position or force, which would end the test at once."""
+    most = {"x_m": 0.3, "f_n": 3e5}[half]
+    axes = tuple(AxisConfig(name, **{range_: most}) for name in NAMES)
+    one = bench(**LOSSES)
+    settings = replace(one.settings, controller=replace(one.settings.controller, axes=axes))
+    one = Beside(settings, 2.0, plant=rig(Kinematics.of(BOTH.plain()))).running(200)
+    for n in range(1200):
+        axes_read = one.read()
+        if n % 20 < 5:
+            axes_read[1] = replace(axes_read[1], **{half: -most})
+        sensors = [a + b for a, b in zip(one.plant.sensors, OFFSETS, strict=True)]
+        one.at_drive = one.station.tick(axes=axes_read, sensors=sensors).commands_m
+        if one.station.state != "RUNNING":
+            break
+    station = one.station
+    assert (station.state, station.cause_axis, station.cause_sensor) == ("RAMP_OUT", 1, None)
+    assert station.cause == ("sensor_range" if half == "x_m" else "force_range")
+    assert (station.cause_value, station.cause_limit) == (-most, most)
+
+
 @pytest.mark.parametrize("value", [2e4, -2e4, 1e13, -1e300])
 def test_a_load_cell_beyond_its_range_is_beyond_the_force_limit_however_large(value: float) -> None:
     """A number that no load cell can measure does not count as a missing reading first."""
@@ -538,6 +606,17 @@ def test_readings_with_faults_are_replayed_bit_for_bit(k: int) -> None:
     made = again.replay(rows, sensors=channels[:, 3:])
     assert made.tobytes() == np.ascontiguousarray(core.rows.as_records(rows)).tobytes()
     assert (again.cause, again.cause_sensor) == (one.station.cause, one.station.cause_sensor)
+
+
+def test_a_test_that_a_range_ended_is_replayed_bit_for_bit() -> None:
+    one = bench(**LOSSES).running(200)
+    now_and_then(one, lambda n: {"faults": {2: 2e4} if n % 20 < 9 else {}})
+    one.until("IDLE", most=5000)
+    rows, channels = one.rows(), np.array(one.channels)
+    again = core.Station(one.settings, shaking(2.0))
+    made = again.replay(rows, sensors=channels[:, 3:])
+    assert made.tobytes() == np.ascontiguousarray(core.rows.as_records(rows)).tobytes()
+    assert (again.cause, again.cause_sensor) == ("force_range", 2)
 
 
 def test_numbers_of_sensors_that_do_not_match_are_refused() -> None:

@@ -398,6 +398,24 @@ def test_nineteen_pairs_of_twenty_lost_do_not_last_for_a_second() -> None:
     assert n < 120
 
 
+def test_a_load_cell_at_the_end_of_its_range_now_and_then_is_the_cause_of_lost_pairs() -> None:
+    """The test has no limit on the force, which would end it at once."""
+    watches = {
+        cause: watch
+        for cause, watch in Lab().config.watches.items()
+        if cause not in ("force", "rig_force")
+    }
+    lab = Lab(station_changes={"watches": watches}).running(200)
+    for n in range(500):
+        lab.f_off_n = 1e5 if n % 4 == 0 else 0.0
+        lab.step()
+        if lab.station.state != "RUNNING":
+            break
+    assert ended(lab) == ("RAMP_OUT", "force_range")
+    assert lab.station.cause_limit == RANGE_N
+    assert lab.station.cause_value == pytest.approx(1e5, rel=0.2)
+
+
 def test_what_was_lost_before_the_test_is_not_held_against_it() -> None:
     lab = Lab().zeroed()
     lab.step("arm")

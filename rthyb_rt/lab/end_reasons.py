@@ -32,6 +32,8 @@ WORDS: Final[dict[str, str]] = {
     "apart": "the drives' sample counts drifted apart",
     "no_pose": "the displacements of the axes fit no position of the specimen",
     "sensor_lost": "no usable reading",
+    "sensor_range": "end of the range of the displacement sensor",
+    "force_range": "end of the range of the load cell",
     "not_finite": "a value was not a number",
 }
 _OF_SENSOR: Final[dict[str, str]] = {
@@ -39,6 +41,8 @@ _OF_SENSOR: Final[dict[str, str]] = {
     "force_stuck": "frozen reading",
     "sensor_jump": "jump of the reading",
     "force_jump": "jump of the reading",
+    "sensor_range": "end of its range",
+    "force_range": "end of its range",
     "not_finite": "no numeric reading",
 }
 """The same for a sensor without an actuator, whose name follows."""
@@ -69,6 +73,11 @@ REMEDIES: Final[dict[str, str]] = {
     "signs, scales and zeros of the displacement sensors, and pins and bases in the rig file.",
     "sensor_lost": "A sensor that belongs to no axis gave no usable reading for 20 ticks: check "
     "its connector, and whether its range is large enough for the test.",
+    "sensor_range": "Again and again the displacement was at the end of its sensor's range, "
+    "where a reading is not used: check the sensor's connector, and whether its range is large "
+    "enough.",
+    "force_range": "Again and again the force was at the end of its load cell's range, where a "
+    "reading is not used: check the connector of the cell, and whether its range is large enough.",
     "heartbeat": "Something blocked the program for a second, such as a full disk, a suspended "
     "process or a debugger.",
 }

@@ -36,7 +36,9 @@ enum {
     SENSORS = RTHYB_SENSORS_ALL,
     ROWS = 1 << 14,
     WAY_BACK = 32,
-    PARTS = 2
+    PARTS = 2,
+    SECOND = 1024, /* ticks */
+    READINGS = RTHYB_READINGS_ALL
 };
 
 enum axes_rule {
@@ -60,6 +62,7 @@ enum axes_rule {
     AXES_SENSOR_MISSING,
     AXES_SENSOR_READY,
     AXES_SENSOR_TARE,
+    AXES_END_OF_RANGE,
     AXES_REPLAY,
     AXES_RULES
 };
@@ -87,6 +90,8 @@ static const char *const AXES_TEXT[AXES_RULES] = {
         "twenty ticks without a usable reading of any sensor: TRIPPED, by the first to be lost",
     [AXES_SENSOR_READY] = "ARM and START are refused while a sensor is at the end of its range",
     [AXES_SENSOR_TARE] = "ZERO ends with tares of all sensors that are within their limits",
+    [AXES_END_OF_RANGE] =
+        "lost pairs end a test by the reading that was at the end of its range in most of them",
     [AXES_REPLAY] = "the rows replay bit for bit",
 };
 
@@ -130,6 +135,8 @@ typedef struct {
     trouble sensor_trouble[SENSORS];
     uint32_t sensor_rarity, sensor_missing[SENSORS];
     int sensor_at_end; /* any, in the tick before */
+    /* which readings were at the end of their range in each tick of the last second */
+    uint32_t ends[SECOND], ends_now;
     /* tracked independently of the station */
     int known;
     double before[MOST], step[MOST], pose[MOST];
@@ -467,8 +474,9 @@ static void suffer_sensor(axes_episode *e, int s, rthyb_station_input *in)
     case TROUBLE_SENSELESS:
         in->sensor[s] = copysign(one_in(d, 2) ? 1e300 : 1e13, t->size);
         break;
-    case TROUBLE_OUT_OF_RANGE:
-        in->sensor[s] = range > 0.0 ? copysign(range, t->size) : in->sensor[s];
+    case TROUBLE_OUT_OF_RANGE: /* some of them again and again, but never for long */
+        if (range > 0.0 && (t->size < 0.0 || t->age % 20 < 15))
+            in->sensor[s] = copysign(range, t->size);
         break;
     default:
         in->sensor[s] += t->size * size * (double)t->age / 300.0;
@@ -492,6 +500,7 @@ static void suffer_sensors(axes_episode *e, rthyb_station_input *in)
             const uint32_t which = below(d, sizeof SOME / sizeof *SOME);
             *t = (trouble){.kind = SOME[which].kind, .size = between(d, -1.0, 1.0)};
             t->left = (uint32_t)ticks(d, 1.0, SOME[which].longest) + 1;
+            t->left *= t->kind == TROUBLE_OUT_OF_RANGE && t->size >= 0.0 ? 20 : 1;
         }
         if (t->left > 0)
             suffer_sensor(e, s, in);
@@ -699,6 +708,63 @@ static int trips_at(const rthyb_watch *watch)
     return watch->reaction == RTHYB_REACT_TRIP && watch->value > 0.0;
 }
 
+/* Bit of a reading as in RTHYB_READINGS_ALL. */
+static void look_at_ends(axes_episode *e, const rthyb_station_input *in)
+{
+    e->ends_now = 0;
+    for (int i = 0; i < e->n; i++) {
+        const rthyb_axis_input *a = &in->axis[i];
+        const rthyb_axis_config *c = &e->cfg.axis[i];
+        const int whole = !a->lost && in_range(a->x_m, 0.0, RTHYB_DISPLACEMENT_MAX_M) &&
+                          in_range(a->f_n, 0.0, RTHYB_FORCE_MAX_N);
+        e->ends_now |= (uint32_t)(whole && c->x_range_m > 0.0 && fabs(a->x_m) >= c->x_range_m)
+                       << (2 * i);
+        e->ends_now |= (uint32_t)(whole && c->f_range_n > 0.0 && fabs(a->f_n) >= c->f_range_n)
+                       << (2 * i + 1);
+    }
+    for (int k = 0; k < e->sensors; k++)
+        e->ends_now |= (uint32_t)(!(in->sensors_lost >> k & 1u) && isfinite(in->sensor[k]) &&
+                                  e->cfg.lone[k].range > 0.0 &&
+                                  fabs(in->sensor[k]) >= e->cfg.lone[k].range)
+                       << (2 * e->n + k);
+}
+
+static uint32_t count_of_ends(const axes_episode *e, int reading)
+{
+    uint32_t count = 0;
+    for (int t = 0; t < SECOND; t++)
+        count += e->ends[t] >> reading & 1u;
+    return count;
+}
+
+/* Called after a tick; its own readings count from the next one on. losses: ticks of the second
+ * before it that lack a pair. */
+static void judge_ends(axes_episode *e, const rthyb_station_input *in, int started, int cause)
+{
+    const rthyb_station *s = &e->station;
+    const int of_range = s->cause == RTHYB_CAUSE_SENSOR_RANGE || s->cause == RTHYB_CAUSE_FORCE_RANGE;
+    const uint32_t losses = s->losses.count;
+    uint32_t most = 0;
+    if (started)
+        memset(e->ends, 0, sizeof e->ends);
+    for (uint32_t t = 0; t <= in->skipped && t < SECOND; t++)
+        e->ends[(s->tick - 1 - t) % SECOND] = 0;
+    if (s->cause != cause && (of_range || s->cause == RTHYB_CAUSE_LOST_PAIRS)) {
+        for (int k = 0; k < 2 * e->n + e->sensors; k++)
+            most = count_of_ends(e, k) > most ? count_of_ends(e, k) : most;
+        const int named = s->cause_sensor >= 0
+                              ? 2 * e->n + s->cause_sensor
+                              : 2 * s->cause_axis + (s->cause == RTHYB_CAUSE_FORCE_RANGE);
+        /* This tick itself may add one loss, or drop one of a second ago. */
+        if (of_range)
+            axes_must(e, AXES_END_OF_RANGE,
+                      count_of_ends(e, named) == most && 2 * most + 2 > losses, most, losses);
+        else
+            axes_must(e, AXES_END_OF_RANGE, 2 * most <= losses + 2, most, losses);
+    }
+    e->ends[(s->tick - 1) % SECOND] = e->ends_now;
+}
+
 /* 1 if all sensors have a usable reading. */
 static int look_at_sensors(axes_episode *e, const rthyb_station_input *in, uint32_t made_up,
                            found_faults *f)
@@ -895,6 +961,8 @@ static void tick_axes(axes_episode *e)
         judge_commands(e, &in, &out, x, sent, was);
     judge_faults_of_axes(e, &in, f, was, cause);
     judge_sensors(e, &in, f, was, out.refused);
+    look_at_ends(e, &in);
+    judge_ends(e, &in, in.command == RTHYB_CMD_START && !out.refused, cause);
     if (in.command == RTHYB_CMD_ARM && !out.refused)
         axes_must(e, AXES_ARMED, apart < LOST_TICKS && in.apart != RTHYB_APART_UNKNOWN,
                   (double)apart, in.apart);
