@@ -271,8 +271,9 @@ static int is_frame(const rthyb_message *m)
     const int length_ok = (n >= 1 && n <= 8) || n == 12 || n == 16 || n == 20 || n == 24 ||
                           n == 32 || n == 48 || n == 64;
     const uint32_t most = m->id & RTHYB_ID_EXTENDED ? ID_MASK : ID_STANDARD;
-    return length_ok && (n <= CAN_LENGTH || m->fd) && (m->id & ~RTHYB_ID_EXTENDED) <= most &&
-           m->crc_at >= -1 && m->crc_at < n;
+    const int format_ok = m->fd >= RTHYB_CLASSIC && m->fd <= RTHYB_FD_SWITCHED;
+    return length_ok && format_ok && (n <= CAN_LENGTH || m->fd) &&
+           (m->id & ~RTHYB_ID_EXTENDED) <= most && m->crc_at >= -1 && m->crc_at < n;
 }
 
 static int is_feedback(const rthyb_message *m, enum rthyb_field value)

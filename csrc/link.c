@@ -111,6 +111,8 @@ static int receive_can(rthyb_link *link, rthyb_frame *frame)
 static ssize_t send_can(const rthyb_link *link, const rthyb_frame *frame)
 {
     struct canfd_frame raw = {.can_id = frame->id, .len = (uint8_t)frame->length};
+    if (frame->fd == RTHYB_FD_SWITCHED)
+        raw.flags = CANFD_BRS;
     memcpy(raw.data, frame->data, (size_t)frame->length);
     const size_t size = frame->fd ? CANFD_MTU : CAN_MTU;
     return send(link->fd, &raw, size, MSG_DONTWAIT | MSG_NOSIGNAL);

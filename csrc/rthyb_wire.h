@@ -45,9 +45,16 @@ enum rthyb_verdict {
     RTHYB_W_PACKET = 4096     /* from a deframer: complete packet with valid CRC */
 };
 
+/* Format of a CAN frame. */
+enum rthyb_frame_format {
+    RTHYB_CLASSIC = 0,
+    RTHYB_FD = 1,         /* CAN FD, all of it at one bit rate */
+    RTHYB_FD_SWITCHED = 2 /* CAN FD, its data at the higher bit rate of the data phase */
+};
+
 typedef struct {
     uint32_t id;    /* as in SocketCAN, flags included; serial: 0 */
-    int32_t fd;     /* send as CAN FD */
+    int32_t fd;     /* enum rthyb_frame_format in which it is sent; received: 0 or not */
     int32_t length; /* bytes in data */
     uint8_t data[RTHYB_FRAME_MAX];
 } rthyb_frame;
@@ -79,7 +86,8 @@ enum rthyb_field {
 
 typedef struct {
     uint32_t id;
-    int32_t fd, length;
+    int32_t fd; /* enum rthyb_frame_format */
+    int32_t length;
     /* byte with the CRC-8/SAE-J1850 of the low byte of the id and all other bytes; -1: none */
     int32_t crc_at;
     rthyb_signal field[RTHYB_FIELDS];

@@ -307,7 +307,7 @@ def _(lab: Table, axis: int, _folder: Path) -> None:
 def undisturbed(lab: Table, axis: int, disturb: Callable[[], None]) -> None:
     """The rows are those of a lab in which nothing was disturbed."""
     with ExitStack() as owned:
-        quiet = Table(owned, lab.settings, seconds=lab.seconds).running(300)
+        quiet = type(lab)(owned, lab.settings, seconds=lab.seconds).running(300)
         for one in (quiet, lab):
             one.lose_a_pair(axis)
         for _n in range(300):
@@ -381,6 +381,11 @@ def owned() -> Iterator[ExitStack]:
 @FAR_ENDS
 @pytest.mark.parametrize("what", ROWS)
 def test_row_of_the_fault_table(what: str, axis: int, owned: ExitStack, tmp_path: Path) -> None:
+    strike(Table, ROWS[what], axis, owned, tmp_path)
+
+
+def strike(table: type[Table], check: Row, axis: int, owned: ExitStack, folder: Path) -> None:
+    """Run a lab with a test, and what a row of the fault table says of it."""
     settings = replace(config(), watches=WATCHES)
     session = RecordedTest(
         samples=np.zeros(0, core.row_dtype((), 2)),
@@ -393,8 +398,8 @@ def test_row_of_the_fault_table(what: str, axis: int, owned: ExitStack, tmp_path
         axis_names=NAMES,
         interface_names=("x", "theta"),
     )
-    ring = Ring.create(tmp_path, session, 256)
+    ring = Ring.create(folder, session, 256)
     owned.callback(ring.close)
-    lab = Table(owned, settings, ring=ring, seconds=4.0).running(300)
+    lab = table(owned, settings, ring=ring, seconds=4.0).running(300)
     assert lab.loop.state == "RUNNING"
-    ROWS[what](lab, axis, tmp_path)
+    check(lab, axis, folder)

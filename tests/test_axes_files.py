@@ -11,7 +11,8 @@ import pytest
 
 from rthyb_rt import config
 from rthyb_rt.config import AxesRig, RigFile
-from rthyb_rt.config.loading import load_any_rig, parse_any_rig, parse_rig, shared_links
+from rthyb_rt.config.linkframes import shared_links
+from rthyb_rt.config.loading import load_any_rig, parse_any_rig, parse_rig
 from rthyb_rt.errors import InputError
 
 SHIPPED = config.shipped_rig("two-axis-frame")

@@ -27,6 +27,8 @@ WHEN = 900
 class Lab:
     """A loop and two drives in lockstep, each pair of ends a cable of its own."""
 
+    codecs: Sequence[wire.Codec] = (wire.can(), wire.can())
+
     def __init__(
         self,
         owned: ExitStack,
@@ -40,18 +42,18 @@ class Lab:
         self.station = core.Station(self.settings, shaking(seconds))
         self.calibrations, self.seconds = tuple(calibrations), seconds
         plant, ways, drives = rig(), [], []
-        for axis in (0, 1):
-            near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for axis, (near, far) in enumerate(self.cables()):
+            codec = self.codecs[axis]
             links = [loop.Link("can", one.fileno()) for one in (near, far)]
             for one in (near, far):
                 one.close()
             for link in links:
                 owned.callback(link.close)
-            ways.append(loop.LoopAxis(wire.Wire(wire.can()), links[0], calibrations[axis]))
+            ways.append(loop.LoopAxis(wire.Wire(codec), links[0], calibrations[axis]))
             drives.append(
                 loop.Drive(
                     plant,
-                    wire.can(),
+                    codec,
                     links[1],
                     origin_m=OFFSET_M[axis],
                     seed=axis,
@@ -59,7 +61,7 @@ class Lab:
                     log_ticks=20000,
                 )
             )
-        self.drives = loop.Drives(drives)
+        self.drives = self.together(drives)
         first = ways[0]
         self.loop = loop.Loop(
             self.station, first.wire, first.link, ring, calibration=first.calibration,
@@ -67,6 +69,13 @@ class Lab:
         )  # fmt: skip
         self.ways = ways
         self.rows: list[np.ndarray] = []
+
+    def cables(self) -> list[tuple[socket.socket, socket.socket]]:
+        """Both ends of the cable of each axis: of the controller and of its drive."""
+        return [socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET) for _ in NAMES]
+
+    def together(self, drives: Sequence[loop.Drive]) -> Any:
+        return loop.Drives(drives)
 
     def step(self, command: core.Command | None = None, skipped: int = 0) -> str:
         self.drives.tick()
@@ -102,7 +111,7 @@ class Lab:
 
     def replayed(self) -> np.ndarray:
         return core.Station(self.settings, shaking(self.seconds)).replay(
-            np.concatenate(self.rows), [wire.can()] * 2, self.calibrations
+            np.concatenate(self.rows), self.codecs, self.calibrations
         )
 
     def assert_replays(self) -> None:

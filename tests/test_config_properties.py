@@ -230,6 +230,12 @@ def matrices(draw: st.DrawFn) -> dict[str, Any]:
     }
 
 
+def identifiers() -> st.SearchStrategy[dict[str, int]]:
+    """Three different ones."""
+    three = st.lists(st.integers(1, 0x7FF), min_size=3, max_size=3, unique=True)
+    return three.map(lambda ids: dict(zip(("command", "displacement", "force"), ids, strict=True)))
+
+
 @st.composite
 def links(draw: st.DrawFn) -> dict[str, Any]:
     """What depends on the kind of a link."""
@@ -252,7 +258,12 @@ def links(draw: st.DrawFn) -> dict[str, Any]:
         "fd": fd,
         "data_bitrate": draw(st.none() | st.integers(1_000_000, 8_000_000)) if fd else None,
         "dbc": dbc if bus else None,
+        "ids": draw(st.none() | identifiers()) if bus and dbc is None else None,
     }
+    if fd and changes["ids"]:
+        # A frame of CAN FD that does not switch is longer than a classic one.
+        changes["data_bitrate"], changes["bitrate"] = 2_000_000, 1_000_000
+        changes["sample_rate_hz"], changes["lead_us"] = 1024, None
     return changes if changes["dbc"] else {**changes, "names": {}, "reset_state": None}
 
 

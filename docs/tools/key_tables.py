@@ -166,8 +166,12 @@ MEANINGS: dict[str, str] = {
     "LinkTable.bitrate": "CAN: bit/s, 10000 to 1000000, absent: not checked; serial: baud, absent: "
     f"{rigfile.DEFAULT_BAUD}; socket: none",
     "LinkTable.fd": "true: the bus is CAN FD",
-    "LinkTable.data_bitrate": "CAN FD: bit/s in the data phase of feedback frames that switch bit "
-    "rate; absent: no frame does",
+    "LinkTable.data_bitrate": "CAN FD: bit/s in the data phase of frames that switch bit rate: the "
+    "feedback frames of a DBC file, or with `ids` all frames; absent: no frame does",
+    "LinkTable.ids": "CAN: identifiers of the program's own frames",
+    "IdentifiersTable.command": "of `ACT_CMD`, to the drive",
+    "IdentifiersTable.displacement": "of `ACT_FB`, from the drive",
+    "IdentifiersTable.force": "of `LC_FB`, from the drive",
     "LinkTable.dbc": "CAN: DBC file of the drive; a relative path is relative to the folder of the "
     "rig file; absent: `hw/rthyb.dbc`",
     "LinkTable.names": "names of signals that have other names in the DBC file",

@@ -222,6 +222,8 @@ def link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
     rows = [("Link", ", ".join(parts), "for a test in real time")]
     if link["bus_load"] is not None:
         what = "command and feedback" if link["kind"] == "serial" else "with every stuff bit"
+        if link.get("axes_on_bus"):
+            what += f", {link['axes_on_bus']} axes on this bus"
         rows.append(("Bus load", percent(link["bus_load"], 3), f"{what}; up to 80 % is accepted"))
     elif link["kind"] != "socket":
         rows.append(("Bus load", "not known", "bitrate, or cantools for the DBC file, is missing"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -11,6 +12,7 @@ import numpy as np
 from rthyb_rt import config, core
 from rthyb_rt.checking import check_tables, facts
 from rthyb_rt.config import STANDARD_HZ, AxesRig, Identified, RigFile, response
+from rthyb_rt.config.linkframes import on_one_bus
 from rthyb_rt.config.lonesensors import LoneForce
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_rig, axis_wires, experiment, sensor_wires
@@ -156,8 +158,8 @@ def examine_rig(rig: RigFile | AxesRig, path: Path, *, stiffness_stated: bool) -
         k_along = np.diag(rig.along_axes())
         views = [rig.of_axis(name) for name in rig.names]
         axes = [
-            _axis(name, view, float(k), path)
-            for name, view, k in zip(rig.names, views, k_along, strict=True)
+            _axis(name, view, float(k), path, [views[j] for j in on_one_bus(rig, i)])
+            for i, (name, view, k) in enumerate(zip(rig.names, views, k_along, strict=True))
         ]
     return ExaminedRig(
         rig.rig.name,
@@ -168,13 +170,19 @@ def examine_rig(rig: RigFile | AxesRig, path: Path, *, stiffness_stated: bool) -
     )
 
 
-def _axis(name: str, rig: RigFile, k_e_n_per_m: float | None, path: Path) -> ExaminedAxis:
+def _axis(
+    name: str,
+    rig: RigFile,
+    k_e_n_per_m: float | None,
+    path: Path,
+    on_bus: Sequence[RigFile] = (),
+) -> ExaminedAxis:
     return ExaminedAxis(
         name,
         rig,
         k_e_n_per_m,
         facts.limits_of_rig(rig.limits),
-        facts.link_of(rig),
+        facts.link_of(rig, on_bus),
         facts.commissioning_of(rig, str(path), name),
         facts.calibration_of(rig),
     )

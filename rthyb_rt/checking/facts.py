@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from rthyb_rt import config
 from rthyb_rt.config import Limit, Limits, LinkTable, RigFile, busload
 from rthyb_rt.config.limits import unit_of
+from rthyb_rt.config.linkframes import frames_are_known, frames_of_link
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import axis_wires, extra_frames
+from rthyb_rt.lab import axis_wires
 from rthyb_rt.lab.experiment import Setup
 from rthyb_rt.rig.commissioning import certificate
 
@@ -59,29 +61,35 @@ def _derived(setup: Setup) -> list[dict[str, Any]]:
     ]
 
 
-def link_of(rig: RigFile) -> dict[str, Any] | None:
-    """Return the rig's link, with the load of bus or line by its frames."""
+def link_of(rig: RigFile, on_bus: Sequence[RigFile] = ()) -> dict[str, Any] | None:
+    """Return the rig's link, with the load of bus or line.
+
+    Args:
+        rig: the rig, or one axis of several.
+        on_bus: for one axis of several, all axes on its bus, whose frames load it together.
+    """
     link = rig.link
     if link is None:
         return None
-    load = _bus_load(link, len(rig.sensors.extra))
-    return {**link.model_dump(), "bus_load": load}
+    found = {**link.model_dump(), "bus_load": _bus_load(on_bus or (rig,), link)}
+    if len(on_bus) > 1:
+        found["axes_on_bus"] = len(on_bus)
+    return found
 
 
-def _bus_load(link: LinkTable, extras: int) -> float | None:
+def _bus_load(rigs: Sequence[RigFile], link: LinkTable) -> float | None:
     """Return the load of the bus or line, None if bit rate or frames are not known."""
     if link.bitrate is None:
         return None
     if link.kind == "serial":
+        extras = len(rigs[0].sensors.extra)
         return busload.serial_load(link.bitrate, extras, rate_hz=link.sample_rate_hz)
-    if not extra_frames.dbc_is_read(link):
-        return None
-    return busload.bus_load(
-        config.frames_of_link(link),
-        link.bitrate,
-        link.data_bitrate,
-        rate_hz=link.sample_rate_hz,
-    )
+    frames = list[busload.FrameSize]()
+    for rig in rigs:
+        if rig.link is None or not frames_are_known(rig.link):
+            return None
+        frames += frames_of_link(rig.link, rig.sensors.extra)
+    return busload.bus_load(frames, link.bitrate, link.data_bitrate, rate_hz=link.sample_rate_hz)
 
 
 def commissioning_of(rig: RigFile, name: str | None, axis: str = "") -> dict[str, Any] | None:
@@ -114,7 +122,7 @@ def calibration_of(rig: RigFile) -> dict[str, float]:
 
 def unread_frames(link: LinkTable | None) -> list[str]:
     """Return a warning if the link's DBC file could not be read."""
-    if link is None or extra_frames.dbc_is_read(link):
+    if link is None or frames_are_known(link):
         return []
     return [
         "link.dbc was not read and its frames were not checked, so a test in real time will "

@@ -240,7 +240,7 @@ def _with_links(rig: AxesRig, wires: Sequence[tuple[str, str | None]]) -> AxesRi
     Raises:
         InputError: lists the problems of all links together.
     """
-    from rthyb_rt.config.loading import shared_links
+    from rthyb_rt.config.linkframes import shared_links
 
     found = {name: value for name, value in wires if value is not None}
     if found:

@@ -8,13 +8,13 @@ from rthyb_rt.config.changes import IN_PYTHON
 from rthyb_rt.config.defaults import derived_limits
 from rthyb_rt.config.deriving import Derived, derive, omitted, resolve
 from rthyb_rt.config.limits import Limit, Limits
+from rthyb_rt.config.linkframes import frames_of_link
 from rthyb_rt.config.loading import (
     builtin_test_path,
     check_values,
     find,
     find_rig,
     find_test,
-    frames_of_link,
     has_axes,
     json_schema,
     load_any_both,

@@ -30,22 +30,52 @@ COMMAND_BYTES = 12
 FEEDBACK_BYTES = 16
 """Bytes of the program's own serial packets (docs/wire.md)."""
 
-BITS_PER_BYTE = 10
 EXTRA_BYTES = 4
+"""Bytes of an extra channel, in a serial packet and in a CAN FD frame of the program."""
+
+BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 
 
 @dataclass(frozen=True)
 class FrameSize:
-    """Properties that determine the length of a frame: data bytes, kind of identifier, CAN FD."""
+    """Properties that determine how long a frame takes.
+
+    Attributes:
+        data_bytes: bytes of data.
+        extended: whether its identifier has 29 bits.
+        fd: whether it is a CAN FD frame.
+        switches: whether a CAN FD frame switches to the rate of the data phase, if there is one.
+    """
 
     data_bytes: int
     extended: bool = False
     fd: bool = False
+    switches: bool = True
 
 
-OWN_FRAMES = (FrameSize(8), FrameSize(8), FrameSize(8))
+OWN_BYTES = 8
+OWN_FRAMES = (FrameSize(OWN_BYTES),) * 3
 """Command, displacement and force of ``hw/rthyb.dbc``."""
+
+_FD_BYTES = (8, 12, 16, 20, 24, 32, 48, 64)
+
+
+def own_frames(*, fd: bool = False, extras: int = 0) -> tuple[FrameSize, ...]:
+    """Return the program's own frames of one sample.
+
+    Args:
+        fd: CAN FD frames; all of them switch the bit rate.
+        extras: extra channels in the force frame, which only CAN FD frames can hold.
+    """
+    if not fd:
+        return OWN_FRAMES
+    force = next(n for n in _FD_BYTES if n >= OWN_BYTES + EXTRA_BYTES * extras)
+    return FrameSize(OWN_BYTES, fd=True), FrameSize(OWN_BYTES, fd=True), FrameSize(force, fd=True)
+
+
+SHORTER = "give the drive shorter frames"
+"""Remedy where no bit rate of the arbitration phase is enough for the frames of a DBC file."""
 
 
 def can_bits(frame: FrameSize) -> int:
@@ -88,17 +118,16 @@ def bus_load(
     Args:
         frames: frames of one sample.
         bitrate: bit rate of the bus, bit/s; with CAN FD, of the arbitration phase.
-        data_bitrate: bit rate of the data phase of CAN FD frames that switch the bit rate, bit/s;
-            the command, which is the first of the frames, never does.
+        data_bitrate: bit rate of the data phase of CAN FD frames that switch the bit rate, bit/s.
         rate_hz: samples per second.
     """
     seconds = 0.0
-    for index, frame in enumerate(frames):
+    for frame in frames:
         if not frame.fd:
             seconds += can_bits(frame) / bitrate
             continue
         arbitration, data = can_fd_bits(frame)
-        switched = data_bitrate if data_bitrate and index else bitrate
+        switched = data_bitrate if data_bitrate and frame.switches else bitrate
         seconds += arbitration / bitrate + data / switched
     return seconds * rate_hz
 
@@ -109,8 +138,14 @@ def bus_fault(
     data_bitrate: int | None = None,
     *,
     rate_hz: float = STANDARD_HZ,
+    otherwise: str = SHORTER,
 ) -> str | None:
-    """Return the error for a bit rate that is too low for the frames, with a sufficient one."""
+    """Return the error for a bit rate that is too low for the frames, with a sufficient one.
+
+    Args:
+        frames, bitrate, data_bitrate, rate_hz: as of `bus_load`.
+        otherwise: what to do if no bit rate is sufficient.
+    """
     load = bus_load(frames, bitrate, data_bitrate, rate_hz=rate_hz)
     if load <= MAX_SHARE:
         return None
@@ -122,9 +157,7 @@ def bus_fault(
     if enough:
         remedy = f"{enough[0]} bit/s is enough"
     else:
-        remedy = (
-            f"no bit rate up to {CAN_BITRATES[-1]} bit/s is enough; give the drive shorter frames"
-        )
+        remedy = f"no bit rate up to {CAN_BITRATES[-1]} bit/s is enough; {otherwise}"
         if data_bitrate is None and any(frame.fd for frame in frames):
             remedy += ", or set data_bitrate if its CAN FD frames switch the bit rate"
         if rate_hz > STANDARD_HZ:
@@ -179,7 +212,11 @@ def frames_of(codec: Codec) -> tuple[FrameSize, ...]:
     if not codec.struct.command.length:
         return OWN_FRAMES
     messages = {m.id: m for m in (codec.struct.displacement, codec.struct.force)}
+    # A drive with frames of its own decides about its feedback; only our end sends the command.
     return tuple(
-        FrameSize(int(message.length), bool(message.id >> 31), bool(message.fd))
-        for message in (codec.struct.command, *messages.values())
+        FrameSize(int(message.length), bool(message.id >> 31), bool(message.fd), switches)
+        for message, switches in (
+            (codec.struct.command, codec.command_switches or not codec.struct.command.fd),
+            *((message, True) for message in messages.values()),
+        )
     )

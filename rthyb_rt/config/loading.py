@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import re
 import stat
@@ -22,10 +21,11 @@ from rthyb_rt.config.changes import ON_COMMAND_LINE, Wording
 from rthyb_rt.config.fields import Alternatives, Table, WholeFile, nearest, written
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.lines import Path as KeyPath
+from rthyb_rt.config.linkframes import frames_are_known, frames_of_link, shared_links
 from rthyb_rt.config.mapfile import MAP_SCHEMA, MapFile
 from rthyb_rt.config.placing import SourceText
 from rthyb_rt.config.prescribed_history import CyclesHistory, History, RandomHistory, with_file
-from rthyb_rt.config.rigfile import BUSES, RIG_SCHEMA, LinkTable, RigFile, assumable, kinds
+from rthyb_rt.config.rigfile import RIG_SCHEMA, LinkTable, RigFile, assumable, kinds
 from rthyb_rt.config.structures import FROM_FILE, WRITTEN_OUT, MatrixFile
 from rthyb_rt.config.testfile import TEST_SCHEMA, GroundMotionTable, Numerical, RfcTable, TestFile
 from rthyb_rt.errors import InputError, Problem
@@ -229,68 +229,6 @@ def _read_plant(plant: Plant, folder: Path, axes: int, where: str) -> Plant:
         ) from None  # fmt: skip
 
 
-def shared_links(rig: AxesRig) -> list[tuple[int, str]]:
-    """Return errors in links of two axes that share a line: number of the axis, and the reason.
-
-    Several axes can share a CAN bus if their frames have different identifiers and the bus has the
-    capacity for all.
-    """
-    found = list[tuple[int, str]]()
-    first: dict[tuple[str, str, str], list[int]] = {}
-    for i, axis in enumerate(rig.axis):
-        if axis.link is not None:
-            link = axis.link
-            first.setdefault((link.kind, link.channel, link.interface or ""), []).append(i)
-    for (kind, channel, _), axes in first.items():
-        if len(axes) == 1:
-            continue
-        names = " and ".join(rig.names[i] for i in axes)
-        if kind not in BUSES:
-            found.append(
-                (axes[-1], f"axes {names} are both at {written(channel)}; each axis needs its own")
-            )
-            continue
-        complaint = _one_bus(rig, axes, names, channel)
-        if complaint:
-            found.append((axes[-1], complaint))
-    return found
-
-
-def _one_bus(rig: AxesRig, axes: list[int], names: str, channel: str) -> str | None:
-    from rthyb_rt.core import dbc, wire
-
-    links = [link for i in axes if (link := rig.axis[i].link) is not None]
-    seen: dict[int, str] = {}
-    frames: list[busload.FrameSize] = []
-    for i, link in zip(axes, links, strict=True):
-        if link.dbc is not None and importlib.util.find_spec("cantools") is None:
-            return None
-        codec = wire.can() if link.dbc is None else dbc.load(link.dbc, link.names)
-        for one in sorted({codec.command_id, *codec.feedback_ids}):
-            if one in seen:
-                return (
-                    f"axes {seen[one]} and {rig.names[i]} both use frames with the identifier "
-                    f"0x{one & 0x1FFFFFFF:X} on {written(channel)}; give each its own bus, or a "
-                    "DBC file with its own identifiers"
-                )
-            seen[one] = rig.names[i]
-        frames += busload.frames_of(codec)
-    bitrate = links[0].bitrate
-    if bitrate is None:
-        return (
-            f"axes {names} share {written(channel)}, and without a bitrate its load cannot be "
-            "checked; give the same bitrate in both links"
-        )
-    if {(link.bitrate, link.data_bitrate) for link in links} != {(bitrate, links[0].data_bitrate)}:
-        return (
-            f"axes {names} share {written(channel)} but have different bit rates; give the same "
-            "for both"
-        )
-    return busload.bus_fault(
-        frames, bitrate, links[0].data_bitrate, rate_hz=links[0].sample_rate_hz
-    )
-
-
 def _with_dbc(
     link: LinkTable | None, place: KeyPath, text: str, path: str | Path,
     overrides: Mapping[str, str], name: str = "link",
@@ -380,19 +318,6 @@ def _rig_of_faulty(path: Path, overrides: Mapping[str, str]) -> Path | None:
     return place if _is_file(place) else shipped("rig").get(name)
 
 
-def frames_of_link(link: LinkTable) -> tuple[busload.FrameSize, ...]:
-    """Return the frames of one sample on a CAN link: the program's own, or those of its DBC file.
-
-    Raises:
-        InputError: the DBC file cannot be used, or cantools is not installed.
-    """
-    if link.dbc is None:
-        return busload.OWN_FRAMES
-    from rthyb_rt.core import dbc
-
-    return busload.frames_of(dbc.load(link.dbc, link.names))
-
-
 def _dbc_fault(link: LinkTable) -> tuple[str, str] | None:
     """Return the key of a link that is incompatible with its DBC file, and the reason.
 
@@ -406,7 +331,7 @@ def _dbc_fault(link: LinkTable) -> tuple[str, str] | None:
             f"found {written(link.dbc)}; no such file; a relative path is relative to the folder "
             "of the rig file",
         )
-    if importlib.util.find_spec("cantools") is None:
+    if not frames_are_known(link):
         return None
     frames = frames_of_link(link)
     if any(frame.fd for frame in frames) and not link.fd:

@@ -958,6 +958,7 @@ def _bitrate_enough(
     data_bitrate: int | None,
     dbc: str | None,
     sample_rate_hz: int,
+    ids: IdentifiersTable | None,
 ) -> str | None:
     if kind == "socket":
         return _only_for(bitrate is not None, kind, ("can", "python-can", "serial"))
@@ -974,7 +975,8 @@ def _bitrate_enough(
     # The frames of a DBC file are counted when it is read.
     if dbc is not None:
         return None
-    return busload.bus_fault(busload.OWN_FRAMES, bitrate, data_bitrate, rate_hz=sample_rate_hz)
+    frames = busload.own_frames(fd=fd and ids is not None)
+    return busload.bus_fault(frames, bitrate, data_bitrate, rate_hz=sample_rate_hz)
 
 
 LEAD_US: Final = 200.0
@@ -1013,14 +1015,46 @@ def _data_phase_fits(
     return None
 
 
+def _identifiers_apart(command: int, displacement: int, force: int) -> str | None:
+    if len({command, displacement, force}) == 3:
+        return None
+    return (
+        f"found command {command:#x}, displacement {displacement:#x} and force {force:#x}; each "
+        "frame needs an identifier of its own"
+    )
+
+
+class IdentifiersTable(Table):
+    """Identifiers of the program's own frames (``hw/rthyb.dbc``) of one drive, 11 bits each.
+
+    Without this table: 0x101, 0x181 and 0x182.
+    """
+
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("command", ("command", "displacement", "force"), _identifiers_apart),
+    )
+
+    command: Annotated[int, Count(1, 0x7FF, "the identifier of the command")]
+    displacement: Annotated[int, Count(1, 0x7FF, "the identifier of the displacement")]
+    force: Annotated[int, Count(1, 0x7FF, "the identifier of the force")]
+
+
+def _ids_fit(kind: LinkKind, ids: IdentifiersTable | None, dbc: str | None) -> str | None:
+    if ids is not None and dbc is not None:
+        return "the DBC file has the identifiers of its frames; remove ids, or dbc"
+    return _only_for(ids is not None, kind, BUSES)
+
+
 class LinkTable(Table):
     """The link for commands and readings of a test in real time.
 
     Default ``bitrate`` of CAN: the current setting of the interface; of a serial line: 921600 baud.
-    ``dbc`` is relative to the rig file; ``reset_state`` is the raw value of its state signal that
-    resets the drive after a stop of its own. ``lead_us`` is used with ``clock = "link"`` only; the
-    default is 200 us, or 0.4 of the period if that is less. ``sample_rate_hz`` is the rate at which
-    the drive takes commands and sends readings, and so the rate of a test in real time.
+    ``ids`` gives the program's own frames other identifiers; with ``fd = true`` they are then CAN
+    FD frames. ``dbc`` is relative to the rig file; ``reset_state`` is the raw value of its state
+    signal that resets the drive after a stop of its own. ``lead_us`` is used with ``clock =
+    "link"`` only; the default is 200 us, or 0.4 of the period if that is less. ``sample_rate_hz``
+    is the rate at which the drive takes commands and sends readings, and so the rate of a test in
+    real time.
     """
 
     checks: ClassVar[tuple[Condition, ...]] = (
@@ -1029,7 +1063,7 @@ class LinkTable(Table):
         Condition("interface", ("kind", "interface"), _interface_fits),
         Condition(
             "bitrate",
-            ("kind", "bitrate", "fd", "data_bitrate", "dbc", "sample_rate_hz"),
+            ("kind", "bitrate", "fd", "data_bitrate", "dbc", "sample_rate_hz", "ids"),
             _bitrate_enough,
         ),
         Condition("fd", ("kind", "fd"), lambda kind, fd: _only_for(fd, kind, BUSES)),
@@ -1037,6 +1071,7 @@ class LinkTable(Table):
         Condition(
             "dbc", ("kind", "dbc"), lambda kind, dbc: _only_for(dbc is not None, kind, BUSES)
         ),
+        Condition("ids", ("kind", "ids", "dbc"), _ids_fit),
         Condition(
             "names",
             ("dbc", "names"),
@@ -1065,6 +1100,7 @@ class LinkTable(Table):
     data_bitrate: (
         Annotated[int, Count(10_000, 8_000_000, "the bit rate of CAN FD's data phase")] | None
     ) = None
+    ids: IdentifiersTable | None = None
     dbc: Annotated[str, _words("the DBC file")] | None = None
     names: SignalNames = Field(default_factory=dict)
     reset_state: Annotated[int, Count(8, 2**32 - 1, "the state that resets the drive")] | None = (
@@ -1171,17 +1207,22 @@ def extras_arrive(sensors: Sensors, link: LinkTable | None) -> str | None:
     """Report an extra channel for which the link has no space."""
     if link is None or not sensors.extra or link.kind == "socket":
         return None
+    extras, rate_hz = len(sensors.extra), link.sample_rate_hz
     if link.kind == "serial":
-        return busload.serial_fault(
-            link.bitrate or DEFAULT_BAUD, len(sensors.extra), rate_hz=link.sample_rate_hz
-        )
-    if link.dbc is None:
-        return (
-            f"found {len(sensors.extra)} extra channels, but the frames of hw/rthyb.dbc are "
-            "full: set link.dbc to a DBC file of the drive with these signals in its feedback "
-            "frames, or remove the channels"
-        )
-    return None
+        return busload.serial_fault(link.bitrate or DEFAULT_BAUD, extras, rate_hz=rate_hz)
+    if link.dbc is not None:
+        return None
+    if link.ids is not None and link.fd:
+        if link.bitrate is None:
+            return None
+        frames = busload.own_frames(fd=True, extras=extras)
+        return busload.bus_fault(frames, link.bitrate, link.data_bitrate, rate_hz=rate_hz)
+    return (
+        f"found {extras} extra channels, but the frames of hw/rthyb.dbc are full: set link.dbc to "
+        "a DBC file of the drive with these signals in its feedback frames; or, on a bus of CAN "
+        "FD, set fd = true and give link.ids, because the program's own force frame can then be "
+        "longer; or remove the channels"
+    )
 
 
 class RigFile(WholeFile):

@@ -147,18 +147,31 @@ def cobs_encode(data: bytes) -> bytes:
     return bytes(ffi.buffer(out, lib.rthyb_cobs_encode(data, len(data), out)))
 
 
-def _spell_out(struct: Any, extras: int) -> None:
-    """Return the table of the program's own frames, with space after the force for extras."""
+@dataclass(frozen=True)
+class Identifiers:
+    """The 11-bit identifiers of the program's own frames of one drive."""
+
+    command: int = ACT_CMD
+    displacement: int = ACT_FB
+    force: int = LC_FB
+
+
+def _force_bytes(extras: int) -> int:
+    """Return the length of the force frame: the extra channels follow its own eight bytes."""
     needed = _OWN_LENGTH + 4 * extras
-    length = next(n for n in (12, 16, 20, 24, 32, 48, 64) if n >= needed)
+    return next(n for n in (8, 12, 16, 20, 24, 32, 48, 64) if n >= needed)
+
+
+def _spell_out(struct: Any, identifiers: Identifiers) -> None:
+    """Write the program's own frames as a table, all of them classic CAN."""
     struct.format = lib.RTHYB_WIRE_TABLE
     struct.reset, struct.leaving = lib.RTHYB_NOTICE_RESET, lib.RTHYB_NOTICE_LEAVING
-    for message, number, size, value, step in (
-        (struct.command, ACT_CMD, _OWN_LENGTH, lib.RTHYB_FIELD_X, 1e-9),
-        (struct.displacement, ACT_FB, _OWN_LENGTH, lib.RTHYB_FIELD_X, 1e-9),
-        (struct.force, LC_FB, length, lib.RTHYB_FIELD_F, 1e-3),
+    for message, number, value, step in (
+        (struct.command, identifiers.command, lib.RTHYB_FIELD_X, 1e-9),
+        (struct.displacement, identifiers.displacement, lib.RTHYB_FIELD_X, 1e-9),
+        (struct.force, identifiers.force, lib.RTHYB_FIELD_F, 1e-3),
     ):
-        message.id, message.length, message.fd, message.crc_at = number, size, size > 8, 7
+        message.id, message.length, message.crc_at = number, _OWN_LENGTH, 7
         message.field[value] = ffi.new(
             "rthyb_signal *",
             {"kind": lib.RTHYB_SIGNED, "length": 32, "has_none": 1, "none": _NO_NUMBER,
@@ -166,7 +179,7 @@ def _spell_out(struct: Any, extras: int) -> None:
         )[0]  # fmt: skip
         whole = [(lib.RTHYB_FIELD_ECHO, 32, 8), (lib.RTHYB_FIELD_COUNT, 40, 8),
                  (lib.RTHYB_FIELD_STATUS, 48, 8)]  # fmt: skip
-        if number == ACT_CMD:
+        if number == identifiers.command:
             whole = [(lib.RTHYB_FIELD_SEQ, 32, 16), (lib.RTHYB_FIELD_STATE, 48, 8)]
         for field, start, bits in whole:
             place = message.field[field]
@@ -174,7 +187,7 @@ def _spell_out(struct: Any, extras: int) -> None:
 
 
 class Codec:
-    """Numbers to frames and back: `CAN` (``hw/rthyb.dbc``), `SERIAL`, or the table of a DBC file.
+    """Numbers to frames and back: `can` (``hw/rthyb.dbc``), `own`, `serial`, or by a DBC file.
 
     `rthyb_rt.core.dbc.load` returns a codec for a DBC file. Raises ``CoreError`` for a table that
     does not fit its frames.
@@ -232,6 +245,11 @@ class Codec:
         return self._by_table and any(message.fd for message in messages)
 
     @property
+    def command_switches(self) -> bool:
+        """Whether the command is a CAN FD frame that switches to the rate of the data phase."""
+        return self._by_table and bool(self.struct.command.fd == lib.RTHYB_FD_SWITCHED)
+
+    @property
     def has_status(self) -> bool:
         """Whether the frames can report that a drive has stopped on its own."""
         feedback = (self.struct.displacement, self.struct.force)
@@ -251,8 +269,8 @@ class Codec:
         """Return the codec with extra channels, in their order.
 
         A serial packet has them after its status byte, 32 bits each; `Extra.signal` gives their
-        position in the frames of a DBC file. The frames of ``hw/rthyb.dbc`` are full: on a link
-        without a bus, a table with a longer force frame is used instead.
+        position in the frames of a DBC file. The classic frames of ``hw/rthyb.dbc`` are full: the
+        force frame is then a longer one of CAN FD.
 
         Raises:
             CoreError: there are more than `EXTRAS_MAX`, or one does not fit its frame.
@@ -263,14 +281,17 @@ class Codec:
             return self
         struct = ffi.new("rthyb_codec *")
         ffi.memmove(struct, self.struct, ffi.sizeof(struct[0]))
-        at = _SERIAL_EXTRAS_AT
+        own = not self.is_serial and all(one.signal is None for one in extras)
         if struct.format == lib.RTHYB_WIRE_CAN:
-            _spell_out(struct, len(extras))
-            at = 8 * _OWN_LENGTH
+            _spell_out(struct, Identifiers())
+        if own:
+            struct.force.length = _force_bytes(len(extras))
+            struct.force.fd = struct.force.fd or lib.RTHYB_FD
+        at = 8 * _OWN_LENGTH if own else _SERIAL_EXTRAS_AT
         struct.extra_count = len(extras)
         for i, one in enumerate(extras):
             slot = struct.extra[i]
-            slot.in_force = one.in_force or struct.format != self.struct.format
+            slot.in_force = one.in_force or own
             signal = {
                 "kind": lib.RTHYB_SIGNED, "length": 32, "start": at + 32 * i, "scale": one.step,
                 "has_none": 1, "none": _NO_NUMBER, "low": -_MOST, "high": _MOST,
@@ -358,6 +379,24 @@ class Codec:
 def can() -> Codec:
     """Return the codec of ``hw/rthyb.dbc``."""
     return Codec(ffi.new("rthyb_codec *", {"format": lib.RTHYB_WIRE_CAN}))
+
+
+def own(identifiers: Identifiers, *, fd: bool = False, switched: bool = False) -> Codec:
+    """Return the codec of the frames of ``hw/rthyb.dbc`` with other identifiers.
+
+    Args:
+        identifiers: of the frames of one drive.
+        fd: CAN FD frames with the same data, rather than classic ones.
+        switched: CAN FD frames send their data at the bit rate of the data phase.
+
+    Raises:
+        CoreError: the command has the identifier of a reading, or one has more than 11 bits.
+    """
+    struct = ffi.new("rthyb_codec *")
+    _spell_out(struct, identifiers)
+    for message in (struct.command, struct.displacement, struct.force):
+        message.fd = (lib.RTHYB_FD_SWITCHED if switched else lib.RTHYB_FD) if fd else 0
+    return Codec(struct)
 
 
 def serial() -> Codec:

@@ -10,9 +10,9 @@ import math
 
 from rthyb_rt import core
 from rthyb_rt.config import AxesRig, Limits, LinkTable, RigFile
+from rthyb_rt.config.linkframes import codec_of_link, frames_are_known
 from rthyb_rt.config.placing import placing
 from rthyb_rt.errors import InputError, Problem
-from rthyb_rt.lab import extra_frames
 
 
 def calibration(rig: RigFile) -> core.WireCalibration:
@@ -57,7 +57,7 @@ def _problems(rig: RigFile, prefix: str) -> list[Problem]:
     displacement, force = rig.sensors.displacement.range_m, rig.sensors.force.range_n
     if _unread(rig) or (displacement is None and force is None):
         return []
-    codec, by = extra_frames.codec_of_link(rig.link), calibration(rig)
+    codec, by = codec_of_link(rig.link), calibration(rig)
     reach_m = codec.reading_reach(force=False, gain=by.x_gain, offset=by.x_offset_m)
     reach_n = codec.reading_reach(force=True, gain=by.f_gain, offset=by.f_offset_n)
     return [
@@ -117,7 +117,7 @@ def check_limit(rig: RigFile, limits: Limits) -> None:
     if limit is None or not limit.acts or rig.sensors.force.range_n is not None or _unread(rig):
         return
     by = calibration(rig)
-    codec = extra_frames.codec_of_link(rig.link)
+    codec = codec_of_link(rig.link)
     reach = codec.reading_reach(force=True, gain=by.f_gain, offset=by.f_offset_n)
     if limit.value <= reach:
         return
@@ -132,7 +132,7 @@ def check_limit(rig: RigFile, limits: Limits) -> None:
 
 def _unread(rig: RigFile) -> bool:
     """Return whether the frames are unknown: a check says so, and real time is refused."""
-    return rig.link is not None and not extra_frames.dbc_is_read(rig.link)
+    return rig.link is not None and not frames_are_known(rig.link)
 
 
 def _rounded_down(value: float) -> float:

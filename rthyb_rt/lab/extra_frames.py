@@ -2,32 +2,12 @@
 
 from __future__ import annotations
 
-from importlib import util
 from pathlib import Path
 
-from rthyb_rt.config import LinkTable, RigFile
-from rthyb_rt.core import dbc, wire
+from rthyb_rt.config import RigFile
+from rthyb_rt.core import dbc
 from rthyb_rt.core.wire import Codec, Extra
 from rthyb_rt.errors import InputError
-
-
-def dbc_is_read(link: LinkTable) -> bool:
-    """Return whether a DBC file, if the link has one, could be read and checked."""
-    return link.dbc is None or util.find_spec("cantools") is not None
-
-
-def codec_of_link(link: LinkTable | None) -> Codec:
-    """Return the codec of a link as the rig file describes it; without a link, that of the program.
-
-    Raises:
-        InputError: the DBC file cannot be read or used.
-    """
-    if link is not None and link.kind == "serial":
-        return wire.serial()
-    if link is None or link.dbc is None:
-        return wire.can()
-    names = {str(role): name for role, name in link.names.items()}
-    return dbc.load(Path(link.dbc), names, link.reset_state)
 
 
 def codec_of(rig: RigFile, codec: Codec) -> Codec:

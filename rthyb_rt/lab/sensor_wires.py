@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from rthyb_rt.config import AxesRig, RigFile
+from rthyb_rt.config.linkframes import codec_of_link
 from rthyb_rt.config.lonesensors import LoneForce, LoneSensor
 from rthyb_rt.config.rigfile import ExtraSensor, LinkTable
 from rthyb_rt.core import wire
@@ -107,7 +108,7 @@ def codec_of(rig: RigFile) -> wire.Codec:
     Raises:
         InputError: a DBC file cannot be read, or has no such channel.
     """
-    return extra_frames.codec_of(rig, extra_frames.codec_of_link(rig.link))
+    return extra_frames.codec_of(rig, codec_of_link(rig.link))
 
 
 def _too_small(

@@ -29,6 +29,7 @@ CANFD_MTU: Final = 72
 CAN_RTR_FLAG: Final = 0x4000_0000
 CAN_ERR_FLAG: Final = 0x2000_0000
 CAN_ERR_BUSOFF: Final = 0x40
+CANFD_BRS: Final = 1
 CANFD_FDF: Final = 4
 
 QUEUE_BYTES: Final[dict[Side, int]] = {"controller": 0, "drive": 1 << 15}
@@ -221,18 +222,20 @@ def pack(message: can.Message) -> bytes:
     """Return a message of python-can as ``struct can_frame`` or ``struct canfd_frame``."""
     data = bytes(message.data)
     flags = CANFD_FDF if message.is_fd else 0
+    flags |= CANFD_BRS if message.bitrate_switch else 0
     room = (CANFD_MTU if message.is_fd else CAN_MTU) - _HEADER.size
     return _HEADER.pack(_identifier(message), len(data), flags) + data[:room].ljust(room, b"\0")
 
 
 def unpack(raw: bytes) -> can.Message:
     """Return a ``struct can_frame`` or ``struct canfd_frame`` as a message of python-can."""
-    identifier, length, _ = _HEADER.unpack_from(raw)
+    identifier, length, flags = _HEADER.unpack_from(raw)
     extended = bool(identifier & ID_EXTENDED)
     return can.Message(
         arbitration_id=identifier & (0x1FFF_FFFF if extended else 0x7FF),
         is_extended_id=extended,
         is_fd=len(raw) == CANFD_MTU,
+        bitrate_switch=len(raw) == CANFD_MTU and bool(flags & CANFD_BRS),
         data=raw[_HEADER.size : _HEADER.size + length],
         is_rx=False,
     )

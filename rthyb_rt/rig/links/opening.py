@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 
 from rthyb_rt.config import AxesRig
+from rthyb_rt.config.linkframes import codec_of_link
 from rthyb_rt.config.rigfile import DEFAULT_BAUD, LinkTable
-from rthyb_rt.core import dbc, wire
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import serial_line, sockets
 from rthyb_rt.rig.links.opened import Opened, Side, together
@@ -65,7 +65,7 @@ def open_link(
         return serial_line.open_line(
             wanted.channel, wanted.bitrate or DEFAULT_BAUD, wanted.sample_rate_hz
         )
-    codec = _codec(wanted, folder)
+    codec = codec_of_link(wanted, folder)
     if wanted.kind == "can":
         from rthyb_rt.rig.links import can_bus  # python-can is slow to import
 
@@ -130,10 +130,3 @@ def socket_pairs(names: Sequence[str]) -> tuple[Opened, Opened]:
     pairs = {name: socket_pair() for name in names}
     ours = together({name: pair[0] for name, pair in pairs.items()})
     return ours, together({name: pair[1] for name, pair in pairs.items()})
-
-
-def _codec(wanted: LinkTable, folder: Path | None) -> wire.Codec:
-    if not wanted.dbc:
-        return wire.can()
-    names = {str(role): name for role, name in wanted.names.items()}
-    return dbc.load((folder or Path()) / wanted.dbc, names, wanted.reset_state)

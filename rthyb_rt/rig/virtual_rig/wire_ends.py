@@ -14,7 +14,7 @@ from typing import Final
 
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.rigfile import LinkTable
-from rthyb_rt.core import dbc, loop, wire
+from rthyb_rt.core import loop, wire
 from rthyb_rt.errors import InputError
 from rthyb_rt.rig.links import opening
 from rthyb_rt.rig.links.opened import Opened
@@ -183,11 +183,6 @@ def line_of(link: LinkTable, *, shared: bool = False) -> WireEnd:
     Raises:
         InputError: what prevents it.
     """
-    codec = (
-        None
-        if link.dbc is None
-        else dbc.load(link.dbc, {str(role): name for role, name in link.names.items()})
-    )
     if link.kind == "socket":
-        return ListeningLine(Path(link.channel), codec or wire.can())
+        return ListeningLine(Path(link.channel), wire.can())
     return OpenedLine(opening.open_link(link, "drive", shared=shared))
