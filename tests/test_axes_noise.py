@@ -67,8 +67,7 @@ def test_a_specimen_at_rest_is_shaken_by_noise_as_predicted(
 
 def test_noise_that_exceeds_the_acceleration_limit_is_said_before_the_test(tmp_path: Path) -> None:
     setup = frame(tmp_path, 0.95)
-    text = loop_stability.demand(setup)
-    assert text is not None
+    (text,) = (text for text in loop_stability.demand(setup) if "noise" in text)
     assert "noise of the sensors alone makes the command of axis lower accelerate by" in text
     assert "controller.rfc.cutoff_hz" in text
     found = axes_noise.judge(setup)
@@ -78,6 +77,6 @@ def test_noise_that_exceeds_the_acceleration_limit_is_said_before_the_test(tmp_p
 
 
 def test_a_filter_or_more_damping_of_the_step_keeps_noise_below_the_limit(tmp_path: Path) -> None:
-    assert loop_stability.demand(frame(tmp_path, 0.5)) is None
     filtered = "rfc = { cutoff_hz = 60 }\n"
-    assert loop_stability.demand(frame(tmp_path, 0.95, filtered)) is None
+    for setup in (frame(tmp_path, 0.5), frame(tmp_path, 0.95, filtered)):
+        assert not [text for text in loop_stability.demand(setup) if "noise" in text]

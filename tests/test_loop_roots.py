@@ -279,8 +279,7 @@ def test_weights_of_the_paper_are_unstable_on_the_benchmarks_actuator(
     assert verdict.unstable
     assert verdict.radius - 1.0 == pytest.approx(radius - 1.0, rel=0.2)
     assert verdict.frequency_hz == pytest.approx(frequency_hz, abs=1.0)
-    text = loop_stability.remark(setup, verdict)
-    assert text is not None
+    (text,) = loop_stability.remarks(setup, verdict)
     assert "unstable" in text
     assert "remove controller.w1 and w2" in text
 
@@ -304,8 +303,7 @@ def test_advice_against_an_unstable_resonance_has_only_keys_of_the_law_that_help
     verdict = judged(setup)
     assert verdict.unstable
     assert verdict.frequency_hz == pytest.approx(67.0, abs=3.0)
-    text = loop_stability.remark(setup, verdict)
-    assert text is not None
+    (text,) = loop_stability.remarks(setup, verdict)
     assert f"the lead drives a resonance of actuator and specimen: {advice}" in text
     known = {p.key for p in setup.controller.law.law.parameters} | {"rfc.cutoff_hz"}
     assert set(re.findall(r"controller\.([a-z0-9_.]*[a-z0-9_])", text)) <= known
@@ -323,7 +321,7 @@ def test_defaults_are_stable_on_the_benchmarks_actuator_with_room_to_spare(
     assert not verdict.unstable
     assert not verdict.thin
     assert verdict.gain_margin > 2.0
-    assert loop_stability.remark(setup, verdict) is None
+    assert loop_stability.remarks(setup, verdict) == []
 
 
 def silent(rig: RigFile) -> RigFile:
@@ -404,8 +402,7 @@ def test_uncompensated_shaking_table_grows_at_the_structures_own_frequency() -> 
     verdict = judged(setup)
     assert verdict.unstable
     assert verdict.frequency_hz == pytest.approx(2.0, abs=0.1)
-    text = loop_stability.remark(setup, verdict)
-    assert text is not None
+    (text,) = loop_stability.remarks(setup, verdict)
     assert "compensate the delay" in text
     for law in ("paper", "robust", "alpha-beta", "inverse"):
         assert not judged(table(law)).unstable
@@ -470,8 +467,7 @@ def test_a_sweep_that_ends_below_the_resonance_proves_no_stability(law: str) -> 
     found = judged(setup)
     assert not found.unstable
     assert found.unproven
-    text = loop_stability.remark(setup, found)
-    assert text is not None
+    (text,) = loop_stability.remarks(setup, found)
     assert "known only up to 10 Hz" in text
     assert "--max-frequency" in text
     rows = dict(row[::2] for row in check_tables.loop_rows(found))
@@ -535,13 +531,12 @@ def test_unstable_loop_is_refused_on_a_real_link_and_nowhere_else() -> None:
         loop_stability.demand(linked(setup, virtual=False))
     assert "shaking-table-portal-frame" in str(caught.value)
     for harmless in (setup, linked(setup, virtual=True)):
-        text = loop_stability.demand(harmless)
-        assert text is not None
+        (text,) = loop_stability.demand(harmless)
         assert "the motion will grow" in text
 
 
 def test_stable_loop_is_neither_refused_nor_remarked_on() -> None:
-    assert loop_stability.demand(linked(table("alpha-beta"), virtual=False)) is None
+    assert loop_stability.demand(linked(table("alpha-beta"), virtual=False)) == []
 
 
 def test_blocks_of_no_memory_have_no_roots() -> None:

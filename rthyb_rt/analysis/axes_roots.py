@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.analysis import loop_roots, margins
+from rthyb_rt.analysis import loop_roots, margins, unseen_response
 from rthyb_rt.analysis.linear_parts import LinearStep
 from rthyb_rt.analysis.loop_roots import AnyLoop, Block, LoopVerdict, closed_roots
 from rthyb_rt.config import response
@@ -262,6 +262,15 @@ def is_swept(rig: AxesRig) -> bool:
     return all(one is not None and len(one.frequency_hz) > 1 for one in found)
 
 
+def swept_response(setup: Setup) -> MatrixResponse | None:
+    """Return the response matrix of a test's axes; None without a sweep, or of redundant axes."""
+    assert setup.group is not None
+    rig = setup.group.rig
+    if rig.is_redundant or rig.identified is None:
+        return None
+    return response_of_rig(rig, rig.identified, setup.rate)
+
+
 def axes_and_laws(setup: Setup) -> tuple[Axes, list[System]] | None:
     """Return the axes of a test, and its control laws with their initial settings and as adapted.
 
@@ -272,9 +281,9 @@ def axes_and_laws(setup: Setup) -> tuple[Axes, list[System]] | None:
     if rig.is_redundant:
         alone = each_alone(rig, setup.rate)
         return None if alone is None else (alone, laws(setup, None))
-    if rig.identified is None:
+    found = swept_response(setup)
+    if found is None:
         return None
-    found = response_of_rig(rig, rig.identified, setup.rate)
     axes = fitted_axes(rig, found, setup.controller.period_s)
     return None if axes is None else (axes, laws(setup, found))
 
@@ -445,9 +454,12 @@ def judge(setup: Setup) -> LoopVerdict | None:
     if known is None:
         return None
     axes, states = known
-    jacobian = rig.core_kinematics().jacobian()
-    verdicts = [
-        loop_roots.verdict(loop_of(config, axes, law, jacobian), setup.rate, axes.swept_hz)
-        for law in states
-    ]
-    return max(verdicts, key=loop_roots.badness, default=None)
+    tie, k_e, h = rig.core_kinematics(), np.array(rig.k_e), config.period_s
+    blocks = unseen_response.separate_specimens(rig, swept_response(setup))
+    verdicts = []
+    for law in states:
+        loop = loop_of(config, axes, law, tie.jacobian())
+        f_hz, z = loop_roots.above(axes.swept_hz, h, loop)
+        gains = unseen_response.loop_gain(loop, k_e, tie.weights(), z, blocks)
+        verdicts.append(loop_roots.verdict(loop, setup.rate, axes.swept_hz, (f_hz, gains)))
+    return loop_roots.worst(verdicts) if verdicts else None

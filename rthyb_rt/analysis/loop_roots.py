@@ -389,8 +389,9 @@ class LoopVerdict:
             1/1024 s; inf: none; 0 if the loop is unstable.
         swept_hz: frequency up to which the rig's response is known.
         unseen_force: least force, from there to the end of a complete sweep, with which the loop
-            could be unstable, as a multiple of the elastic force of the motion commanded; inf: none
-            that matters, or the sweep is complete.
+            could be unstable, as a multiple of the elastic force of the motion commanded, in the
+            norm of `rthyb_rt.analysis.unseen_response`; inf: none that matters, or the sweep is
+            complete.
         unseen_hz: frequency at which that much suffices.
     """
 
@@ -435,10 +436,10 @@ def judge(setup: Setup) -> LoopVerdict | None:
     if model is None or config.motion.integrator == "prescribed":
         return None
     hold, h = response.hold_of(setup.rig), config.period_s
-    f_hz, z = above(model.swept_hz, h)
     found = []
     for law in laws(config.law, model, h, hold):
         loop = loop_of(config, model, law, hold)
+        f_hz, z = above(model.swept_hz, h, loop)
         lead = law if config.lead_enabled else gain(1.0)
         fed_back = model.stiffness_n_per_m * lead.response(z)[:, 0]
         moved = np.abs(loop.without_rig(z) * fed_back)
@@ -446,15 +447,23 @@ def judge(setup: Setup) -> LoopVerdict | None:
     return worst(found)
 
 
-def above(swept_hz: float, h: float) -> tuple[Floats, Complexes]:
-    """Return the frequencies that a complete sweep would also have, Hz, and their z."""
+def above(swept_hz: float, h: float, loop: AnyLoop) -> tuple[Floats, Complexes]:
+    """Return the frequencies that a complete sweep would also have, Hz, and their z.
+
+    Those of the loop without its rig are among them: a mode of the numerical part, or one that the
+    force compensation makes of it, can be narrower than any grid.
+    """
     top = min(0.5 / h, response.TOP_HZ)
-    f_hz = np.geomspace(swept_hz, top, _ABOVE) if swept_hz < top else np.zeros(0)
+    if swept_hz >= top:
+        return np.zeros(0), np.zeros(0, complex)
+    modes_hz = np.abs(np.angle(loop.roots(0.0))) / (2.0 * math.pi * h)
+    inside = modes_hz[(modes_hz > swept_hz) & (modes_hz < top)]
+    f_hz = np.union1d(np.geomspace(swept_hz, top, _ABOVE), inside)
     return f_hz, np.exp(2j * np.pi * f_hz * h)
 
 
 _ABOVE: Final = 300
-"""Number of frequencies: the lead and the numerical part have no narrow peaks there."""
+"""Number of frequencies."""
 
 
 def worst(found: list[LoopVerdict]) -> LoopVerdict:

@@ -26,13 +26,13 @@ def judge(setup: Setup) -> LoopVerdict | None:
     return loop_roots.judge(setup) if setup.group is None else axes_roots.judge(setup)
 
 
-def remark(setup: Setup, found: LoopVerdict | None) -> str | None:
-    """Return a remark on a loop that is unstable or nearly so, or passes on much noise, or None."""
-    if setup.group is None:
-        return loop_roots.remark(found, _advice(setup, found))
+def remarks(setup: Setup, found: LoopVerdict | None) -> list[str]:
+    """Return remarks on a loop that is unstable or nearly so, or passes on much noise."""
     if found is None:
-        return None
-    return loop_roots.remark(found, _FAST_AXES) or axes_noise.remark(setup)
+        return []
+    fast = _advice(setup, found) if setup.group is None else _FAST_AXES
+    noisy = None if found.unstable or setup.group is None else axes_noise.remark(setup)
+    return [text for text in (loop_roots.remark(found, fast), noisy) if text]
 
 
 def _advice(setup: Setup, found: LoopVerdict | None) -> str:
@@ -65,9 +65,9 @@ def _one_of(ways: list[str]) -> str:
     return f"{', '.join(first)}, or {last}" if len(first) > 1 else " or ".join(ways)
 
 
-def remark_of(setup: Setup) -> str | None:
-    """Return the remark for a test in which nothing real can be damaged."""
-    return remark(setup, judge(setup))
+def remarks_of(setup: Setup) -> list[str]:
+    """Return the remarks for a test in which nothing real can be damaged."""
+    return remarks(setup, judge(setup))
 
 
 def is_real(setup: Setup) -> bool:
@@ -76,16 +76,16 @@ def is_real(setup: Setup) -> bool:
     return any(link is not None and not link.virtual for link in links)
 
 
-def demand(setup: Setup) -> str | None:
-    """Refuse an unstable test on a real link; return the remark for any other test.
+def demand(setup: Setup) -> list[str]:
+    """Refuse an unstable test on a real link; return the remarks for any other test.
 
     Raises:
         InputError: the loop is unstable, and a link of the rig leads to a real drive.
     """
     found = judge(setup)
-    text = remark(setup, found)
+    texts = remarks(setup, found)
     if found is not None and found.unstable and is_real(setup):
         raise InputError(
-            text or "", f'test "{setup.test.test.name}" on rig "{setup.rig_file.rig.name}"'
+            "; ".join(texts), f'test "{setup.test.test.name}" on rig "{setup.rig_file.rig.name}"'
         )
-    return text
+    return texts

@@ -189,7 +189,7 @@ def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:
     assert setup.group is not None
     loop = loop_stability.judge(setup)
     warnings = _limits_in_reach(setup, setup.group)
-    warnings += filter(None, [loop_stability.remark(setup, loop)])
+    warnings += loop_stability.remarks(setup, loop)
     if loop is not None and loop.unstable and loop_stability.is_real(setup):
         warnings.append("a test in real time will be refused: the loop is unstable")
     return ExaminedAxes(setup, setup.group, loop, (*setup.notes, NOT_COMPUTED), tuple(warnings))

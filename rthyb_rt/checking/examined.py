@@ -102,9 +102,7 @@ def examine(test_file: TestFile, rig_file: RigFile, rig: str | None = None) -> E
     commissioning = None if rig is None else facts.commissioning_of(setup.rig, rig)
     notes, warnings = remarks.remarks(setup, figures)
     warnings += remarks.run_on_warnings(setup, figures, runs_on)
-    remark = loop_stability.remark(setup, loop)
-    if remark is not None:
-        warnings.append(remark)
+    warnings += loop_stability.remarks(setup, loop)
     if loop is not None and loop.unstable and loop_stability.is_real(setup):
         warnings.append("a test in real time will be refused: the loop is unstable")
     if commissioning is not None and commissioning["why_not"]:

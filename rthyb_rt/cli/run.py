@@ -194,8 +194,8 @@ def _tell_notes(setup: Setup, *, realtime: bool) -> None:
     from rthyb_rt.analysis import loop_stability
 
     # In virtual time an unstable loop is not refused: seeing it diverge may be the purpose.
-    remark = loop_stability.demand(setup) if realtime else loop_stability.remark_of(setup)
-    for note in (*setup.notes, *filter(None, [remark])):
+    remarks = loop_stability.demand(setup) if realtime else loop_stability.remarks_of(setup)
+    for note in (*setup.notes, *remarks):
         terminal.tell(f"note: {note}")
 
 

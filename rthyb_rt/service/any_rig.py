@@ -27,8 +27,7 @@ def prepare(test: TestFile, rig: RigFile | AxesRig, record: GroundMotion) -> Set
         setup = axes_experiment.prepare(test, rig, real_time=True, record=record)
     else:
         setup = experiment.prepare(test, rig, real_time=True, record=record)
-    remark = loop_stability.demand(setup)
-    return setup if remark is None else replace(setup, notes=(*setup.notes, remark))
+    return replace(setup, notes=(*setup.notes, *loop_stability.demand(setup)))
 
 
 def at_rest(rig: RigFile | AxesRig) -> Setup:
