@@ -58,11 +58,14 @@ def test_a_specimen_at_rest_is_shaken_by_noise_as_predicted(
     assert setup.group is not None
     jacobian = setup.group.rig.core_kinematics().jacobian()
     loop = axes_roots.loop_of(setup.controller, known[0], known[1][0], jacobian)
-    predicted = axes_noise.accelerations(setup, loop)
+    predicted = axes_noise.of_loop(setup, loop)
     rec = virtual_time.run(setup)
     rows = rec.samples[rec.samples["state"] == core.RUNNING]
-    found = [np.diff(rows[name], 2).std() * RATE_HZ**2 for name in ("x_plc_m", "x_plc_m_1")]
-    assert found == pytest.approx(predicted, rel=0.05)
+    commands = [rows[name] for name in ("x_plc_m", "x_plc_m_1")]
+    found = [np.diff(x, 2).std() * RATE_HZ**2 for x in commands]
+    assert found == pytest.approx(predicted["acceleration"], rel=0.05)
+    found = [np.diff(x).std() * RATE_HZ for x in commands]
+    assert found == pytest.approx(predicted["velocity"], rel=0.05)
 
 
 def test_noise_that_exceeds_the_acceleration_limit_is_said_before_the_test(tmp_path: Path) -> None:
@@ -72,7 +75,8 @@ def test_noise_that_exceeds_the_acceleration_limit_is_said_before_the_test(tmp_p
     assert "controller.rfc.cutoff_hz" in text
     found = axes_noise.judge(setup)
     assert found is not None
-    sigmas = found.limit_m_per_s2 / found.acceleration_m_per_s2
+    assert (found.axis, found.quantity) == ("lower", "acceleration")
+    sigmas = found.limit / found.deviation
     assert found.limited == pytest.approx(2.0 * scipy.stats.norm.sf(sigmas), rel=1e-9)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from rthyb_rt.analysis import axes_noise, axes_roots, loop_roots
+from rthyb_rt.analysis import axes_noise, axes_roots, command_noise, loop_roots
 from rthyb_rt.analysis.loop_roots import LoopVerdict
 from rthyb_rt.config import response
 from rthyb_rt.errors import InputError
@@ -31,8 +31,11 @@ def remarks(setup: Setup, found: LoopVerdict | None) -> list[str]:
     if found is None:
         return []
     fast = _advice(setup, found) if setup.group is None else _FAST_AXES
-    noisy = None if found.unstable or setup.group is None else axes_noise.remark(setup)
-    return [text for text in (loop_roots.remark(found, fast), noisy) if text]
+    if found.unstable:
+        # What noise asks of a loop in which it is not damped has no standard deviation.
+        return list(filter(None, [loop_roots.remark(found, fast)]))
+    noise = command_noise.judge(setup) if setup.group is None else axes_noise.judge(setup)
+    return [text for text in (loop_roots.remark(found, fast), command_noise.remark(noise)) if text]
 
 
 def _advice(setup: Setup, found: LoopVerdict | None) -> str:
