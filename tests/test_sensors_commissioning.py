@@ -1031,3 +1031,21 @@ def test_the_commands_commission_and_jog_with_the_sensors_of_all_axes(
     (wire_row,) = [line for line in done.out.splitlines() if line.startswith("wire")]
     assert "by its along" in wire_row
     assert float(wire_row.split()[1]) == pytest.approx(0.25, abs=0.01)
+
+
+# ---- room for the motions -----------------------------------------------------------------------
+
+
+def test_a_distance_whose_way_to_the_other_side_is_beyond_the_limit_is_refused_in_words() -> None:
+    limit = read(DEFAULTS).of_axis("left").limits.command_position_m
+    assert limit is not None
+    room_m = limit.value
+    with pytest.raises(RefusedError) as caught:
+        commissioned("left", distance_m=0.8 * room_m)
+    shown = f"{800.0 * room_m:g} mm"
+    assert f"moves from {shown} on one side to {shown} on the other" in str(caught.value)
+    assert f"choose a distance of at most {500.0 * room_m:g} mm" in str(caught.value)
+    with pytest.raises(RefusedError, match=r"more than limits\.command_position_m"):
+        commissioned("left", distance_m=1.1 * room_m)
+    # Without the comparison of the sensors, there is no motion to the other side.
+    assert commissioned("left", steps=("link",), distance_m=0.8 * room_m).steps["link"].passed

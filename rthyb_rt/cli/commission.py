@@ -35,7 +35,13 @@ def commission(
         ),
     ] = None,
     distance: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Distance of the small motions, with its sign.")
+        str,
+        typer.Option(
+            metavar="LENGTH",
+            help="Distance of the small motions, with its sign, at most limits.command_position_m. "
+            "On a rig with sensors without an actuator, the actuator also moves as far to the "
+            "other side: twice the distance must be within the limit.",
+        ),
     ] = "1 mm",
     yes: Annotated[
         bool, typer.Option("--yes", help="Do not ask before each motion; for scripts.")

@@ -13,6 +13,7 @@ from rthyb_rt import core
 from rthyb_rt.core import FLAGS
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment
+from rthyb_rt.lab.realtime import RefusedError
 from rthyb_rt.rig.commissioning import limit_checks, polarity, sensor_checks, stops
 from rthyb_rt.rig.commissioning.certificate import STEPS, Certificate, CheckedStep, now, rig_hash
 from rthyb_rt.rig.commissioning.guided_motion import (
@@ -82,9 +83,7 @@ def commission(
         RthybError: a motion failed for a reason other than the one being checked.
     """
     check_limits(connection.rig)
-    # With sensors without an actuator, one motion leads from one side to the other.
-    sides = 2.0 if "polarity" in plan.steps and _has_sensors(connection) else 1.0
-    check_distance(connection.rig, sides * plan.distance_m)
+    _check_room(connection, plan)
     rig = connection.rig
     # The operator confirms each motion and knows why the drive stopped: most often by a check.
     connection = replace(connection, resets=True)
@@ -107,6 +106,29 @@ def commission(
             plan.tell("the following steps depend on this one: correct the fault, then start again")
             break
     return certificate
+
+
+def _check_room(connection: Connection, plan: CommissioningSettings) -> None:
+    """Refuse motions that would go beyond the rig's position limit.
+
+    With sensors without an actuator, one of them leads from one side of the position at the start
+    to the other, and a limit counts from where a motion begins.
+
+    Raises:
+        RefusedError: states how far is allowed.
+    """
+    check_distance(connection.rig, plan.distance_m)
+    limit, whole_m = connection.rig.limits.command_position_m, 2.0 * abs(plan.distance_m)
+    to_both_sides = "polarity" in plan.steps and _has_sensors(connection)
+    if not to_both_sides or limit is None or not limit.acts or whole_m <= limit.value:
+        return
+    shown = f"{abs(plan.distance_m) * 1e3:g} mm"
+    raise RefusedError(
+        f"a distance of {shown} is too large: to compare the sensors without an actuator, the "
+        f"actuator moves from {shown} on one side to {shown} on the other, which is "
+        f"{whole_m * 1e3:g} mm in one motion, and limits.command_position_m allows "
+        f"{limit.value * 1e3:g} mm; choose a distance of at most {limit.value * 0.5e3:g} mm"
+    )
 
 
 def _print_step(plan: CommissioningSettings, step: CheckedStep) -> None:
