@@ -6,6 +6,8 @@ import csv
 import os
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import h5py
@@ -20,6 +22,7 @@ from rthyb_rt.analysis.summary import OUT_OF_RANGE
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.record import mat_csv
+from rthyb_rt.record import recording as files
 from rthyb_rt.record.recording import (
     SCHEMA,
     UNITS,
@@ -338,3 +341,24 @@ def test_mat_without_scipy_names_the_remedy(
     with pytest.raises(InputError, match=r"pip install 'rthyb-rt\[fit\]'"):
         mat_csv.to_mat(short, tmp_path / "recording.mat")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_two_threads_write_their_recordings_at_the_same_time(
+    short: RecordedTest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both files are open at once: neither may hinder the other."""
+    filled, both = files.fill, threading.Barrier(2, timeout=20.0)
+
+    def together(file: h5py.File, rec: RecordedTest) -> None:
+        both.wait()
+        filled(file, rec)
+        both.wait()
+
+    monkeypatch.setattr(files, "fill", together)
+    rec = short
+    paths = [tmp_path / name / "recording.h5" for name in "ab"]
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(lambda path: write(path, rec), paths))
+    monkeypatch.undo()
+    first, second = (read(path) for path in paths)
+    assert first.samples.tobytes() == second.samples.tobytes() == rec.samples.tobytes()

@@ -18,6 +18,7 @@ import contextlib
 import json
 import os
 import tomllib
+import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -400,7 +401,8 @@ def write(path: str | Path, rec: RecordedTest) -> None:
     import h5py
 
     # Built in memory: on a full disk the HDF5 library crashes, while a plain write says so.
-    with h5py.File("recording", "w", driver="core", backing_store=False) as file:
+    # HDF5 refuses a name that is open already, even in memory and in another thread.
+    with h5py.File(uuid.uuid4().hex, "w", driver="core", backing_store=False) as file:
         fill(file, rec)
         file.flush()
         image = file.id.get_file_image()
