@@ -297,3 +297,16 @@ def test_help_has_an_example(rthyb: Rthyb, command: str) -> None:
     answer = rthyb(command, "--help")
     assert answer.code == 0
     assert f"  rthyb {command}" in answer.out
+
+
+def test_identify_takes_the_velocity_of_the_fast_sines(rthyb: Rthyb, tmp_path: Path) -> None:
+    out = str(tmp_path / "rig.toml")
+    answer = rthyb(
+        "identify", "delay-10-elastic", "--max-frequency", "8 Hz", "--max-velocity", "30", "--out",
+        out,
+    )  # fmt: skip
+    assert answer.code == 0, answer.err
+    assert "so that no sine is faster than 30 mm/s" in answer.out
+    refused = rthyb("identify", "delay-10-elastic", "--max-velocity", "11 m/s")
+    assert refused.code == 2
+    assert "a velocity from 0.1 mm/s to 10 m/s" in " ".join(refused.err.split())

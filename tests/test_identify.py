@@ -298,6 +298,19 @@ def test_sweep_stays_below_its_velocity() -> None:
         assert 2 * math.pi * frequency * sweep.amplitude_at(frequency) <= 0.05 * (1 + 1e-12)
 
 
+def test_a_higher_velocity_is_allowed_and_a_reduced_amplitude_is_noted() -> None:
+    of_rig = rig("delay-10-elastic")
+    usual = identify(of_rig, SweepPlan.up_to(8.0))
+    (note,) = (text for text in usual.notes if "amplitude is less" in text)
+    # 50 mm/s are 2 mm at 3.98 Hz.
+    assert "from 4 Hz the amplitude is less than 2 mm, 0.995 mm at 8 Hz" in note
+    assert "no sine is faster than 50 mm/s" in note
+    faster = identify(of_rig, SweepPlan.up_to(8.0, 2e-3, 0.2))
+    assert not [text for text in faster.notes if "amplitude is less" in text]
+    assert [tone.amplitude_m for tone in faster.tones] == pytest.approx([2e-3] * 8)
+    assert usual.tones[-1].amplitude_m == pytest.approx(0.05 / (2 * math.pi * 8.0))
+
+
 def test_one_slow_sine_is_enough() -> None:
     result = identify(rig("delay-10-elastic"), SweepPlan.up_to(0.3))
     assert_allclose(result.k_e_n_per_m, 4737410.0, rtol=1e-6)

@@ -27,6 +27,8 @@ _WORDS: Final = {r" \(--amplitude\)": "", r" \(--max-frequency\)": ", max_freque
 _AMPLITUDE: Final = Range("m", 1e-5, 1.0, "the amplitude of the slow sines", 'as in "1 mm"')
 _FREQUENCY: Final = Range("Hz", 0.05, 100.0, "the last sine's frequency", 'as in "5 Hz"')
 
+_VELOCITY: Final = Range("m/s", 1e-4, 10.0, "the largest velocity of a sine", 'as in "50 mm/s"')
+
 
 class Identification:
     """Result of an identification.
@@ -155,6 +157,7 @@ def identify(
     *,
     amplitude: float | str = "2 mm",
     max_frequency: float | str = "10 Hz",
+    max_velocity: float | str = "50 mm/s",
     progress: Progress | None = None,
 ) -> Identification | AxesIdentification:
     """Determine delay, gain, stiffness and noise of a virtual rig with sines of rising frequency.
@@ -167,6 +170,8 @@ def identify(
             elastic stiffness, which is to be found.
         amplitude: amplitude of the slow sines in m, or a string with a unit; 0.01 mm to 1 m.
         max_frequency: frequency of the last sine in Hz, or a string with a unit; 0.05 Hz to 100 Hz.
+        max_velocity: largest velocity of a sine in m/s, or a string with a unit; 0.1 mm/s to
+            10 m/s. The amplitude of faster ones is reduced, and a note says so.
         progress: called at intervals.
 
     Returns:
@@ -183,20 +188,22 @@ def identify(
         10
     """
     on = files.rig_to_identify(rig)
+    require_progress(progress, "identify")
     try:
-        return _identified(on, amplitude, max_frequency, progress)
+        sweep = identification.SweepPlan.up_to(
+            _read(max_frequency, "max_frequency", _FREQUENCY),
+            _read(amplitude, "amplitude", _AMPLITUDE),
+            _read(max_velocity, "max_velocity", _VELOCITY),
+        )
+        return _identified(on, sweep, progress)
     except InputError as error:
         # The cause is an exception that a user's element raised, or there is none.
         raise in_python(error, _WORDS) from error.__cause__
 
 
 def _identified(
-    on: Rig, amplitude: float | str, max_frequency: float | str, progress: Progress | None
+    on: Rig, sweep: identification.SweepPlan, progress: Progress | None
 ) -> Identification | AxesIdentification:
-    require_progress(progress, "identify")
-    sweep = identification.SweepPlan.up_to(
-        _read(max_frequency, "max_frequency", _FREQUENCY), _read(amplitude, "amplitude", _AMPLITUDE)
-    )
     file, called = files.file_of_rig(on), f"identified {on.name}"
     if isinstance(file, AxesRig):
         of_all = identify_axes.identify_rig(file, sweep, progress)

@@ -45,6 +45,14 @@ def identify(
             metavar="FREQUENCY", help="Frequency of the last sine wave, 0.05 Hz to 100 Hz."
         ),
     ] = "10 Hz",
+    max_velocity: Annotated[
+        str,
+        typer.Option(
+            metavar="VELOCITY",
+            help="Largest velocity of a sine wave, 0.1 mm/s to 10 m/s; the amplitude of faster "
+            "ones is reduced, and a note says so.",
+        ),
+    ] = "50 mm/s",
     settings: RigSetOption = None,
     out: Annotated[
         Path | None,
@@ -91,6 +99,7 @@ def identify(
     sweep = SweepPlan.up_to(
         quantities.read(max_frequency, "--max-frequency", FREQUENCY),
         quantities.read(amplitude, "--amplitude", AMPLITUDE),
+        quantities.read(max_velocity, "--max-velocity", VELOCITY),
     )
     several = load_axes_rig(rig, settings)
     if several is not None:
@@ -271,6 +280,8 @@ def _print_axes(rig: AxesRig, result: AxesResult, file: IO[str]) -> None:
 FREQUENCY = Allowed("Hz", "Hz", 0.05, 100.0, "a frequency from 0.05 Hz to 100 Hz", "5 Hz")
 # The lower bound refuses 0.002, a length in metres given without its unit.
 AMPLITUDE = Allowed("m", "mm", 1e-5, 1.0, "a length from 0.01 mm to 1 m", "1 mm")
+
+VELOCITY = Allowed("m/s", "mm/s", 1e-4, 10.0, "a velocity from 0.1 mm/s to 10 m/s", "50 mm/s")
 
 
 def _note_rate(rate: Rate, file: IO[str]) -> None:

@@ -64,6 +64,9 @@ NOISE_SCATTER = 4.0
 READ_SHARE = 0.8
 """Smallest share of the rows of a fit that must contain a reading."""
 
+MOST_VELOCITY_M_PER_S = 0.05
+"""Velocity of the fast sines that a small laboratory actuator follows without saturation."""
+
 MEMORY_TICKS = 64
 """Ticks after which a substituted reading no longer affects the filters of the estimator."""
 
@@ -83,13 +86,18 @@ class SweepPlan:
 
     frequencies_hz: tuple[float, ...] = FREQUENCIES_HZ[:9]
     amplitude_m: float = 2e-3
-    velocity_m_per_s: float = 0.05
+    velocity_m_per_s: float = MOST_VELOCITY_M_PER_S
 
     @classmethod
-    def up_to(cls, highest_hz: float, amplitude_m: float = 2e-3) -> SweepPlan:
+    def up_to(
+        cls,
+        highest_hz: float,
+        amplitude_m: float = 2e-3,
+        velocity_m_per_s: float = MOST_VELOCITY_M_PER_S,
+    ) -> SweepPlan:
         """Return the usual frequencies up to and including ``highest_hz``."""
         below = tuple(f for f in FREQUENCIES_HZ if f < highest_hz)
-        return cls((*below, highest_hz), amplitude_m)
+        return cls((*below, highest_hz), amplitude_m, velocity_m_per_s)
 
     @property
     def ticks(self) -> int:
@@ -721,9 +729,24 @@ def _check_specimen(rig: RigFile, part: SineRows, slowest: Tone, noise_n: float)
         )
 
 
+def _reduced(tones: list[Tone]) -> list[str]:
+    """Return a note if the amplitude of fast sines was reduced."""
+    usual_m = tones[0].amplitude_m
+    smaller = [tone for tone in tones if tone.amplitude_m < usual_m * (1.0 - 1e-6)]
+    if not smaller:
+        return []
+    fastest, last = max(2e3 * np.pi * t.frequency_hz * t.amplitude_m for t in smaller), smaller[-1]
+    return [
+        f"from {smaller[0].frequency_hz:g} Hz the amplitude is less than {usual_m * 1e3:.4g} mm, "
+        f"{last.amplitude_m * 1e3:.3g} mm at {last.frequency_hz:g} Hz, so that no sine is faster "
+        f"than {fastest:.4g} mm/s: allow a higher velocity if the actuator can follow it and "
+        "noise or friction hides the small motion"
+    ]
+
+
 def _notes(tones: list[Tone], stiffness: float, alpha: float) -> list[str]:
     """Return notes for the user."""
-    notes = []
+    notes = _reduced(tones)
     worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
     if worst.distortion > STIFFNESS_NONLINEAR:
         notes.append(
