@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rthyb_rt.analysis.balance import EnergyBalance
     from rthyb_rt.analysis.spectra import FrequencyResponse
-    from rthyb_rt.api.checking import Check, check
+    from rthyb_rt.api.checking import Check, RigCheck, check
     from rthyb_rt.api.comparing import Comparison, compare
     from rthyb_rt.api.diagnosing import Diagnosis, diagnose
     from rthyb_rt.api.files import Rig, Test
@@ -54,6 +54,7 @@ __all__ = [
     "Recording",
     "Replay",
     "Rig",
+    "RigCheck",
     "RthybError",
     "Sweep",
     "Test",
@@ -90,6 +91,7 @@ _HOMES = {
     "Recording": "api.recordings",
     "Replay": "lab.experiment",
     "Rig": "api.files",
+    "RigCheck": "api.checking",
     "RthybError": "errors",
     "Sweep": "api.sweeping",
     "Test": "api.files",

@@ -20,10 +20,12 @@ import numpy as np
 import own_parts
 import pytest
 from bench import interface
+from command_line import Rthyb
 
 import rthyb_rt as rt
 from rthyb_rt import config
 from rthyb_rt.analysis import summary
+from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.record import recording
 
@@ -914,3 +916,85 @@ def test_tests_that_come_with_the_program_are_compared_by_their_names() -> None:
         "section5-t0.5, reference simulation",
         "section5-t1.0, reference simulation",
     ]
+
+
+# ---- what a test or a rig has, it keeps ---------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda test, rig: test["numerical"].update(mass_kg=1.0), 'test["numerical"] cannot'),
+        (lambda test, rig: test["numerical"].pop("mass_kg"), "test.with_"),
+        (lambda test, rig: rig["specimen"].append({}), 'rig["specimen"] cannot be changed'),
+        (lambda test, rig: rig["specimen"][0].clear(), 'rig["specimen.0"] cannot be changed'),
+        (lambda test, rig: rig["identified"]["frequency_hz"].sort(), "rig.with_"),
+    ],
+)
+def test_a_change_of_a_table_in_place_is_refused(
+    change: Callable[[rt.Test, rt.Rig], object], said: str
+) -> None:
+    test, rig = rt.Test("section5-T0.5"), rt.Rig("delay-10-elastic")
+    before = test.to_toml(), rig.to_toml()
+    with pytest.raises(TypeError) as caught:
+        change(test, rig)
+    assert said in str(caught.value)
+    assert (test.to_toml(), rig.to_toml()) == before
+
+
+def test_a_setting_that_is_assigned_names_the_copy_to_make() -> None:
+    test = rt.Test("section5-T0.5")
+    with pytest.raises(TypeError) as caught:
+        test["numerical"]["mass_kg"] = 1.0
+    assert str(caught.value) == (
+        'test["numerical"]["mass_kg"] cannot be changed, because a test never changes; '
+        'test.with_({"numerical.mass_kg": ...}) returns a changed copy'
+    )
+    table = test["numerical"]
+    with pytest.raises(TypeError, match="never changes"):
+        table |= {"mass_kg": 1.0}
+
+
+def test_what_is_read_from_a_rig_is_a_start_for_a_changed_copy() -> None:
+    rig = rt.Rig("delay-10-elastic")
+    longer = rig.with_(specimen=[*rig["specimen"], {"element": "coulomb", "fc_n": 10.0}])
+    assert len(longer["specimen"]) == 2
+    for copied in (copy.deepcopy(rig["specimen"]), pickle.loads(pickle.dumps(rig["specimen"]))):
+        assert copied == rig["specimen"]
+        copied[0]["k_n_per_m"] = 1.0
+    own = dict(rig["actuator"])
+    own["delay_samples"] = 12
+    assert rig.with_(actuator=own)["actuator.delay_samples"] == 12
+    assert json.loads(json.dumps(rig["actuator"])) == rig["actuator"]
+
+
+# ---- a rig alone --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["shaking-table-can", "two-axis-frame"])
+def test_a_rig_is_checked_alone_as_on_the_command_line(name: str, rthyb: Rthyb) -> None:
+    told = json.loads(rthyb("check", "--rig", name, "--json").out)
+    for found in (rt.check(rig=name), rt.check(rt.Rig(name)), rt.check(None, rt.Rig(name))):
+        assert isinstance(found, rt.RigCheck)
+        assert json.loads(json.dumps(found.document)) == told
+        assert found.warnings == told["warnings"]
+        assert found.notes == told["notes"]
+        assert found.table[0][0] in ("Actuator", "Axis upper")
+        assert f"RigCheck {name}: no errors" in repr(found)
+        assert "<table" in found._repr_html_()
+
+
+def test_a_rig_that_exists_only_in_python_is_checked_alone() -> None:
+    made = rt.Rig("delay-10-elastic").with_(rig={"name": "mine"})
+    found = rt.check(rig=made)
+    assert found.document["rig_name"] == "mine"
+    assert found.document["commissioning"] is None
+    with pytest.raises(InputError, match="or only a rig, check"):
+        rt.check(None)  # type: ignore[call-overload]
+
+
+def test_a_rig_file_without_a_stiffness_is_checked_alone(tmp_path: Path) -> None:
+    shipped = config.shipped_rig("delay-10-elastic").read_text("utf-8")
+    path = tmp_path / "new.toml"
+    path.write_text(shipped.replace("elastic_stiffness_n_per_m = 4737410\n", ""), "utf-8")
+    assert rt.check(rig=path).document["elastic_stiffness_n_per_m"] is None

@@ -436,3 +436,19 @@ def test_a_rig_file_without_stiffness_can_be_identified_which_is_what_finds_it(
     assert found.rig["rig.elastic_stiffness_n_per_m"] == pytest.approx(6.7e5, rel=1e-3)
     with pytest.raises(rt.InputError, match="elastic_stiffness_n_per_m: missing"):
         rt.Rig(path)
+
+
+def test_a_sweep_with_a_velocity_of_its_own() -> None:
+    found = rt.identify("delay-10-elastic", max_frequency="8 Hz", max_velocity="200 mm/s")
+    assert found.tones[-1]["amplitude_m"] == pytest.approx(2e-3)
+    slow = rt.identify("delay-10-elastic", max_frequency=8.0, max_velocity=0.02)
+    assert slow.tones[-1]["amplitude_m"] == pytest.approx(0.02 / (2.0 * np.pi * 8.0))
+    assert any("no sine is faster than 20 mm/s" in note for note in slow.notes)
+    with pytest.raises(rt.InputError, match="the largest velocity of a sine"):
+        rt.identify("delay-10-elastic", max_velocity="20 m/s")
+
+
+def test_the_name_of_a_shipped_test_is_a_model(rec: rt.Recording) -> None:
+    by_name, by_test = rt.diagnose(rec, "section5-T0.5"), rt.diagnose(rec, rt.Test("section5-T0.5"))
+    assert by_name.verdict == by_test.verdict == "none"
+    assert by_name.effects == by_test.effects

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test, path_of
@@ -17,6 +17,7 @@ from rthyb_rt.errors import InputError
 if TYPE_CHECKING:
     from rthyb_rt.checking.checked_axes import ExaminedAxes
     from rthyb_rt.checking.examined import Examined
+    from rthyb_rt.checking.examined_rig import ExaminedRig
 
 
 class Check:
@@ -102,20 +103,87 @@ class Check:
         )
 
     def _repr_html_(self) -> str:
-        from html import escape
-
-        lines = [f"<p>{escape(repr(self)[1:-1])}</p>"]
-        lines += [f"<p><b>Warning:</b> {escape(text)}</p>" for text in self.warnings]
-        lines += [f"<p>Note: {escape(text)}</p>" for text in self.notes]
-        return "".join([*lines, html_table(self.table)])
+        return _as_html(self)
 
 
-def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
-    """Check a test without running it.
+class RigCheck:
+    """Result of the check of a rig without a test, whose file has no errors."""
+
+    def __init__(self, found: ExaminedRig) -> None:
+        self._found = found
+
+    @property
+    def warnings(self) -> list[str]:
+        """What real time will be refused for."""
+        return list(self._found.warnings)
+
+    @property
+    def notes(self) -> list[str]:
+        """What a test on this rig must provide, or what remains to be identified."""
+        return list(self._found.notes)
+
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """The complete result, as in ``rthyb check --rig RIG --json``."""
+        document: dict[str, Any] = finite(self._found.document())
+        return document
+
+    @property
+    def table(self) -> list[tuple[str, str, str]]:
+        """All tables of the command line in one: quantity, value, meaning."""
+        return [row for rows in self._found.tables() for row in rows]
+
+    def __repr__(self) -> str:
+        return (
+            f"<RigCheck {self._found.name}: no errors, {len(self.warnings)} warnings, "
+            f"{len(self.notes)} notes>"
+        )
+
+    def _repr_html_(self) -> str:
+        return _as_html(self)
+
+
+def _as_html(found: Check | RigCheck) -> str:
+    from html import escape
+
+    lines = [f"<p>{escape(repr(found)[1:-1])}</p>"]
+    lines += [f"<p><b>Warning:</b> {escape(text)}</p>" for text in found.warnings]
+    lines += [f"<p>Note: {escape(text)}</p>" for text in found.notes]
+    return "".join([*lines, html_table(found.table)])
+
+
+def _check_rig(rig: Rig | Place) -> RigCheck:
+    """Check a rig without a test; as on the command line, its file may lack the stiffness."""
+    from rthyb_rt import config
+    from rthyb_rt.checking.examined_rig import examine_rig
+
+    on, stated = files.rig_to_identify(rig), True
+    origin = files.origin_of(on)
+    path = None if origin is None else Path(origin)
+    if path is not None and not isinstance(rig, Rig) and not config.has_axes(path):
+        stated = config.with_some_stiffness(path, {}) == {}
+    return RigCheck(examine_rig(files.file_of_rig(on), path, stiffness_stated=stated))
+
+
+@overload
+def check(test: Rig, rig: None = None) -> RigCheck: ...
+@overload
+def check(test: None = None, *, rig: Rig | Place) -> RigCheck: ...
+@overload
+def check(test: Test | Place, rig: Rig | Place | None = None) -> Check: ...
+def check(
+    test: Test | Rig | Place | None = None, rig: Rig | Place | None = None
+) -> Check | RigCheck:
+    """Check a test without running it, or a rig without a test.
 
     Args:
-        test: a test, or the path or name of one.
+        test: a test, or the path or name of one. Without it, or with a rig in its place, the rig is
+            checked alone.
         rig: a rig, or the path or name of one; None: the rig of the test.
+
+    Returns:
+        The result; for a rig alone, a `RigCheck`: what was identified, link, commissioning,
+        calibration and limits.
 
     Raises:
         InputError: test, rig or ground motion are invalid; the message lists all errors. Or your
@@ -125,14 +193,21 @@ def check(test: Test | Place, rig: Rig | Place | None = None) -> Check:
     Examples:
         >>> round(check("section5-T0.5").figures["period_s"], 3)
         0.5
+        >>> check(rig="delay-10-elastic").document["actuator"]
+        'pure-delay'
     """
     from rthyb_rt.checking.checked_axes import examine_axes
     from rthyb_rt.checking.examined import examine
 
+    if isinstance(test, Rig) and rig is None:
+        return _check_rig(test)
+    if test is None and rig is not None:
+        return _check_rig(rig)
     if test is None:
         raise InputError(
             "found nothing (None); give a test, or the path of a test file or the name of one "
-            f"that comes with the program: {', '.join(Test.names())}",
+            f"that comes with the program: {', '.join(Test.names())}; or only a rig, "
+            'check(rig="NAME")',
             "check: test",
         )
     found = files.as_test(test)

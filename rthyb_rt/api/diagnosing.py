@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rthyb_rt import config
 from rthyb_rt.api.files import Place, Rig, Test, path_of, toml_given
 from rthyb_rt.api.messages import MAP_WORDS, in_python, map_options, require_flag, require_progress
 from rthyb_rt.api.recordings import Recording
@@ -129,7 +130,8 @@ def diagnose(
     Args:
         recording: a recording, or the path of one, or of a CSV file from any source.
         model: the model to be examined: a rig, or the path or name of one, a test (its rig, and
-            its numerical part) or a test file, or a baseline file (``rthyb-baseline/1``).
+            its numerical part) or the path or name of one, or a baseline file
+            (``rthyb-baseline/1``).
         columns: for a CSV file: column by channel, ``{"x_meas": "LVDT 1 [mm]"}``, or a mapping
             file.
         heldout: a second recording, used to validate the answer.
@@ -255,8 +257,8 @@ def _as_files(
             )
         else:
             what = "a rig, test or baseline file, or the name of a shipped one"
-            given = path_of(model, "diagnose: model", what, "a rig, a test")
-            model_path = find_model(str(given))
+            given = str(path_of(model, "diagnose: model", what, "a rig, a test"))
+            model_path = find_model(config.test_as_model(given))
         yield (
             recorded(recording, "recording"),
             model_path,

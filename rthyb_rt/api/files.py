@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Generic, Literal, Self, 
 import numpy as np
 
 from rthyb_rt import config
+from rthyb_rt.api import read_only
 from rthyb_rt.config import AxesRig, RigFile, TestFile
 from rthyb_rt.config.fields import Table, nearest, with_extension, written
 from rthyb_rt.config.own_tables import PYTHON
@@ -215,6 +216,8 @@ class _Document(Generic[_File]):
     def __getitem__(self, key: str) -> Any:
         """Return the value of a dotted key, such as ``"numerical.mass_kg"``.
 
+        A table or a list refuses every change, since `with_` returns a changed copy.
+
         Raises:
             InputError: there is no such key; the message lists the keys of that table.
         """
@@ -232,7 +235,7 @@ class _Document(Generic[_File]):
                     f"{self._kind}[{written(key)}]",
                 )
             place = inside
-        return place
+        return read_only.of(place, self._kind, str(key))
 
     __iter__ = None
     """Without it, Python would ask for the keys 0, 1 and so on."""

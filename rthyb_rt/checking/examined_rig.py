@@ -139,12 +139,14 @@ class ExaminedRig:
         }
 
 
-def examine_rig(rig: RigFile | AxesRig, path: Path, *, stiffness_stated: bool) -> ExaminedRig:
+def examine_rig(
+    rig: RigFile | AxesRig, path: Path | None, *, stiffness_stated: bool
+) -> ExaminedRig:
     """Check a rig without a test.
 
     Args:
         rig: the rig.
-        path: its file, from which its commissioning is found.
+        path: its file, from which its commissioning is found; None: it has none.
         stiffness_stated: whether the file states the elastic stiffness.
 
     Raises:
@@ -174,7 +176,7 @@ def _axis(
     name: str,
     rig: RigFile,
     k_e_n_per_m: float | None,
-    path: Path,
+    path: Path | None,
     on_bus: Sequence[RigFile] = (),
 ) -> ExaminedAxis:
     return ExaminedAxis(
@@ -183,7 +185,7 @@ def _axis(
         k_e_n_per_m,
         facts.limits_of_rig(rig.limits),
         facts.link_of(rig, on_bus),
-        facts.commissioning_of(rig, str(path), name),
+        None if path is None else facts.commissioning_of(rig, str(path), name),
         facts.calibration_of(rig),
     )
 

@@ -38,7 +38,7 @@ ModelOption = Annotated[
         metavar="MODEL.toml",
         show_default=False,
         help="Model to compare with: a baseline file (rthyb-baseline/1), a rig or test file, "
-        "or the name of a shipped rig.",
+        "or the name of a shipped rig or test.",
     ),
 ]
 MapOption = Annotated[
@@ -167,6 +167,7 @@ def diagnose(
     """
     # Its matrix products are long and narrow: on several cores they take four times as long.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from rthyb_rt import config
     from rthyb_rt.diagnose import effects, mapping, reading
     from rthyb_rt.diagnose.axes import chosen
 
@@ -179,7 +180,7 @@ def diagnose(
     for path in effect or ():
         effects.load(path)
     wishes = mapping.read_wishes(columns or ())
-    model_path = reading.find_model(model)
+    model_path = reading.find_model(config.test_as_model(model))
     axes = chosen(recording, reading.axes_of(recording), model_path, axis, "--axis")
     if len(axes) > 1 and predict is not None:
         raise typer.BadParameter(

@@ -35,6 +35,7 @@ from rthyb_rt.config.loading import (
     shipped_rig,
     shipped_test,
     split_overrides,
+    test_as_model,
     with_some_stiffness,
 )
 from rthyb_rt.config.mapfile import MapFile
@@ -95,5 +96,6 @@ __all__ = [
     "shipped_rig",
     "shipped_test",
     "split_overrides",
+    "test_as_model",
     "with_some_stiffness",
 ]

@@ -585,6 +585,16 @@ def shipped(kind: Literal["rig", "test"]) -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}
 
 
+def test_as_model(name_or_path: str) -> str:
+    """Return the file of a shipped test for its name; anything else as it is.
+
+    As a model, a test is its rig and its numerical part; a rig of the same name goes before it.
+    """
+    if Path(name_or_path).exists() or name_or_path in shipped("rig"):
+        return name_or_path
+    return str(shipped("test").get(name_or_path, name_or_path))
+
+
 def _named(kind: Literal["rig", "test"], name: str) -> Path:
     files = shipped(kind)
     if name in files:
