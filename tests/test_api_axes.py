@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -242,3 +245,21 @@ def test_remedy_of_an_identification_is_in_words_of_python() -> None:
     ) as caught:
         rt.identify("two-axis-frame", max_frequency=2)
     assert "--" not in str(caught.value)
+
+
+def test_without_matplotlib_the_balance_of_several_axes_says_what_to_install(
+    rec: rt.Recording,
+) -> None:
+    """In a process of its own, where nothing has imported matplotlib before."""
+    code = (
+        "import sys; sys.modules['matplotlib'] = None; import rthyb_rt as rt; "
+        "rec = rt.open(sys.argv[1])\n"
+        "try:\n    rec.plot.balance()\n"
+        "except rt.InputError as error:\n    print(error)\n"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        path = rec.save(Path(folder) / "recording.h5")
+        told = subprocess.run(
+            [sys.executable, "-c", code, str(path)], check=True, capture_output=True, text=True
+        )
+    assert told.stdout.startswith("a figure needs matplotlib; install it with pip install")

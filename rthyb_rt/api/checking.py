@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, cast, overload
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test, path_of
@@ -210,7 +210,8 @@ def check(
             'check(rig="NAME")',
             "check: test",
         )
-    found = files.as_test(test)
+    # A rig in its place, with another rig beside it, is refused there.
+    found = files.as_test(cast("Test | Place", test))
     on = found.rig if rig is None else files.as_rig(rig)
     file = files.file_of_rig(on)
     if isinstance(file, AxesRig):

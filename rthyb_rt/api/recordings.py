@@ -275,7 +275,8 @@ class Plots:
 
         with extra_needed("a figure"):
             from rthyb_rt.report.axes_report import draw_balance
-        return plot_of(draw_balance(self._of.raw, self._of._of_axes))
+
+            return plot_of(draw_balance(self._of.raw, self._of._of_axes))
 
     def spectra(self) -> Plot:
         """Plot the spectra of command and measured displacement."""
