@@ -766,3 +766,18 @@ def test_a_long_recording_is_read_in_seconds(tmp_path):
     start = time.perf_counter()
     assert len(table.read_table(path).columns) == 5
     assert time.perf_counter() - start < 10.0
+
+
+def test_a_steel_coupon_far_beyond_yielding_is_no_wrong_unit(tmp_path):
+    """Its force may be a tenth of the elastic one, but it then has another shape."""
+    columns = cases.channels()
+    x = cases.moved(columns["x_cmd"])[0]
+    yields, force, held = 0.14 * np.max(np.abs(x)), np.zeros(x.size), 0.0
+    for i, dx in enumerate(np.diff(x, prepend=0.0)):
+        held = float(np.clip(held + dx, -yields, yields))
+        force[i] = cases.K * (0.02 * x[i] + 0.98 * held)
+    ratio = float(force @ x) / (cases.K * float(x @ x))
+    assert abs(9.81 * ratio - 1.0) < 0.1  # as if it were in kilograms force
+    del columns["x_cmd"]
+    columns["f_meas"] = force
+    read(tmp_path, written(columns, ",".join(columns), None, ",", "."))

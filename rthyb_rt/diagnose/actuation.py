@@ -21,7 +21,7 @@ from rthyb_rt.diagnose.estimate import (
     likeliest,
     noise_of,
 )
-from rthyb_rt.diagnose.form import neighbours, of_form
+from rthyb_rt.diagnose.form import gain_of_form, neighbours, of_form
 from rthyb_rt.diagnose.noise import TRIED
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import clustered, inflation, penalty
@@ -37,6 +37,7 @@ class ActuatorEffect:
         late: it begins in mid-recording; until then the model is right.
         limit: it has no effect, and no slope, until it is reached.
         in_rig_file: a rig file's actuator can represent it.
+        exact: its law has no other form: a constant delay, a gain.
     """
 
     name: str
@@ -51,6 +52,7 @@ class ActuatorEffect:
     late: bool = False
     limit: bool = False
     in_rig_file: bool = True
+    exact: bool = False
 
     def acts(self, model: ActuatorModel) -> bool:
         """Return whether a model, in which 0 means absent, has it."""
@@ -95,6 +97,7 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
         "displacement residual is linear in velocity",
         ("sweep", "the phase of a delay grows with frequency at constant amplitude"),
         "a delay of the actuator", "{dtau_s} {dtau_s:less|more} delay of the actuator", False,
+        exact=True,
     ),
     ActuatorEffect(
         "delay_rate", (Param("kappa_s2_m", "s^2/m", -10.0, 10.0),), ("kappa_s2_m",),
@@ -107,7 +110,7 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
         "act_gain", (Param("gain", "", 0.01, 100.0),), ("gain",), "x = gain x0",
         "displacement residual is linear in displacement",
         ("sweep", "a gain is the same at every frequency"),
-        "a gain error of the actuator", "an actuator that moves {gain:4} times as far",
+        "a gain error of the actuator", "an actuator that moves {gain:4} times as far", exact=True,
     ),
     ActuatorEffect(
         "oil_column", (Param("f_Hz", "Hz", 0.1, 1e5), Param("zeta", "", 1e-3, 1e3)),
@@ -387,14 +390,25 @@ class Actuation:
     def of_form(self, fit: ActuatorFit) -> Floats:
         """Return the covariance of a fit's parameters due to its effects' forms, (p, p)."""
         out = np.zeros_like(fit.covariance)
+        for near in self._near(fit):
+            out += of_form(fit.slopes, fit.residual, fit.covariance, near)
+        return out
+
+    def by_form(self, fit: ActuatorFit) -> float:
+        """Return the reduction of chi-squared if the effects of a fit may take any smooth form."""
+        near = self._near(fit)
+        return gain_of_form(fit.slopes, fit.residual, fit.covariance, near) if near else 0.0
+
+    def _near(self, fit: ActuatorFit) -> list[Floats]:
+        """Return the whitened neighbours of what each effect of a fit moves, each (rows, q)."""
         reach = [float(np.max(np.abs(s))) or 1.0 for s in (fit.motion.x, fit.motion.v)]
         over = list(zip((fit.motion.x, fit.motion.v), reach, strict=True))
+        out = []
         for effect in fit.effects:
             less: dict[str, Any] = {f: getattr(self.base, f) for f in effect.fields}
             without = self.simulate(replace(fit.model, **less)).x
             made = fit.motion.x - fit.zero_m - without
-            near = [self._seen(n) for n in neighbours(made, over)]
-            out += of_form(fit.slopes, fit.residual, fit.covariance, np.column_stack(near))
+            out.append(np.column_stack([self._seen(n) for n in neighbours(made, over)]))
         return out
 
     def _seen(self, moved: Floats) -> Floats:

@@ -52,7 +52,7 @@ class Relation:
         alike: correlation of the two, 0 to 1.
         of: the channels from which the expectation is computed.
         bound: the expectation is an upper bound: a ratio below one is no evidence.
-        exact: the size alone decides, within `unit_near`, for conversion factors between units.
+        exact: a size within `unit_near` of a conversion factor between units is evidence of it.
         than: description of the reference, if it is not the usual one.
     """
 
@@ -92,7 +92,7 @@ def check(
                 words
                 for factor, words in factors
                 for f in (factor, 1.0 / factor)
-                if r.exact and abs(r.ratio / f - 1.0) < POLICY.unit_near
+                if _converted(r, factor) and abs(r.ratio / f - 1.0) < POLICY.unit_near
             ),
             "",
         )
@@ -100,6 +100,15 @@ def check(
             raise InputError(_message(r, said, model, labels), where)
         if abs(r.ratio + 1.0) < POLICY.unit_near and _opposed(r, channels, model):
             raise InputError(_sign(r, labels, (stated or {}).get(r.channel)), where)
+
+
+def _converted(r: Relation, factor: float) -> bool:
+    """Return whether a ratio that equals a conversion factor is evidence of a wrong unit.
+
+    A specimen that yields may be softer than its model by any factor up to `wrong_unit`, but then
+    its force no longer has the shape of the model's; a unit preserves it.
+    """
+    return r.exact and (factor > POLICY.wrong_unit or r.alike > POLICY.shape_clearly)
 
 
 def _far(r: Relation) -> bool:

@@ -169,15 +169,22 @@ class _Weighed:
         earned = self.gain(fit, self.null) > self.task.price(fit)
         return earned and moved > POLICY.least_force * self.size
 
-    def completes(self, fit: ActuatorFit, effect: ActuatorEffect, own: float) -> bool:
+    def completes(self, fit: ActuatorFit, effect: ActuatorEffect, without: ActuatorFit) -> bool:
         """Return whether an effect reduces the misfit to noise if the model is known well.
 
-        It is then not a matter of form.
+        It is not a matter of form if it earns its price beyond what smooth changes of the form of
+        the other effects would earn, and is larger than the errors of any formula.
         """
         n = self.task.rows.size
         stated = self.task.case.model.k_tol is not None
-        at_noise = stated and fit.chi2 - n < POLICY.actuator_at_noise * n
-        return at_noise and own > POLICY.actuator_at_noise_price * self.task.price_of(effect)
+        if not stated or fit.chi2 - n >= POLICY.actuator_at_noise * n:
+            return False
+        own = self.gain(fit, without)
+        least = POLICY.actuator_at_noise_price * self.task.price_of(effect)
+        inexact = any(not e.exact for e in without.effects)
+        if inexact and own < POLICY.actuator_form**2 * self.gain(without, self.null):
+            return False
+        return own > least and own - self.task.by_form(without) / self.scale > least
 
     def needed(self, fit: ActuatorFit) -> bool:
         """Return whether no effect of a set can be omitted."""
@@ -190,7 +197,7 @@ class _Weighed:
             own = self.gain(fit, without)
             if own < self.task.price(fit) / len(fit.effects):
                 return False
-            if rest and own < least and not self.completes(fit, effect, own):
+            if rest and own < least and not self.completes(fit, effect, without):
                 return False
         return True
 

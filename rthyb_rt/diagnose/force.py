@@ -632,6 +632,7 @@ def _sweep(
     reached = first.chi2 if first is not None else best
     _reform(dictionary, fitter, strained or reached > POLICY.search_ends * rows)
     fitter.exchange()
+    _nested(dictionary, fitter)
     # Subsets of refined sets must be present for comparison.
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):
@@ -644,6 +645,37 @@ def _sweep(
     for fit in [f for f in ranked[:2] if len(f.members) == 3]:
         for i in range(3):
             fitter.fit(fit.members[:i] + fit.members[i + 1 :])
+
+
+def _nested(dictionary: Dictionary, fitter: _Fitter) -> None:
+    """Refine again, from its best subset, each set that fits worse than that subset.
+
+    A set contains its subset as a special case and cannot fit worse: it has been refined into
+    another minimum. The effect that the subset lacks begins in its refined shape, and in the most
+    promising one of the dictionary beside the subset.
+    """
+    for part in sorted(fitter.by_names.values(), key=fitter.score)[:LEADING]:
+        worse = [
+            f
+            for f in fitter.by_names.values()
+            if len(f.members) == len(part.members) + 1
+            and set(part.names) < set(f.names)
+            and f.chi2 > part.chi2
+        ]
+        if not worse:
+            continue
+        products = dictionary.beside(part)
+        for fit in worse:
+            added = [m for m in fit.members if not set(m.effect.names) <= set(part.names)]
+            if len(added) != 1:
+                continue
+            own = [(g,) for g, group in enumerate(dictionary.groups)
+                   if group.member.name == added[0].name]  # fmt: skip
+            for (g,) in dictionary.best(dictionary.sets(own, products), 1):
+                added.append(dictionary.groups[g].member)
+            for member in added:
+                if compatible([*part.members, member]):
+                    fitter.fit((*part.members, member))
 
 
 def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:

@@ -63,6 +63,24 @@ def of_form(design: Floats, residual: Floats, inverse: Floats, near: Floats) -> 
     return np.asarray(size2 * _wider(freedom) ** 2 * (taken @ taken.T))
 
 
+def gain_of_form(design: Floats, residual: Floats, inverse: Floats, near: list[Floats]) -> float:
+    """Return the reduction of chi-squared by smooth changes of some laws' forms.
+
+    Each coefficient has a prior, whose standard deviation is `form_error`.
+
+    Args:
+        design: slopes of the evaluated rows, whitened, (rows, p).
+        residual: whitened, (rows,).
+        inverse: inverse of the normal matrix including the priors, (p, p).
+        near: the `neighbours` of each law, whitened, each (rows, q).
+    """
+    columns = np.column_stack(near)
+    seen = columns - design @ (inverse @ (design.T @ columns))
+    score = seen.T @ residual
+    held = seen.T @ seen + np.eye(score.size) / POLICY.form_error**2
+    return float(score @ np.linalg.solve(held, score))
+
+
 def _wider(freedom: float) -> float:
     """Return the ratio of the 95 % points of Student's and the normal distribution.
 

@@ -241,6 +241,11 @@ class Policy:
         "Within that uncertainty, an actuator effect is exempt from the minimum share if it earns "
         "more than this multiple of its price.",
     )  # fmt: skip
+    actuator_form: float = _entry(
+        0.01, "fraction of its amplitude", "judgement",
+        "Accuracy of the formula of an actuator's delay that grows with velocity, second-order lag "
+        "or velocity limit: beside one of them, no effect with a smaller amplitude is exempt.",
+    )  # fmt: skip
 
     # ---- remaining misfit ----------------------------------------------------------------------
     left_stated: tuple[float, float, float] = _entry(
