@@ -140,11 +140,15 @@ PER_COUNT int meet(int m, rthyb_controller *c, const double *x, const double *f,
 }
 
 /* Moves the sensors without an actuator with the specimen. */
-static void move_sensors(rthyb_controller *c, const double *way, const double *force)
+static void move_sensors(rthyb_controller *c, const double *force)
 {
-    double moved[RTHYB_SENSORS_ALL] = {0.0};
+    double moved[RTHYB_SENSORS_ALL] = {0.0}, from[MOST] = {0.0}, to[MOST] = {0.0};
     const int p = c->cfg.kinematics.displacement_sensors;
-    rthyb_kinematics_readings(&c->cfg.kinematics, way, force, moved);
+    for (int j = 0; j < c->cfg.interface_count; j++) {
+        from[j] = c->interface[j].x_num1;
+        to[j] = c->interface[j].x_num;
+    }
+    rthyb_kinematics_change(&c->cfg.kinematics, from, to, force, moved);
     for (int k = 0; k < rthyb_kinematics_sensors(&c->cfg.kinematics); k++) {
         const double most = k < p ? RTHYB_DISPLACEMENT_MAX_M : RTHYB_FORCE_MAX_N;
         c->sensor[k] = clamp(c->sensor[k] + moved[k], -most, most);
@@ -169,7 +173,7 @@ PER_COUNT void ahead_of(int n, int m, rthyb_controller *c, double *x, double *f)
             force[j] += c->matrix_rfc.k[j][k] * way[k];
     }
     if (c->cfg.kinematics.size > 0)
-        move_sensors(c, way, force);
+        move_sensors(c, force);
     if (c->cfg.kinematics.size > 0)
         (void)rthyb_kinematics_pushes(&c->kinematics, force, f);
     else
@@ -574,9 +578,13 @@ int rthyb_controller_meets(const rthyb_controller *c, const double *x_m, const d
     memcpy(force, f_n, (size_t)c->cfg.axis_count * sizeof *force);
     if (c->cfg.kinematics.size == 0)
         return 1;
-    const int found = c->cfg.kinematics.displacement_sensors > 0
-                          ? rthyb_kinematics_measured_pose(&trial, x_m, sensor, pose)
-                          : rthyb_kinematics_find(&trial, x_m, pose);
+    const int further = c->cfg.kinematics.displacement_sensors > 0;
+    int found = RTHYB_OK;
+    /* With pins the last pose may be far away; the axes alone lead to a pose nearby. */
+    if (!further || c->cfg.kinematics.kind == RTHYB_KINEMATICS_PINS)
+        found |= rthyb_kinematics_find(&trial, x_m, pose);
+    if (further)
+        found |= rthyb_kinematics_measured_pose(&trial, x_m, sensor, pose);
     return (found | rthyb_kinematics_measured_forces(&trial, f_n, sensor, force)) == RTHYB_OK;
 }
 

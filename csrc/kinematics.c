@@ -15,7 +15,14 @@
  *
  * Displacement sensors without an actuator read S q, load cells without one G r, where r are the
  * interface forces. The pose then is D (x, S q) with D (T, S) = 1, and r = F (f, G r). The load
- * cells of the axes measure f = T (T'T)^-1 r and what opposes it, so F (T (T'T)^-1, G) = 1. */
+ * cells of the axes measure f = T (T'T)^-1 r and what opposes it, so F (T (T'T)^-1, G) = 1.
+ *
+ * With pins, a displacement sensor without an actuator is such a rod as well. The pose is the
+ * least-squares one of all readings, by Gauss-Newton: dq = (J'J)^-1 J'e, with the rows of J of axes
+ * and sensors and their differences e. If the readings agree, this is Newton's method; what they
+ * disagree by, d, adds the share d / length to what a step leaves. Load cells without an actuator
+ * correct what those of the axes give, r0 = J'f, by F (g - G r0). Whatever F is, this is r if both
+ * measure r: r0 = r and g = G r. */
 #include "numeric.h"
 #include "small_solve.h"
 
@@ -33,7 +40,7 @@
 #define GRAM_PIVOT_MIN 1e-6
 #define IDENTITY_WITHIN 1e-6 /* of D T, relative: entries may be rounded to seven digits */
 
-enum { MOST = RTHYB_COUPLED_MAX };
+enum { MOST = RTHYB_COUPLED_MAX, ROWS_MAX = RTHYB_COUPLED_MAX + RTHYB_SENSORS_MAX };
 
 typedef struct {
     double x, y, theta;
@@ -46,38 +53,66 @@ static double limit_of(const rthyb_kinematics *s, int coordinate)
     return turns ? ANGLE_MAX : RTHYB_DISPLACEMENT_MAX_M;
 }
 
-static plane plane_of(const rthyb_kinematics *s, const double *pose)
+static plane plane_of(const rthyb_kinematics_config *cfg, const double *pose)
 {
     plane at = {0.0, 0.0, 0.0};
-    for (int j = 0; j < s->cfg.size; j++) {
+    for (int j = 0; j < cfg->size; j++) {
         double *const where[] = {&at.x, &at.y, &at.theta};
-        *where[s->cfg.coordinate[j]] = pose[j];
+        *where[cfg->coordinate[j]] = pose[j];
     }
     return at;
 }
 
-/* Displacement of an axis at a pose, and its derivatives with respect to the coordinates. */
-static double reach(const rthyb_kinematics *s, const plane *at, int axis, double *slope)
+/* From a base to a pin on the coupler: an axis, or a displacement sensor without an actuator. */
+typedef struct {
+    const double *pin;
+    double rx, ry; /* from base to pin at rest; far: the unit direction */
+    double rest;   /* length at rest */
+    int far;
+    double sign; /* -1: shortening is positive */
+} rod;
+
+static rod rod_of_axis(const rthyb_kinematics *s, int i)
 {
-    const double px = s->cfg.pin_m[axis][0], py = s->cfg.pin_m[axis][1];
+    const double sign = s->cfg.pulls[i] ? -1.0 : 1.0;
+    return (rod){s->cfg.pin_m[i], s->reach[i][0], s->reach[i][1],
+                 s->rest_m[i],    s->cfg.far[i],  sign};
+}
+
+static rod rod_between(const double *pin, const double *base, int far, int pulls)
+{
+    const double rx = far ? base[0] : pin[0] - base[0], ry = far ? base[1] : pin[1] - base[1];
+    const double length = hypot(rx, ry), unit = far ? length : 1.0;
+    return (rod){pin, rx / unit, ry / unit, length, far, pulls ? -1.0 : 1.0};
+}
+
+static rod rod_of_sensor(const rthyb_kinematics_config *cfg, int k)
+{
+    return rod_between(cfg->sensor_pin_m[k], cfg->sensor_base_m[k], cfg->sensor_far[k],
+                       cfg->sensor_pulls[k]);
+}
+
+/* Displacement of a rod at a pose, and its derivatives with respect to the coordinates. */
+static double reach(const rthyb_kinematics_config *cfg, const rod *r, const plane *at,
+                    double *slope)
+{
+    const double px = r->pin[0], py = r->pin[1];
     const double sine = sin(at->theta), half = sin(0.5 * at->theta), less = -2.0 * half * half;
     const double dx = at->x + less * px - sine * py, dy = at->y + sine * px + less * py;
-    const double rx = s->reach[axis][0], ry = s->reach[axis][1];
-    const int far = s->cfg.far[axis];
-    const double length = far ? 1.0 : hypot(rx + dx, ry + dy);
-    /* A pin at its own base has no direction: the axis keeps the one that it had at rest. */
-    const int stands = far || !(length > 0.0);
-    const double unit = stands && !far ? s->rest_m[axis] : length;
+    const double rx = r->rx, ry = r->ry;
+    const double length = r->far ? 1.0 : hypot(rx + dx, ry + dy);
+    /* A pin at its own base has no direction: the rod keeps the one that it had at rest. */
+    const int stands = r->far || !(length > 0.0);
+    const double unit = stands && !r->far ? r->rest : length;
     const double ex = (stands ? rx : rx + dx) / unit, ey = (stands ? ry : ry + dy) / unit;
     const double by[] = {
         ex, ey, ex * (-sine * px - (1.0 + less) * py) + ey * ((1.0 + less) * px - sine * py)};
-    const double sign = s->cfg.pulls[axis] ? -1.0 : 1.0;
-    for (int j = 0; slope && j < s->cfg.size; j++)
-        slope[j] = sign * by[s->cfg.coordinate[j]];
-    const double longer =
-        far ? rx * dx + ry * dy
-            : (dx * (2.0 * rx + dx) + dy * (2.0 * ry + dy)) / (length + s->rest_m[axis]);
-    return sign * longer;
+    for (int j = 0; slope && j < cfg->size; j++)
+        slope[j] = r->sign * by[cfg->coordinate[j]];
+    const double longer = r->far
+                              ? rx * dx + ry * dy
+                              : (dx * (2.0 * rx + dx) + dy * (2.0 * ry + dy)) / (length + r->rest);
+    return r->sign * longer;
 }
 
 /* rows x columns */
@@ -127,8 +162,8 @@ void rthyb_kinematics_rates(const rthyb_kinematics *s, const double *pose, const
         multiply(s->cfg.matrix, acceleration, s->cfg.size, s->cfg.directions, axis_acceleration);
         return;
     }
-    const plane at = plane_of(s, pose), by = plane_of(s, velocity),
-                change = plane_of(s, acceleration);
+    const plane at = plane_of(&s->cfg, pose), by = plane_of(&s->cfg, velocity),
+                change = plane_of(&s->cfg, acceleration);
     for (int i = 0; i < s->cfg.size; i++)
         pin_rates(s, i, &at, &by, &change, &axis_velocity[i], &axis_acceleration[i]);
 }
@@ -316,24 +351,38 @@ static int solves(const rthyb_kinematics *s, const double *jacobian, double *b)
     return 1;
 }
 
+/* Sensors without an actuator, with pins. */
+static int rods_ok(const rthyb_kinematics_config *cfg)
+{
+    const int m = cfg->size, p = cfg->displacement_sensors, q = cfg->force_sensors;
+    if (cfg->given != (q > 0 ? RTHYB_GIVEN_FORCES : 0) || !within(cfg->carries, q * m, 1e6) ||
+        !within(cfg->forces, q * m, 1e6) ||
+        !within(cfg->sensor_pin_m[0], 2 * p, RTHYB_DISPLACEMENT_MAX_M) ||
+        !within(cfg->sensor_base_m[0], 2 * p, 1e6))
+        return 0;
+    for (int k = 0; k < p; k++)
+        if (!(rod_of_sensor(cfg, k).rest > 1e-6))
+            return 0;
+    return 1;
+}
+
 static int pins_init(rthyb_kinematics *s)
 {
     const rthyb_kinematics_config *cfg = &s->cfg;
     const int n = cfg->size;
-    if (n > 3 || cfg->directions != n || cfg->given || rthyb_kinematics_sensors(cfg) > 0 ||
-        !coordinates_ok(cfg) || !within(cfg->pin_m[0], 2 * n, RTHYB_DISPLACEMENT_MAX_M) ||
+    if (n > 3 || cfg->directions != n || !coordinates_ok(cfg) || !rods_ok(cfg) ||
+        !within(cfg->pin_m[0], 2 * n, RTHYB_DISPLACEMENT_MAX_M) ||
         !within(cfg->base_m[0], 2 * n, 1e6))
         return RTHYB_E_KINEMATICS;
     double arm = 0.0;
     for (int i = 0; i < n; i++) {
-        const double *pin = cfg->pin_m[i], *base = cfg->base_m[i];
-        const double rx = cfg->far[i] ? base[0] : pin[0] - base[0];
-        const double ry = cfg->far[i] ? base[1] : pin[1] - base[1], length = hypot(rx, ry);
-        if (!(length > 1e-6))
+        const double *pin = cfg->pin_m[i];
+        const rod own = rod_between(pin, cfg->base_m[i], cfg->far[i], cfg->pulls[i]);
+        if (!(own.rest > 1e-6))
             return RTHYB_E_KINEMATICS;
-        s->reach[i][0] = cfg->far[i] ? rx / length : rx;
-        s->reach[i][1] = cfg->far[i] ? ry / length : ry;
-        s->rest_m[i] = length;
+        s->reach[i][0] = own.rx;
+        s->reach[i][1] = own.ry;
+        s->rest_m[i] = own.rest;
         arm = fmax(arm, hypot(pin[0], pin[1]));
     }
     for (int j = 0; j < n; j++) {
@@ -380,9 +429,26 @@ void rthyb_kinematics_jacobian(const rthyb_kinematics *s, double *jacobian)
             jacobian[i] = s->cfg.matrix[i];
         return;
     }
-    const plane at = plane_of(s, s->pose);
-    for (int i = 0; i < n; i++)
-        (void)reach(s, &at, i, jacobian + (ptrdiff_t)i * n);
+    const plane at = plane_of(&s->cfg, s->pose);
+    for (int i = 0; i < n; i++) {
+        const rod own = rod_of_axis(s, i);
+        (void)reach(&s->cfg, &own, &at, jacobian + (ptrdiff_t)i * n);
+    }
+}
+
+void rthyb_kinematics_reads(const rthyb_kinematics *s, double *reads)
+{
+    const int m = s->cfg.directions, p = s->cfg.displacement_sensors;
+    if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX) {
+        for (int i = 0; i < p * m; i++)
+            reads[i] = s->cfg.reads[i];
+        return;
+    }
+    const plane at = plane_of(&s->cfg, s->pose);
+    for (int k = 0; k < p; k++) {
+        const rod own = rod_of_sensor(&s->cfg, k);
+        (void)reach(&s->cfg, &own, &at, reads + (ptrdiff_t)k * m);
+    }
 }
 
 int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_m)
@@ -395,59 +461,110 @@ int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_
         multiply(s->cfg.matrix, s->wanted, n, m, axis_m);
         return code;
     }
-    const plane at = plane_of(s, s->wanted);
-    for (int i = 0; i < n; i++)
-        axis_m[i] = reach(s, &at, i, NULL);
+    const plane at = plane_of(&s->cfg, s->wanted);
+    for (int i = 0; i < n; i++) {
+        const rod own = rod_of_axis(s, i);
+        axis_m[i] = reach(&s->cfg, &own, &at, NULL);
+    }
     return code;
 }
 
-/* Differences of the axes' displacements from those at a pose, and the largest of them; on request,
- * also the Jacobian there. */
-static double left_at(const rthyb_kinematics *s, const double *pose, double *jacobian, double *left)
+/* Differences of the readings from those at a pose, and the largest of them; on request, also the
+ * Jacobian there. `rows`: the axes, or with them the displacement sensors without an actuator. */
+static double left_at(const rthyb_kinematics *s, int rows, const double *pose, double *jacobian,
+                      double *left)
 {
     const int n = s->cfg.size;
-    const plane at = plane_of(s, pose);
+    const plane at = plane_of(&s->cfg, pose);
     double most = 0.0;
-    for (int i = 0; i < n; i++) {
-        left[i] = s->axis_m[i] - reach(s, &at, i, jacobian ? jacobian + (ptrdiff_t)i * n : NULL);
+    for (int i = 0; i < rows; i++) {
+        const rod own = i < n ? rod_of_axis(s, i) : rod_of_sensor(&s->cfg, i - n);
+        const double read = i < n ? s->axis_m[i] : s->sensor[i - n];
+        left[i] = read - reach(&s->cfg, &own, &at, jacobian ? jacobian + (ptrdiff_t)i * n : NULL);
         most = fmax(most, fabs(left[i]));
     }
     return most;
 }
 
-/* Executes Newton steps; gives the largest difference before and after them. 0 if they do not lead
- * to a pose. */
-static int go_by_newton(const rthyb_kinematics *s, int steps, double *pose, double *before,
-                        double *after)
+/* Least-squares step for more readings than coordinates; *most: the largest change of a reading that
+ * it makes, because a part of the differences is left whatever the pose is. */
+static int least_squares(const rthyb_kinematics *s, int rows, const double *jacobian,
+                         const double *left, double *step, double *most)
 {
     const int n = s->cfg.size;
-    double left[MOST] = {0.0};
+    double gram[RTHYB_COUPLED_SQUARE] = {0.0};
+    for (int j = 0; j < n; j++) {
+        step[j] = 0.0;
+        for (int i = 0; i < rows; i++) {
+            const double slope = jacobian[i * n + j] / s->scale[j];
+            step[j] += slope * left[i];
+            for (int k = 0; k < n; k++)
+                gram[j * n + k] += slope * jacobian[i * n + k] / s->scale[k];
+        }
+    }
+    if (!small_solve(gram, step, n, 1, GRAM_PIVOT_MIN))
+        return 0;
+    for (int j = 0; j < n; j++)
+        step[j] /= s->scale[j];
+    *most = 0.0;
+    for (int i = 0; i < rows; i++) {
+        double moved = 0.0;
+        for (int j = 0; j < n; j++)
+            moved += jacobian[i * n + j] * step[j];
+        *most = fmax(*most, fabs(moved));
+    }
+    return 1;
+}
+
+/* The next step from a pose, and the largest difference that it is to remove. */
+static int next_step(const rthyb_kinematics *s, int rows, const double *pose, double *step,
+                     double *most)
+{
+    const int n = s->cfg.size;
+    double jacobian[RTHYB_MEASURED_MAX] = {0.0}, left[ROWS_MAX] = {0.0};
+    *most = left_at(s, rows, pose, jacobian, left);
+    if (rows > n)
+        return least_squares(s, rows, jacobian, left, step, most);
+    for (int j = 0; j < n; j++)
+        step[j] = left[j];
+    return solves(s, jacobian, step);
+}
+
+/* Executes Newton steps; gives the largest difference before and after them. 0 if they do not lead
+ * to a pose. */
+static int go_by_newton(const rthyb_kinematics *s, int rows, int steps, double *pose,
+                        double *before, double *after)
+{
+    const int n = s->cfg.size;
+    double step[MOST] = {0.0}, left[ROWS_MAX] = {0.0};
     *before = -1.0;
-    for (int step = 0; step < steps; step++) {
-        double jacobian[RTHYB_COUPLED_SQUARE] = {0.0};
-        const double most = left_at(s, pose, jacobian, left);
-        *before = step == 0 ? most : *before;
-        if (!solves(s, jacobian, left))
+    for (int i = 0; i < steps; i++) {
+        double most = 0.0;
+        const int found = next_step(s, rows, pose, step, &most);
+        *before = i == 0 ? most : *before;
+        if (!found)
             return 0;
         for (int j = 0; j < n; j++)
-            pose[j] += left[j];
+            pose[j] += step[j];
     }
     for (int j = 0; j < n; j++)
         if (judge(pose[j], limit_of(s, j)) != RTHYB_OK)
             return 0;
-    *after = left_at(s, pose, NULL, left);
+    if (rows > n)
+        return next_step(s, rows, pose, step, after);
+    *after = left_at(s, rows, pose, NULL, left);
     return 1;
 }
 
 /* Two Newton steps; the last pose is kept if they lead to none, or leave more than CONVERGES of the
  * difference. */
-static int pose_by_newton(rthyb_kinematics *s)
+static int pose_by_newton(rthyb_kinematics *s, int rows)
 {
     const int n = s->cfg.size;
     double pose[MOST] = {0.0}, before = 0.0, after = 0.0;
     for (int j = 0; j < n; j++)
         pose[j] = s->pose[j];
-    if (!go_by_newton(s, NEWTON_STEPS, pose, &before, &after) ||
+    if (!go_by_newton(s, rows, NEWTON_STEPS, pose, &before, &after) ||
         !(after <= fmax(CONVERGES * before, FOUND_M)))
         return RTHYB_S_OUT_OF_RANGE;
     for (int j = 0; j < n; j++)
@@ -458,7 +575,7 @@ static int pose_by_newton(rthyb_kinematics *s)
 static int search(rthyb_kinematics *s, double *pose)
 {
     double before = 0.0, after = 0.0;
-    return go_by_newton(s, SEARCH_STEPS, pose, &before, &after) && after <= FOUND_M;
+    return go_by_newton(s, s->cfg.size, SEARCH_STEPS, pose, &before, &after) && after <= FOUND_M;
 }
 
 int rthyb_kinematics_find(rthyb_kinematics *s, const double *axis_m, double *pose)
@@ -491,7 +608,7 @@ int rthyb_kinematics_pose(rthyb_kinematics *s, const double *axis_m, double *pos
     if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX)
         multiply(s->inverse, s->axis_m, m, n, s->pose);
     else
-        code |= pose_by_newton(s);
+        code |= pose_by_newton(s, n);
     for (int j = 0; j < m; j++)
         pose[j] = s->pose[j];
     return code;
@@ -522,7 +639,7 @@ int rthyb_kinematics_measured_pose(rthyb_kinematics *s, const double *axis_m, co
 {
     int code = RTHYB_OK;
     const int n = s->cfg.size, m = s->cfg.directions, p = s->cfg.displacement_sensors;
-    double all[RTHYB_COUPLED_MAX + RTHYB_SENSORS_MAX];
+    double all[ROWS_MAX];
     if (p == 0)
         return rthyb_kinematics_pose(s, axis_m, pose);
     for (int i = 0; i < n; i++)
@@ -530,10 +647,26 @@ int rthyb_kinematics_measured_pose(rthyb_kinematics *s, const double *axis_m, co
     for (int k = 0; k < p; k++)
         all[n + k] = s->sensor[k] =
             accept(sensor[k], RTHYB_DISPLACEMENT_MAX_M, s->sensor[k], &code);
-    multiply(s->measure, all, m, n + p, s->pose);
+    if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX)
+        multiply(s->measure, all, m, n + p, s->pose);
+    else
+        code |= pose_by_newton(s, n + p);
     for (int j = 0; j < m; j++)
         pose[j] = s->pose[j];
     return code;
+}
+
+/* Corrects the forces by the axes' load cells, `force`, by those without an actuator. */
+static void correct_forces(const rthyb_kinematics_config *cfg, const double *cell, double *force)
+{
+    const int m = cfg->size, q = cfg->force_sensors;
+    double left[RTHYB_SENSORS_MAX] = {0.0}, more[MOST] = {0.0};
+    multiply(cfg->carries, force, q, m, left);
+    for (int k = 0; k < q; k++)
+        left[k] = cell[k] - left[k];
+    multiply(cfg->forces, left, m, q, more);
+    for (int j = 0; j < m; j++)
+        force[j] += more[j];
 }
 
 int rthyb_kinematics_measured_forces(rthyb_kinematics *s, const double *axis_n,
@@ -542,14 +675,19 @@ int rthyb_kinematics_measured_forces(rthyb_kinematics *s, const double *axis_n,
     int code = RTHYB_OK;
     const int n = s->cfg.size, m = s->cfg.directions, p = s->cfg.displacement_sensors;
     const int q = s->cfg.force_sensors;
-    double all[RTHYB_COUPLED_MAX + RTHYB_SENSORS_MAX];
+    double all[ROWS_MAX];
     if (q == 0)
         return rthyb_kinematics_forces(s, axis_n, force);
-    for (int i = 0; i < n; i++)
-        all[i] = s->axis_n[i] = accept(axis_n[i], RTHYB_FORCE_MAX_N, s->axis_n[i], &code);
     for (int k = 0; k < q; k++)
         all[n + k] = s->sensor[p + k] =
             accept(sensor[p + k], RTHYB_FORCE_MAX_N, s->sensor[p + k], &code);
+    if (s->cfg.kind == RTHYB_KINEMATICS_PINS) {
+        code |= rthyb_kinematics_forces(s, axis_n, force);
+        correct_forces(&s->cfg, all + n, force);
+        return code;
+    }
+    for (int i = 0; i < n; i++)
+        all[i] = s->axis_n[i] = accept(axis_n[i], RTHYB_FORCE_MAX_N, s->axis_n[i], &code);
     multiply(s->cfg.forces, all, m, n + q, force);
     return code;
 }
@@ -558,15 +696,40 @@ void rthyb_kinematics_readings(const rthyb_kinematics_config *cfg, const double 
                                const double *force, double *sensor)
 {
     const int m = rthyb_kinematics_directions(cfg), p = cfg->displacement_sensors;
-    multiply(cfg->reads, pose, p, m, sensor);
     multiply(cfg->carries, force, cfg->force_sensors, m, sensor + p);
+    if (cfg->kind == RTHYB_KINEMATICS_MATRIX) {
+        multiply(cfg->reads, pose, p, m, sensor);
+        return;
+    }
+    const plane at = plane_of(cfg, pose);
+    for (int k = 0; k < p; k++) {
+        const rod own = rod_of_sensor(cfg, k);
+        sensor[k] = reach(cfg, &own, &at, NULL);
+    }
+}
+
+void rthyb_kinematics_change(const rthyb_kinematics_config *cfg, const double *from,
+                             const double *to, const double *force, double *sensor)
+{
+    double way[MOST] = {0.0}, before[RTHYB_SENSORS_ALL] = {0.0};
+    for (int j = 0; j < rthyb_kinematics_directions(cfg); j++)
+        way[j] = to[j] - from[j];
+    if (cfg->kind == RTHYB_KINEMATICS_MATRIX) {
+        rthyb_kinematics_readings(cfg, way, force, sensor);
+        return;
+    }
+    rthyb_kinematics_readings(cfg, from, force, before);
+    rthyb_kinematics_readings(cfg, to, force, sensor);
+    for (int k = 0; k < cfg->displacement_sensors; k++)
+        sensor[k] -= before[k];
 }
 
 int rthyb_kinematics_pushes(const rthyb_kinematics *s, const double *force, double *axis_n)
 {
     const int n = s->cfg.size;
     double jacobian[RTHYB_COUPLED_SQUARE] = {0.0}, turned[RTHYB_COUPLED_SQUARE] = {0.0};
-    if (s->cfg.directions < n || is_given(&s->cfg, RTHYB_GIVEN_FORCES)) {
+    if (s->cfg.kind == RTHYB_KINEMATICS_MATRIX &&
+        (s->cfg.directions < n || is_given(&s->cfg, RTHYB_GIVEN_FORCES))) {
         multiply(s->pushes, force, n, s->cfg.directions, axis_n);
         return RTHYB_OK;
     }

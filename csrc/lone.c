@@ -111,17 +111,29 @@ void lone_take(const rthyb_station *s, uint32_t leapt, rthyb_input *pairs)
 }
 
 /* Whether, since a sensor began to repeat its reading, the command has moved an axis by more than
- * the readings of that axis vary at rest, in a direction that the sensor responds to. */
+ * the readings of that axis vary at rest, in a direction that the sensor responds to. With pins, a
+ * displacement sensor responds more or less to every direction: the command must have moved the
+ * sensor itself by more than its readings vary at rest. */
 static int has_moved(const rthyb_station *s, int k)
 {
     const rthyb_kinematics_config *tie = &s->cfg.controller.kinematics;
     const int m = interfaces_of(s), p = tie->displacement_sensors;
+    double of_axes[RTHYB_COUPLED_SQUARE] = {0.0}, now[RTHYB_COUPLED_MAX] = {0.0};
+    for (int j = 0; j < m; j++)
+        now[j] = s->controller.interface[j].x_num;
+    if (k < p && tie->kind == RTHYB_KINEMATICS_PINS) {
+        const double none[RTHYB_COUPLED_MAX] = {0.0};
+        double moved[RTHYB_SENSORS_ALL] = {0.0};
+        rthyb_kinematics_change(tie, s->lone[k].still_at, now, none, moved);
+        return fabs(moved[k]) > s->cfg.lone[k].rest_spread;
+    }
     const double *row =
         k < p ? tie->reads + (ptrdiff_t)k * m : tie->carries + (ptrdiff_t)(k - p) * m;
+    rthyb_kinematics_jacobian(&s->controller.kinematics, of_axes);
     for (int j = 0; j < m; j++) {
-        const double way = s->controller.interface[j].x_num - s->lone[k].still_at[j];
+        const double way = now[j] - s->lone[k].still_at[j];
         for (int i = 0; i < axes_of(s) && row[j] != 0.0; i++)
-            if (fabs(tie->matrix[i * m + j] * way) > s->cfg.axis[i].rest_spread_m)
+            if (fabs(of_axes[i * m + j] * way) > s->cfg.axis[i].rest_spread_m)
                 return 1;
     }
     return 0;

@@ -35,23 +35,25 @@ enum rthyb_kinematics_given {
 };
 
 /* Only the first `size` entries of an array of axes are used; matrices are stored row by row. With a matrix there may
- * be fewer interface coordinates than axes, because the actuators are redundant; with pins there are as many. Sensors
- * without an actuator need a matrix, and load cells without an actuator need `forces`. */
+ * be fewer interface coordinates than axes, because the actuators are redundant; with pins there are as many. Load cells
+ * without an actuator need `forces`. */
 typedef struct {
-    int32_t kind;                        /* enum rthyb_kinematics_kind */
-    int32_t size;                        /* axes; pins: 1 to 3 */
-    int32_t directions;                  /* interface coordinates; 0: as many as axes */
-    int32_t given;                       /* enum rthyb_kinematics_given, bits; 0 with pins */
+    int32_t kind;       /* enum rthyb_kinematics_kind */
+    int32_t size;       /* axes; pins: 1 to 3 */
+    int32_t directions; /* interface coordinates; 0: as many as axes */
+    int32_t given;      /* enum rthyb_kinematics_given, bits; with pins at most FORCES */
     double matrix[RTHYB_COUPLED_SQUARE]; /* size rows of `directions` values */
     /* `directions` rows, with one value for each axis and then one for each sensor without an actuator. forces:
      * interface forces = forces times load cells; displacements: pose = displacements times displacement sensors, so that
-     * displacements times (matrix, then reads) must be the identity. */
+     * displacements times (matrix, then reads) must be the identity. With pins, `forces` has the columns of the sensors
+     * only: F = J'f + forces (g - carries J'f), where J'f are the forces along the interface by the axes' load cells f, and
+     * g the readings of those without an actuator. */
     double forces[RTHYB_MEASURED_MAX], displacements[RTHYB_MEASURED_MAX];
     int32_t displacement_sensors,
         force_sensors; /* without an actuator: 0 to RTHYB_SENSORS_MAX each */
     /* A row of `directions` values for each: reading of such a displacement sensor for a pose, and of such a load cell
      * for the interface forces. The load cells of the axes are then in line with them: forces times (the forces of the axes
-     * with a given resultant, then carries) must be the identity. */
+     * with a given resultant, then carries) must be the identity. With pins, `reads` is not used: see sensor_pin_m. */
     double reads[RTHYB_COUPLED_SQUARE], carries[RTHYB_COUPLED_SQUARE];
     /* The rest applies to pins only. Coordinates that are not listed remain 0. */
     int32_t coordinate[RTHYB_COUPLED_MAX]; /* enum rthyb_coordinate, each at most once */
@@ -62,6 +64,11 @@ typedef struct {
      * a vector of any length. */
     int32_t far[RTHYB_COUPLED_MAX];
     int32_t pulls[RTHYB_COUPLED_MAX]; /* not 0: shortening of the axis is positive */
+    /* The same for the displacement sensors without an actuator. */
+    double sensor_pin_m[RTHYB_SENSORS_MAX][2];
+    double sensor_base_m[RTHYB_SENSORS_MAX][2];
+    int32_t sensor_far[RTHYB_SENSORS_MAX];
+    int32_t sensor_pulls[RTHYB_SENSORS_MAX];
 } rthyb_kinematics_config;
 
 typedef struct {
@@ -99,7 +106,8 @@ int rthyb_kinematics_find(rthyb_kinematics *s, const double *axis_m, double *pos
  * actuator always by the former. */
 int rthyb_kinematics_forces(rthyb_kinematics *s, const double *axis_n, double *force);
 /* Pose and interface forces as measured, from the readings of the axes and of the sensors without an actuator: first
- * all displacements, then all forces. Without such sensors the same as _pose and _forces. */
+ * all displacements, then all forces. Without such sensors the same as _pose and _forces. With pins, displacements of
+ * further sensors count like those of the axes, by two Gauss-Newton steps from the previous pose. */
 int rthyb_kinematics_measured_pose(rthyb_kinematics *s, const double *axis_m, const double *sensor,
                                    double *pose);
 int rthyb_kinematics_measured_forces(rthyb_kinematics *s, const double *axis_n,
@@ -107,6 +115,11 @@ int rthyb_kinematics_measured_forces(rthyb_kinematics *s, const double *axis_n,
 /* Readings of the sensors without an actuator for a pose and interface forces. */
 void rthyb_kinematics_readings(const rthyb_kinematics_config *cfg, const double *pose,
                                const double *force, double *sensor);
+/* Their change from one pose to another, for a change of the interface forces. */
+void rthyb_kinematics_change(const rthyb_kinematics_config *cfg, const double *from,
+                             const double *to, const double *force, double *sensor);
+/* d reading / d pose of the displacement sensors without an actuator at the last pose found, rows of `directions`. */
+void rthyb_kinematics_reads(const rthyb_kinematics *s, double *reads);
 /* Number of sensors without an actuator. */
 int32_t rthyb_kinematics_sensors(const rthyb_kinematics_config *cfg);
 /* The inverse: forces and moments in interface coordinates -> force of each axis; with redundant axes, the smallest

@@ -310,18 +310,41 @@ static int set_up_axes(int choice, rthyb_coupled_plant *plant, rthyb_matrix_lead
            rthyb_matrix_rfc_init(rfc, &compensated, rest, rest);
 }
 
+/* The axes of a plant, with a wire and a load cell that belong to none of them. */
+static int set_up_sensors(const rthyb_kinematics_config *axes, rthyb_kinematics *kinematics)
+{
+    rthyb_kinematics_config cfg = *axes;
+    const int pins = cfg.kind == RTHYB_KINEMATICS_PINS;
+    const double with_pins[] = {0.5, 0.1};
+    /* (1 - W C) B', and W, with W = with_pins and C = carries. */
+    const double with_matrix[] = {0.8, 0.8, 0.5, 0.09, -0.17, 0.1};
+    cfg.displacement_sensors = cfg.force_sensors = 1;
+    cfg.given = RTHYB_GIVEN_FORCES;
+    cfg.reads[0] = 1.0;
+    cfg.reads[1] = 0.2;
+    cfg.carries[0] = 0.4;
+    cfg.sensor_pin_m[0][0] = 0.1;
+    cfg.sensor_base_m[0][0] = -0.7;
+    cfg.sensor_base_m[0][1] = 0.2;
+    memcpy(cfg.forces, pins ? with_pins : with_matrix,
+           pins ? sizeof with_pins : sizeof with_matrix);
+    return rthyb_kinematics_init(kinematics, &cfg);
+}
+
 /* Two coupled axes, with the same implausible readings among valid ones. */
 static int run_axes(int choice)
 {
     static rthyb_coupled_plant plant;
     static rthyb_matrix_lead lead;
     static rthyb_matrix_rfc rfc;
-    const int error = set_up_axes(choice, &plant, &lead, &rfc);
+    static rthyb_kinematics sensed;
+    const int error =
+        set_up_axes(choice, &plant, &lead, &rfc) | set_up_sensors(&plant.cfg.kinematics, &sensed);
     double command[AXES] = {0.0, 0.0};
     for (int n = 0; n < SAMPLES && !error; n++) {
         const double t = n * PERIOD_S, v[AXES] = {0.1, 0.1};
         double x[AXES], force[3], pose[AXES] = {4e-3 * sin(20.0 * t), 0.03 * sin(33.0 * t)};
-        double target[AXES], used[AXES], push[AXES];
+        double target[AXES], used[AXES], push[AXES], sensor[2], measured[AXES], slopes[AXES];
         (void)rthyb_coupled_plant_latch(&plant, x, force);
         if (n % 131 == 0)
             x[n % 2] = n % 4 ? NAN : 1e300;
@@ -331,6 +354,11 @@ static int run_axes(int choice)
         (void)rthyb_matrix_lead_observe(&lead, command, x, n % 97 < 4);
         (void)rthyb_kinematics_axes(&plant.kinematics, pose, target);
         (void)rthyb_kinematics_forces(&plant.kinematics, used, push);
+        rthyb_kinematics_readings(&sensed.cfg, pose, used, sensor);
+        sensor[n % 2] = n % 59 ? sensor[n % 2] : n % 3 ? 1e300 : NAN;
+        (void)rthyb_kinematics_measured_pose(&sensed, x, sensor, measured);
+        (void)rthyb_kinematics_measured_forces(&sensed, push, sensor, measured);
+        rthyb_kinematics_reads(&sensed, slopes);
         (void)rthyb_matrix_lead_lead(&lead, target, n % 3 ? 1e-6 : INFINITY, command);
         (void)rthyb_coupled_plant_apply(&plant, command);
     }

@@ -771,7 +771,7 @@ def test_sensors_that_blur_the_position_are_named_as_the_reason(cell: str) -> No
     assert "displacement sensors (along) [1, 1]" in said
 
 
-def test_pins_do_not_go_with_sensors() -> None:
+def test_pins_of_a_sensor_do_not_go_with_a_matrix_nor_along_with_pins() -> None:
     pins = """[kinematics]
 kind = "pins"
 interface = ["x", "theta"]
@@ -784,8 +784,14 @@ directions = { left = [1, 0], right = [1, 0] }
         .replace("second = 0.5", "theta = 0.5")
     )
     text += pins + "[specimen]\nstiffness = [[8e6, 0], [0, 6e6]]\n"
-    with pytest.raises(InputError, match=r'found 1 sensors without an actuator .*kind = "pins"'):
+    with pytest.raises(InputError, match=r'wire: found along, which goes with a matrix; .*"pins"'):
         read(text)
+    by_pins = WITH_WIRE.replace("along = { first = 1, second = 0.5 }", "pin_m = [0, 1]")
+    with pytest.raises(InputError, match=r"wire: found pin_m, which goes with pins; .* with along"):
+        read(by_pins)
+    without = WITH_WIRE.replace("along = { first = 1, second = 0.5 }\n", "")
+    with pytest.raises(InputError, match=r"wire.along: missing; add along = \{ name = value"):
+        read(without)
 
 
 def test_a_key_is_set_by_the_name_of_the_sensor(tmp_path: Path) -> None:

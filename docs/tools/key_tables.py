@@ -253,8 +253,14 @@ MEANINGS: dict[str, str] = {
     "are directions; absent: the transposed matrix, for load cells in line with the axes",
     "MatrixKinematics.displacements": "displacement along each direction per unit displacement of "
     "each axis: rows are directions; absent: the (least-squares) inverse of the matrix",
-    "LoneDisplacement.along": "its reading for a unit of each direction; directions that are not "
-    "listed do not move it",
+    "LoneDisplacement.along": 'with kinematics of kind = "matrix", and required there: its reading '
+    "for a unit of each direction; directions that are not listed do not move it",
+    "LoneDisplacement.pin_m": 'with kinematics of kind = "pins", and required there: its pin on '
+    "the coupler at rest, relative to the point that the interface moves",
+    "LoneDisplacement.base_m": "with pins: the point from which it measures; absent: direction",
+    "LoneDisplacement.direction": "with pins: direction from the base to the pin, for a base that "
+    "is far away",
+    "LoneDisplacement.pulls": "with pins: true: shortening is positive",
     "LoneDisplacement.extra": "name of the `[[axis.sensors.extra]]`, in m, that has its reading in "
     "real time; required there, with the range",
     "LoneForce.extra": "name of the `[[axis.sensors.extra]]`, in N, that has its reading in real "
@@ -270,6 +276,8 @@ MEANINGS: dict[str, str] = {
     "PinKinematics.bases_m": "base of each axis",
     "PinKinematics.directions": "direction from the base to the pin, for a base that is far away",
     "PinKinematics.pulls": "axes whose positive direction is shortening",
+    "PinKinematics.cell_forces": "force along each direction by which 1 N more than expected at "
+    "each load cell without an actuator corrects what follows from the axes: rows are directions",
     "JointSpecimen.stiffness": "elastic force per unit displacement of the interface",
     "JointSpecimen.damping": "force per unit velocity; absent: none",
     "JointSpecimen.mass": "force per unit acceleration; absent: none",
@@ -300,6 +308,9 @@ MEANINGS: dict[str, str] = {
 
 ALLOWED: dict[str, str] = {
     "LoneDisplacement.along": "table of directions, each -1e6 to 1e6",
+    "LoneDisplacement.pin_m": "`[x, y]`",
+    "LoneDisplacement.base_m": "`[x, y]`",
+    "LoneDisplacement.direction": "`[x, y]`",
     "LoneForce.along": "table of directions, each -1e6 to 1e6",
     "Nonlinear.between": "list of two labels",
 }

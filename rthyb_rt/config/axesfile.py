@@ -20,6 +20,7 @@ from rthyb_rt.config.fields import (
     Condition,
     Count,
     OneOf,
+    Point,
     Range,
     Reader,
     Table,
@@ -31,6 +32,9 @@ from rthyb_rt.config.fields import (
 )
 from rthyb_rt.config.limits import DEFAULT_TARE_SHARE_MOST, Limits
 from rthyb_rt.config.lonesensors import (
+    AT,
+    COMPONENT,
+    LoneDisplacement,
     LoneSensor,
     OneOfSeveral,
     SensorOfAxes,
@@ -67,6 +71,8 @@ from rthyb_rt.errors import InputError
 
 if TYPE_CHECKING:
     from rthyb_rt.core.kinematics import Kinematics as CoreKinematics
+    from rthyb_rt.core.kinematics import Pin
+    from rthyb_rt.core.library import FloatArray as Floats
 
 AXES_MAX: Final = COUPLED_MAX
 MEASURED_MAX: Final = COUPLED_MAX + SENSORS_MAX
@@ -173,35 +179,6 @@ class MatrixOf(Reader):
 
 
 @dataclass(frozen=True)
-class Point(Reader):
-    """Two coordinates, m; strings with a unit are accepted.
-
-    Attributes:
-        what: description of the point.
-        one: field of each coordinate.
-    """
-
-    what: str
-    one: Range
-
-    def allowed(self) -> str:
-        """Return what is allowed, in words."""
-        return f"{self.what} must be [x, y]; {self.one.allowed()}"
-
-    def read(self, value: object) -> list[float]:
-        """Return x and y; raise an explained error if they are invalid."""
-        if not isinstance(value, list) or len(value) != 2:
-            raise explained(f"found {written(value)}; {self.allowed()}")
-        return [self.one.read(v) for v in value]
-
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        """Describe the pair."""
-        return {"type": "array", "minItems": 2, "maxItems": 2, "description": self.what}
-
-
-@dataclass(frozen=True)
 class Different(Reader):
     """A list of different names.
 
@@ -296,7 +273,6 @@ class MatrixKinematics(Table):
 
 
 COORDINATES: Final = ("x", "y", "theta")
-_AT = Range("m", -1000, 1000, "a coordinate")
 
 
 class PinKinematics(Table):
@@ -305,19 +281,26 @@ class PinKinematics(Table):
     Points are given at rest, relative to the point whose motion is the interface. If an axis is in
     ``directions``, its base is so far away that the axis never rotates; its direction from base to
     pin is given instead of the base. For axes in ``pulls``, shortening is positive.
+
+    ``cell_forces`` states how load cells without an actuator (``[[sensor]]``) correct the forces
+    that follow from those of the axes: rows are directions, columns such load cells. It is
+    multiplied by the difference between what each reads and what it should by ``along``.
     """
 
     kind: Literal["pins"]
     interface: Annotated[list[str], Different(OneOf(COORDINATES), 1)]
-    pins_m: dict[Annotated[str, AXIS_NAME], Annotated[list[float], Point("a pin", _AT)]]
-    bases_m: dict[Annotated[str, AXIS_NAME], Annotated[list[float], Point("a base", _AT)]] = Field(
+    pins_m: dict[Annotated[str, AXIS_NAME], Annotated[list[float], Point("a pin", AT)]]
+    bases_m: dict[Annotated[str, AXIS_NAME], Annotated[list[float], Point("a base", AT)]] = Field(
         default_factory=dict
     )
     directions: dict[
         Annotated[str, AXIS_NAME],
-        Annotated[list[float], Point("a direction", Range("", -1e6, 1e6, "a component"))],
+        Annotated[list[float], Point("a direction", COMPONENT)],
     ] = Field(default_factory=dict)
     pulls: Annotated[list[str], Different(AXIS_NAME)] = Field(default_factory=list)
+    cell_forces: (
+        Annotated[Rows, MatrixOf("cell_forces", SENSORS_MAX, square=False, size=1e6)] | None
+    ) = None
 
     def turns(self) -> list[bool]:
         """Return which directions are angles."""
@@ -336,7 +319,6 @@ def core_kinematics(
         CoreError: a direction of the interface is not restrained by the axes.
     """
     from rthyb_rt.core.kinematics import Kinematics as CoreKinematics
-    from rthyb_rt.core.kinematics import Pin
 
     if isinstance(given, MatrixKinematics):
         return CoreKinematics(
@@ -346,13 +328,22 @@ def core_kinematics(
             reads=rows_along(sensors, "displacement", given.interface),
             carries=rows_along(sensors, "force", given.interface),
         )
-    pins = []
-    for name in axes:
-        far = name in given.directions
-        base = given.directions[name] if far else given.bases_m[name]
-        (px, py), (bx, by) = given.pins_m[name], base
-        pins.append(Pin((px, py), (bx, by), far, name in given.pulls))
-    return CoreKinematics(pins=pins, coordinates=given.interface)  # type: ignore[arg-type]
+    return CoreKinematics(
+        pins=[_pin_of_axis(given, name) for name in axes],
+        coordinates=given.interface,  # type: ignore[arg-type]
+        forces=given.cell_forces,
+        carries=rows_along(sensors, "force", given.interface),
+        sensor_pins=[one.pin for one in in_order(sensors) if isinstance(one, LoneDisplacement)],
+    )
+
+
+def _pin_of_axis(given: PinKinematics, name: str) -> Pin:
+    from rthyb_rt.core.kinematics import Pin
+
+    far = name in given.directions
+    bx, by = given.directions[name] if far else given.bases_m[name]
+    px, py = given.pins_m[name]
+    return Pin((px, py), (bx, by), far, name in given.pulls)
 
 
 def _kinematics_fault(
@@ -381,7 +372,7 @@ def _kinematics_fault(
         if strange:
             return f"found the rotation {written(strange[0])}; it must be one of interface"
     else:
-        fault = _pins_fault(names, given)
+        fault = _pins_fault(names, given) or _cell_forces_fault(given, sensors)
         if fault:
             return fault
     from rthyb_rt.core.library import CoreError
@@ -484,6 +475,25 @@ def _pins_fault(names: list[str], given: PinKinematics) -> str | None:
         if name in given.directions and _apart(given.directions[name], [0.0, 0.0]) <= 1e-6:
             return f"directions: axis {name} has no direction; found [0, 0]"
     return None
+
+
+def _cell_forces_fault(given: PinKinematics, sensors: Sequence[LoneSensor]) -> str | None:
+    cells, along = [one.name for one in sensors if one.kind == "force"], ", ".join(given.interface)
+    rows = given.cell_forces
+    if rows is None and not cells:
+        return None
+    shape = (len(given.interface), len(cells))
+    if rows is not None and (len(rows), len(rows[0])) == shape:
+        return None
+    found = "is missing" if rows is None else f"found {len(rows)} rows of {len(rows[0])} numbers"
+    if not cells:
+        return f"cell_forces: {found}, but the file has no [[sensor]] of kind force; remove it"
+    return (
+        f"cell_forces: {found}; must be {shape[0]} rows, one for each direction ({along}), of "
+        f"{shape[1]} numbers, one for each load cell without an actuator ({', '.join(cells)}): "
+        "the force by which 1 N more than expected at that cell corrects the force along each "
+        "direction, such as 0.5 / 0.4 for half of the correction by a cell with along = 0.4"
+    )
 
 
 def _apart(a: Sequence[float], b: Sequence[float]) -> float:
@@ -1100,6 +1110,22 @@ class AxesRig(WholeFile):
         """Return the kinematics of the core."""
         return core_kinematics(self.kinematics, self.names, self.lone_sensors)
 
+    def along(self, one: LoneSensor) -> Floats:
+        """Return what a sensor without an actuator reads for a unit of each direction, at rest.
+
+        Args:
+            one: the sensor.
+
+        Returns:
+            (directions,); m/m or m/rad, for a load cell the share of each force.
+        """
+        import numpy as np
+
+        if one.along is None:
+            lone = [each for each in self.lone_sensors if each.kind == one.kind]
+            return np.asarray(self.core_kinematics().reads()[lone.index(one)])
+        return np.array([one.along.get(name, 0.0) for name in self.directions])
+
     def of_axis(self, name: str) -> RigFile:
         """Return one axis as a rig with one axis, with the other axes at rest.
 
@@ -1170,7 +1196,7 @@ class AxesRig(WholeFile):
             if place is None:
                 continue
             axis, number = place
-            along = np.array([one.along.get(name, 0.0) for name in self.directions])
+            along = self.along(one)
             means = by_force if one.kind == "force" else back
             terms = np.abs(along) @ np.abs(means)
             by_axis = np.where(np.abs(along @ means) > _ROUND_OFF * terms, along @ means, 0.0)

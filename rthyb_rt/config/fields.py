@@ -216,6 +216,35 @@ class Count(Reader):
 
 
 @dataclass(frozen=True)
+class Point(Reader):
+    """Two coordinates, m; strings with a unit are accepted.
+
+    Attributes:
+        what: description of the point.
+        one: field of each coordinate.
+    """
+
+    what: str
+    one: Range
+
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+        return f"{self.what} must be [x, y]; {self.one.allowed()}"
+
+    def read(self, value: object) -> list[float]:
+        """Return x and y; raise an explained error if they are invalid."""
+        if not isinstance(value, list) or len(value) != 2:
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        return [self.one.read(v) for v in value]
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the pair."""
+        return {"type": "array", "minItems": 2, "maxItems": 2, "description": self.what}
+
+
+@dataclass(frozen=True)
 class Text(Reader):
     """A string of a given form.
 

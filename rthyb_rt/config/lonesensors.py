@@ -6,11 +6,14 @@ enter the pose, or the force along the interface, beside those of the axes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
-from rthyb_rt.config.fields import Condition, Range, Text, nearest, written
+from pydantic import StrictBool
+
+from rthyb_rt.config.fields import Condition, Point, Range, Text, nearest, written
 from rthyb_rt.config.limits import IncrementLimit, StepLimit, TimeLimit
 from rthyb_rt.config.rigfile import DisplacementSensor, ExtraSensor, ForceSensor, RigFile
 from rthyb_rt.core.sizes import SENSORS_MAX
@@ -18,6 +21,8 @@ from rthyb_rt.core.sizes import SENSORS_MAX
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    from rthyb_rt.core.kinematics import Pin
 
     Floats = NDArray[np.float64]
 
@@ -31,12 +36,20 @@ _EXTRA: Final = Text(
     r"[a-z][a-z0-9_]{0,31}",
     "up to 32 characters of a-z 0-9 _ in quotes, starting with a letter",
 )
+LEAST_LENGTH_M: Final = 1e-6
+"""Least distance of a pin from its base (kinematics.c)."""
+_STATE_ALONG: Final = "add along = { name = value }, its reading for a unit along each direction"
 READ: Final = "_read"
 """Ends the name of the channel with the readings as received."""
 
 
-def _not_all_zero(along: dict[str, float]) -> str | None:
-    if any(along.values()):
+AT: Final = Range("m", -1000, 1000, "a coordinate")
+"""A coordinate of a pin or a base."""
+COMPONENT: Final = Range("", -1e6, 1e6, "a component")
+
+
+def _not_all_zero(along: dict[str, float] | None) -> str | None:
+    if along is None or any(along.values()):
         return None
     shown = ", ".join(f"{name} = {value:g}" for name, value in along.items()) or "no direction"
     return (
@@ -62,19 +75,37 @@ _Along = dict[
 class LoneDisplacement(DisplacementSensor):
     """A displacement sensor at the specimen that belongs to no axis.
 
-    ``along`` states what it reads for a unit of each direction of the interface; directions that it
-    omits do not affect it. ``extra`` names the extra channel of an axis in whose frames its reading
-    arrives, which a test in real time needs; the range is then required.
+    With a matrix in ``[kinematics]``, ``along`` states what it reads for a unit of each direction
+    of the interface; directions that it omits do not affect it. With pins, it measures the distance
+    from ``base_m``, at rest, to ``pin_m`` on the coupler, or along ``direction``, from base to pin,
+    if the base is far away; with ``pulls`` shortening is positive. ``extra`` names the extra
+    channel of an axis in whose frames its reading arrives, which a test in real time needs; the
+    range is then required.
     """
 
     checks: ClassVar[tuple[Condition, ...]] = _ALONG
 
     kind: Literal["displacement"]
     name: Annotated[str, CHANNEL]
-    along: _Along
+    along: _Along | None = None
+    pin_m: Annotated[list[float], Point("a pin", AT)] | None = None
+    base_m: Annotated[list[float], Point("a base", AT)] | None = None
+    direction: Annotated[list[float], Point("a direction", COMPONENT)] | None = None
+    pulls: StrictBool | None = None
     extra: Annotated[str, _EXTRA] | None = None
     stuck_s: TimeLimit | None = None
     jump_m: IncrementLimit | None = None
+
+    @property
+    def pin(self) -> Pin:
+        """The sensor between its base and its pin, for the kinematics of the core."""
+        from rthyb_rt.core.kinematics import Pin
+
+        base = self.base_m if self.direction is None else self.direction
+        assert self.pin_m is not None
+        assert base is not None
+        (px, py), (bx, by) = self.pin_m, base
+        return Pin((px, py), (bx, by), self.direction is not None, bool(self.pulls))
 
 
 class LoneForce(ForceSensor):
@@ -189,7 +220,9 @@ def rows_along(
         kind: "displacement" or "force".
         directions: names, in the order of the columns.
     """
-    rows = [[one.along.get(j, 0.0) for j in directions] for one in sensors if one.kind == kind]
+    rows = [
+        [(one.along or {}).get(j, 0.0) for j in directions] for one in sensors if one.kind == kind
+    ]
     return rows or None
 
 
@@ -283,7 +316,7 @@ def fault(sensors: Sequence[LoneSensor], directions: Sequence[str], kind: str) -
         if one.name in names[:i]:
             first = names.index(one.name) + 1
             return f"sensors {first} and {i + 1} are both called {written(one.name)}"
-        for name in one.along:
+        for name in one.along or ():
             if name not in directions:
                 close = nearest(name, list(directions))
                 return (
@@ -294,11 +327,36 @@ def fault(sensors: Sequence[LoneSensor], directions: Sequence[str], kind: str) -
         count = sum(one.kind == which for one in sensors)
         if count > SENSORS_MAX:
             return f'found {count} sensors of kind = "{which}"; there may be up to {SENSORS_MAX}'
-    if sensors and kind != "matrix":
+    faults = (_place_fault(one, kind) for one in sensors if isinstance(one, LoneDisplacement))
+    return next((found for found in faults if found is not None), None)
+
+
+def _place_fault(one: LoneDisplacement, kind: str) -> str | None:
+    """Return what is wrong with the keys that state what a displacement sensor measures."""
+    keys = [key for key in ("pin_m", "base_m", "direction") if getattr(one, key) is not None]
+    keys += ["pulls"] if one.pulls else []
+    if kind == "matrix":
+        if keys:
+            return (
+                f"{one.name}: found {keys[0]}, which goes with pins; with kinematics of kind = "
+                '"matrix" state what the sensor reads with along'
+            )
+        return None if one.along is not None else f"{one.name}.along: missing; {_STATE_ALONG}"
+    if one.along is not None:
         return (
-            f"found {len(sensors)} sensors without an actuator ({', '.join(names)}) with "
-            f'kinematics of kind = "{kind}"; they need kind = "matrix", which states how their '
-            "readings enter displacement and force of the interface. With pins, record "
-            "them as [[axis.sensors.extra]] alone"
+            f"{one.name}: found along, which goes with a matrix; with kinematics of kind = "
+            f'"{kind}" give pin_m, the pin on the coupler, and base_m, from which it measures'
         )
-    return None
+    if one.pin_m is None or (one.base_m is None) == (one.direction is None):
+        return (
+            f"{one.name}: found {', '.join(keys) or 'no pin'}; with kinematics of kind = "
+            f'"{kind}" give pin_m, the pin on the coupler, and either base_m, the point from '
+            "which it measures, or, if that is far away, direction, from there to the pin"
+        )
+    (px, py), pin = one.pin_m, one.pin
+    length = math.hypot(*pin.base_m) if pin.far else math.dist(pin.pin_m, pin.base_m)
+    if length > LEAST_LENGTH_M:
+        return None
+    if pin.far:
+        return f"{one.name}: found direction = [0, 0]; it needs the direction from base to pin"
+    return f"{one.name}: has its pin at its own base, [{px:g}, {py:g}] m"

@@ -36,7 +36,7 @@ COORDINATES: Final = words("rthyb_coordinate", "RTHYB_COORDINATE_")
 
 @dataclass(frozen=True)
 class Pin:
-    """One axis between its base and its pin on the coupler.
+    """One axis, or displacement sensor, between its base and its pin on the coupler.
 
     Attributes:
         pin_m: position of its pin at rest, x and y from the interface's reference point, m.
@@ -62,7 +62,9 @@ class Kinematics:
         coordinates: with pins, the coordinates of the interface, as many as axes; all others stay
             0.
         forces: with a matrix: interface forces = forces times those of the load cells, (directions,
-            axes); None: the transposed matrix, for load cells in line with the axes.
+            axes); None: the transposed matrix, for load cells in line with the axes. With pins and
+            load cells without an actuator, g: F = J^T f + forces (g - carries J^T f), with the
+            forces f and the Jacobian J of the axes, (directions, cells).
         displacements: with a matrix: pose = displacements times those of the axes, (directions,
             axes), with displacements times matrix = identity; None: the least-squares inverse.
         reads: with a matrix: displacement sensors without an actuator; a row for each with its
@@ -72,6 +74,8 @@ class Kinematics:
             such a cell measures, (cells, directions). ``forces`` must then be given, with further
             columns for them; those of the axes are in line with them, so ``forces`` times (the
             forces of the axes with a unit resultant, above ``carries``) is the identity.
+        sensor_pins: with pins, displacement sensors without an actuator. Each counts like the
+            sensor of an axis in the least-squares pose.
 
     Raises:
         CoreError: the axes leave a coordinate undetermined, a pin is at its own base, a coordinate
@@ -88,17 +92,21 @@ class Kinematics:
         displacements: npt.ArrayLike | None = None,
         reads: npt.ArrayLike | None = None,
         carries: npt.ArrayLike | None = None,
+        sensor_pins: Sequence[Pin] = (),
     ) -> None:
         further = {"reads": reads, "carries": carries}
         if (matrix is None) == (not pins):
             raise CoreError("kinematics need either a matrix or pins, not both")
         if matrix is None:
-            if any(v is not None for v in (forces, displacements, reads, carries)):
+            if displacements is not None or reads is not None:
                 raise CoreError(
-                    "found forces, displacements, reads or carries together with pins; they go "
-                    "with a matrix only"
+                    "found displacements or reads together with pins; they go with a matrix only"
                 )
             settings = _of_pins(pins, coordinates)
+            _add_cells(settings, forces, carries, len(coordinates))
+            _add_sensor_pins(settings, sensor_pins)
+        elif sensor_pins:
+            raise CoreError("found sensor_pins together with a matrix; they go with pins only")
         else:
             settings = _of_matrix(matrix, forces, displacements, further)
         self._given_as = {
@@ -109,6 +117,8 @@ class Kinematics:
         for name, given in {"forces": forces, "displacements": displacements, **further}.items():
             if given is not None:
                 self._given_as[name] = np.asarray(given, np.float64).tolist()
+        if sensor_pins:
+            self._given_as["sensor_pins"] = [asdict(pin) for pin in sensor_pins]
         self.size: int = settings["size"]
         self.directions: int = settings.get("directions", self.size)
         self.displacement_sensors: int = settings.get("displacement_sensors", 0)
@@ -123,13 +133,17 @@ class Kinematics:
     @classmethod
     def of(cls, plain: Mapping[str, Any]) -> Kinematics:
         """Return the kinematics that `plain` described; raises ``CoreError``."""
-        pins = [
-            Pin(tuple(pin["pin_m"]), tuple(pin["base_m"]), bool(pin["far"]), bool(pin["pulls"]))
-            for pin in plain["pins"]
-        ]
+        pins, sensor_pins = (
+            [
+                Pin(tuple(pin["pin_m"]), tuple(pin["base_m"]), bool(pin["far"]), bool(pin["pulls"]))
+                for pin in plain.get(name, ())
+            ]
+            for name in ("pins", "sensor_pins")
+        )
         return cls(
             plain["matrix"],
             pins=pins,
+            sensor_pins=sensor_pins,
             coordinates=plain["coordinates"],
             forces=plain.get("forces"),
             displacements=plain.get("displacements"),
@@ -219,17 +233,30 @@ class Kinematics:
             pose: (n, directions).
             force: interface forces, (n, directions).
         """
-        m = self.directions
-        reads, carries = (
-            np.asarray(self._given_as.get(name) or np.empty((0, m))) for name in _FURTHER
-        )
-        along, pushed = self._given(pose, m), self._given(force, m)
-        return np.concatenate([along @ reads.T, pushed @ carries.T], axis=1)
+        along, pushed = self._given(pose, self.directions), self._given(force, self.directions)
+        out, of_c = np.empty((len(along), self.sensors)), ffi.addressof(self._c, "cfg")
+        for one, by, to in zip(along, pushed, out, strict=True):
+            lib.rthyb_kinematics_readings(of_c, reading(one), reading(by), writing(to))
+        return out
+
+    def reads(self) -> FloatArray:
+        """Return d displacement sensors without an actuator / d pose at the last pose.
+
+        (displacement_sensors, directions).
+        """
+        out = np.empty(self.displacement_sensors * self.directions)
+        lib.rthyb_kinematics_reads(self._c, writing(out))
+        return out.reshape(self.displacement_sensors, self.directions)
 
     @property
     def has_forces(self) -> bool:
         """Whether the interface forces follow from a matrix of their own."""
         return "forces" in self._given_as
+
+    @property
+    def has_pins(self) -> bool:
+        """Whether the axes are described by pins, not by a matrix."""
+        return bool(self._given_as["pins"])
 
     def weights(self) -> FloatArray:
         """Return d pose / d measured axes at the last pose, (directions, size).
@@ -238,7 +265,7 @@ class Kinematics:
         """
         if self.displacement_sensors:
             own, further = self.shares()
-            return np.asarray(own + further @ np.array(self._given_as["reads"]) @ self.back())
+            return np.asarray(own + further @ self.reads() @ self.back())
         if self.size == self.directions and "displacements" not in self._given_as:
             return self.back()
         # Constant: the poses of unit displacements are its columns.
@@ -254,6 +281,9 @@ class Kinematics:
         if not self.displacement_sensors:
             return self.weights(), np.empty((self.directions, 0))
         n, p = self.size, self.displacement_sensors
+        if self.has_pins:
+            both = np.linalg.pinv(np.concatenate([self.jacobian(), self.reads()]))
+            return both[:, :n], both[:, n:]
         flat = self._c.measure[0 : self.directions * (n + p)]
         whole = np.array(list(flat)).reshape(self.directions, n + p)
         return whole[:, :n], whole[:, n:]
@@ -377,6 +407,46 @@ def _add_sensors(
     return len(rows)
 
 
+def _add_cells(
+    settings: dict[str, Any],
+    forces: npt.ArrayLike | None,
+    carries: npt.ArrayLike | None,
+    directions: int,
+) -> None:
+    """Add load cells without an actuator to settings with pins."""
+    count = _add_sensors(settings, "carries", carries, directions)
+    shape = None if forces is None else np.shape(forces)
+    if shape != ((directions, count) if count else None):
+        raise CoreError(
+            f"forces: found {'none' if shape is None else f'shape {shape}'} with pins and {count} "
+            f"load cells without an actuator; it must have {directions} rows, one for each "
+            "direction, and a column for each such load cell"
+        )
+    if count:
+        settings["given"] = lib.RTHYB_GIVEN_FORCES
+        settings["forces"] = np.asarray(forces, np.float64).reshape(-1).tolist()
+
+
+def _add_sensor_pins(settings: dict[str, Any], pins: Sequence[Pin]) -> None:
+    """Add displacement sensors without an actuator to settings with pins."""
+    if len(pins) > SENSORS_MAX:
+        raise CoreError(
+            f"found {len(pins)} displacement sensors without an actuator; at most {SENSORS_MAX} "
+            "are allowed"
+        )
+    settings["displacement_sensors"] = len(pins)
+    settings |= {f"sensor_{name}": values for name, values in _rods(pins).items()}
+
+
+def _rods(pins: Sequence[Pin]) -> dict[str, Any]:
+    return {
+        "pin_m": [pin.pin_m for pin in pins],
+        "base_m": [pin.base_m for pin in pins],
+        "far": [int(pin.far) for pin in pins],
+        "pulls": [int(pin.pulls) for pin in pins],
+    }
+
+
 def _of_pins(pins: Sequence[Pin], coordinates: Sequence[Coordinate]) -> dict[str, Any]:
     unknown = [name for name in coordinates if name not in COORDINATES]
     if unknown or not 1 <= len(pins) <= len(COORDINATES) or len(coordinates) != len(pins):
@@ -389,8 +459,5 @@ def _of_pins(pins: Sequence[Pin], coordinates: Sequence[Coordinate]) -> dict[str
         "kind": lib.RTHYB_KINEMATICS_PINS,
         "size": len(pins),
         "coordinate": [COORDINATES[name] for name in coordinates],
-        "pin_m": [pin.pin_m for pin in pins],
-        "base_m": [pin.base_m for pin in pins],
-        "far": [int(pin.far) for pin in pins],
-        "pulls": [int(pin.pulls) for pin in pins],
+        **_rods(pins),
     }

@@ -596,7 +596,7 @@ def default_limits(
         both need the noise of the sensor, the jump of a load cell a reference.
     """
     rig, derived = group.rig, group.derived
-    along = np.array([one.along.get(name, 0.0) for name in rig.directions])
+    along = rig.along(one)
     step = 0.0 if channel is None else channel.step
     tie, rate = rig.core_kinematics(), derived.rate
     limits = [own.limits for own in derived.axis]
@@ -638,7 +638,7 @@ def _tare_most(one: LoneSensor, rig: AxesRig, views: Sequence[core.StationConfig
     u = B^+ x; those of a load cell, r = a F, from the forces of the axes with the same work,
     F = B^T f.
     """
-    along = np.array([one.along.get(name, 0.0) for name in rig.directions])
+    along = rig.along(one)
     tie = rig.core_kinematics()
     of_force = isinstance(one, LoneForce)
     by_axis = along @ (tie.jacobian().T if of_force else tie.back())

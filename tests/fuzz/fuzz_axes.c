@@ -247,7 +247,7 @@ static void some_kinematics(dice *d, int n, rthyb_kinematics_config *k)
 static void some_cells(dice *d, rthyb_kinematics_config *k)
 {
     const int n = k->size, m = rthyb_kinematics_directions(k);
-    const int q = k->force_sensors;
+    const int q = k->force_sensors, pins = k->kind == RTHYB_KINEMATICS_PINS;
     double weight[MOST][RTHYB_SENSORS_MAX] = {{0.0}}, kept[MOST][MOST] = {{0.0}};
     k->given |= RTHYB_GIVEN_FORCES;
     for (int i = 0; i < q * m; i++)
@@ -260,7 +260,11 @@ static void some_cells(dice *d, rthyb_kinematics_config *k)
                 kept[j][h] -= weight[j][c] * k->carries[c * m + h];
         }
     }
-    for (int j = 0; j < m; j++)
+    /* With pins, the part of the axes follows from the pose. */
+    for (int j = 0; j < m && pins; j++)
+        for (int c = 0; c < q; c++)
+            k->forces[j * q + c] = weight[j][c];
+    for (int j = 0; j < m && !pins; j++)
         for (int i = 0; i < n + q; i++) {
             double sum = i < n ? 0.0 : weight[j][i - n];
             for (int h = 0; h < m && i < n; h++)
@@ -269,17 +273,34 @@ static void some_cells(dice *d, rthyb_kinematics_config *k)
         }
 }
 
+/* Wires and lasers at the coupler; some are short, so that their directions change a lot. */
+static void some_wires(dice *d, rthyb_kinematics_config *k)
+{
+    for (int i = 0; i < k->displacement_sensors; i++) {
+        const double angle = between(d, -3.0, 3.0), length = some(d, 0.1, 3.0);
+        k->sensor_far[i] = one_in(d, 4);
+        k->sensor_pulls[i] = one_in(d, 2);
+        for (int c = 0; c < 2; c++) {
+            const double way = length * (c ? sin(angle) : cos(angle));
+            k->sensor_pin_m[i][c] = between(d, -0.3, 0.3);
+            k->sensor_base_m[i][c] = k->sensor_far[i] ? way : k->sensor_pin_m[i][c] - way;
+        }
+    }
+}
+
 static void some_sensors(axes_episode *e)
 {
     dice *d = &e->sensor_dice;
     rthyb_kinematics_config *k = &e->cfg.controller.kinematics;
-    if (k->size == 0 || k->kind != RTHYB_KINEMATICS_MATRIX || one_in(d, 2))
+    if (k->size == 0 || one_in(d, 2))
         return;
     k->displacement_sensors = (int32_t)below(d, RTHYB_SENSORS_MAX + 1);
     k->force_sensors = (int32_t)below(d, RTHYB_SENSORS_MAX + 1);
     k->given &= k->displacement_sensors > 0 ? ~RTHYB_GIVEN_DISPLACEMENTS : ~0;
     for (int i = 0; i < k->displacement_sensors * rthyb_kinematics_directions(k); i++)
         k->reads[i] = between(d, -1.0, 1.0);
+    if (k->kind == RTHYB_KINEMATICS_PINS)
+        some_wires(d, k);
     if (k->force_sensors > 0)
         some_cells(d, k);
     e->sensors = k->displacement_sensors + k->force_sensors;
@@ -424,14 +445,34 @@ static void read_axes(axes_episode *e, rthyb_station_input *in)
     }
 }
 
+/* The same with pins: exact lengths; forces by the slopes at rest. */
+static void read_at_coupler(axes_episode *e, double *sensor)
+{
+    double x[MOST] = {0.0}, pose[MOST] = {0.0}, force[MOST] = {0.0}, jacobian[MOST * MOST];
+    rthyb_kinematics rest = e->kinematics;
+    memset(rest.pose, 0, sizeof rest.pose);
+    rthyb_kinematics_jacobian(&rest, jacobian);
+    for (int i = 0; i < e->n; i++) {
+        x[i] = e->received_m[i][(e->tick - e->delay[i]) % WAY_BACK];
+        for (int j = 0; j < e->m; j++)
+            force[j] += jacobian[i * e->m + j] * e->k[i] * x[i];
+    }
+    (void)rthyb_kinematics_find(&e->kinematics, x, pose);
+    rthyb_kinematics_readings(&e->cfg.controller.kinematics, pose, force, sensor);
+}
+
 /* What the sensors without an actuator read: pose and forces of a specimen that the axes hold. */
 static void read_sensors(axes_episode *e, rthyb_station_input *in)
 {
     const rthyb_kinematics_config *k = &e->cfg.controller.kinematics;
+    double at_coupler[RTHYB_SENSORS_ALL] = {0.0};
+    const int pins = k->kind == RTHYB_KINEMATICS_PINS;
+    if (pins && e->sensors > 0)
+        read_at_coupler(e, at_coupler);
     for (int s = 0; s < e->sensors; s++) {
         const int p = k->displacement_sensors, of_x = s < p;
-        double sum = 0.0;
-        for (int j = 0; j < e->m; j++) {
+        double sum = pins ? at_coupler[s] : 0.0;
+        for (int j = 0; j < e->m && !pins; j++) {
             double along = 0.0;
             for (int i = 0; i < e->n; i++) {
                 const double x = e->received_m[i][(e->tick - e->delay[i]) % WAY_BACK];
@@ -723,10 +764,10 @@ static void look_at_ends(axes_episode *e, const rthyb_station_input *in)
                        << (2 * i + 1);
     }
     for (int k = 0; k < e->sensors; k++)
-        e->ends_now |= (uint32_t)(!(in->sensors_lost >> k & 1u) && isfinite(in->sensor[k]) &&
-                                  e->cfg.lone[k].range > 0.0 &&
-                                  fabs(in->sensor[k]) >= e->cfg.lone[k].range)
-                       << (2 * e->n + k);
+        e->ends_now |=
+            (uint32_t)(!(in->sensors_lost >> k & 1u) && isfinite(in->sensor[k]) &&
+                       e->cfg.lone[k].range > 0.0 && fabs(in->sensor[k]) >= e->cfg.lone[k].range)
+            << (2 * e->n + k);
 }
 
 static uint32_t count_of_ends(const axes_episode *e, int reading)
@@ -742,7 +783,8 @@ static uint32_t count_of_ends(const axes_episode *e, int reading)
 static void judge_ends(axes_episode *e, const rthyb_station_input *in, int started, int cause)
 {
     const rthyb_station *s = &e->station;
-    const int of_range = s->cause == RTHYB_CAUSE_SENSOR_RANGE || s->cause == RTHYB_CAUSE_FORCE_RANGE;
+    const int of_range =
+        s->cause == RTHYB_CAUSE_SENSOR_RANGE || s->cause == RTHYB_CAUSE_FORCE_RANGE;
     const uint32_t losses = s->losses.count;
     uint32_t most = 0;
     if (started)
