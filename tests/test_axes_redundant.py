@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import service_bench
 from axes_bench import SIDES, SPECIMEN, column, columns, controller, rig, shaking
 from command_line import Rthyb
 from kernels import Floats
@@ -38,7 +39,7 @@ from rthyb_rt.lab import axes_experiment, virtual_time
 from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record import axis_export
 from rthyb_rt.record.recording import RecordedTest
-from rthyb_rt.rig import identify_axes
+from rthyb_rt.rig import identify_axes, virtual_rig
 
 Complexes = NDArray[np.complex128]
 
@@ -518,7 +519,7 @@ def read(text: str = RIG) -> AxesRig:
         (
             "[kinematics]",
             '[axis.link]\nkind = "serial"\nchannel = "/dev/ttyS0"\n[kinematics]',
-            "redundant actuators are supported in virtual time only: remove [axis.link]",
+            "redundant actuators are supported with virtual drives only, because commissioning",
         ),
     ],
 )
@@ -608,11 +609,7 @@ def test_the_resultant_of_the_load_cells_is_the_force_on_the_specimen(tested: Re
 
 
 NOT_SUPPORTED: dict[str, Callable[[AxesRig], object]] = {
-    "a test in real time": lambda floor: axes_experiment.prepare(
-        config.parse_test(TEST, "test.toml"), floor, real_time=True
-    ),
     "identification": identify_axes.identify_rig,
-    "real time": axes_experiment.at_rest,
     "the model of an axis by itself": lambda floor: axis_export.alone(floor, "left"),
 }
 
@@ -627,17 +624,108 @@ def test_what_is_not_supported_is_refused_with_counts_and_names(what: str) -> No
         NOT_SUPPORTED[what](read())
 
 
-@pytest.mark.parametrize("command", ["jog", "commission", "serve", "rig", "identify"])
+@pytest.mark.parametrize("command", ["jog", "commission", "identify", "identify --realtime"])
 def test_commands_that_move_a_rig_refuse_it_before_anything_moves(
     command: str, rthyb: Rthyb, tmp_path: Path
 ) -> None:
     path = tmp_path / "floor.toml"
     path.write_text(RIG, encoding="utf-8")
-    more = {"jog": ["0.5 mm", "--axis", "left"], "rig": ["--pty"]}.get(command, [])
-    done = rthyb(command, str(path), *more)
+    more = {"jog": ["0.5 mm", "--axis", "left"]}.get(command, [])
+    command, *options = command.split()
+    done = rthyb(command, str(path), *more, *options)
     assert done.code == InputError.exit_code
     assert "3 axes (left, middle, right) for 2 directions" in done.err
     assert "not supported with redundant actuators" in done.err
+
+
+# ---- on links to virtual drives ------------------------------------------------------------------
+
+SHORT = TEST.replace('name = "redundant"', 'name = "redundant"\nduration_s = 4')
+
+
+def over_links(*faults: str) -> RecordedTest:
+    setup = axes_experiment.prepare(config.parse_test(SHORT, "test.toml"), read(), real_time=True)
+    return virtual_rig.run_faulty(setup, virtual_rig.parse_mishaps(faults, NAMES))
+
+
+def test_over_links_three_axes_go_where_they_go_in_virtual_time() -> None:
+    rec = over_links()
+    assert rec.meta["end_reason"] == "completed"
+    plain = virtual_time.run(axes_experiment.prepare(config.parse_test(SHORT, "test.toml"), read()))
+    for name in NAMES:
+        a, b = (one.axis(name)["x_meas_m"][one.running()] for one in (rec, plain))
+        assert np.abs(a - b).max() < 0.02 * np.abs(b).max()
+    opposing = [axis.peak_opposing_n for axis in analysis.summarize(rec).axes]
+    assert min(opposing) > 0.0
+    assert station_replay.replay(rec).identical
+
+
+FAULTS = {
+    "drop:p=0.05,from=1.5,to=3": "completed",
+    "reorder:from=1.5,to=2": "ramped out: too many lost pairs",
+    "duplicate:from=1.5,to=2": "completed",
+    "silence:from=2": "tripped: link lost of axis {axis}",
+    "drop:from=2": "tripped: link lost of axis {axis}",
+    "drop-force:from=2": "tripped: link lost of axis {axis}",
+    "corrupt:from=2": "tripped: link lost of axis {axis}",
+    "drop-command:from=2": "tripped: drive stopped of axis {axis}",
+    "not-finite:from=2": "tripped: ",
+    "force:n=2e5,from=2": "tripped: force limit of the rig of axis {axis}",
+    "stuck:from=2": "ramped out: sensor stuck of axis {axis}",
+    "jump:m=0.02,from=2": "tripped: sensor jump of axis {axis}",
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("axis", NAMES)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_of_one_of_three_drives_ends_the_test_for_all_or_for_none(
+    fault: str, axis: str
+) -> None:
+    rec = over_links(f"{axis}.{fault}")
+    said = FAULTS[fault].format(axis=axis)
+    assert rec.meta["end_reason"].startswith(said), rec.meta["end_reason"]
+    if "axis" in FAULTS[fault] or fault.startswith("not"):
+        assert axis in rec.meta["end_reason"]
+    assert station_replay.replay(rec).identical
+    x = np.column_stack([rec.axis(name)["x_cmd_m"] for name in NAMES])
+    # Whatever one drive suffers, the commands stay finite, and those of one position.
+    matrix = np.array([[1.0, 0], [1, 1], [1, 1]])
+    apart = x @ (np.eye(3) - matrix @ np.linalg.pinv(matrix)).T
+    assert np.isfinite(x).all()
+    assert np.abs(apart).max() < 0.2 * np.abs(x).max()
+
+
+def test_the_service_holds_three_virtual_drives_and_runs_a_test(tmp_path: Path) -> None:
+    short = TEST.replace('"6 s"', '"3 s"')
+    with service_bench.bench(
+        tmp_path / "rings",
+        faults=(),
+        rig=read(),
+        test_of=lambda changes: config.parse_test(short, "test.toml", changes or {}),
+    ) as lab:
+        lab.loaded({})
+        lab.reach("RUNNING")
+        lab.until("IDLE", 60.0)
+        lab.engine.wait(2.0)
+        assert lab.engine.last is not None
+        assert lab.engine.last["end_reason"] == "completed"
+    (rec,) = service_bench.left(tmp_path / "rings")
+    assert rec.axis_names == NAMES
+    assert station_replay.replay(rec).identical
+
+
+def test_one_of_three_real_drives_is_enough_to_refuse_the_file() -> None:
+    text = RIG
+    for name in NAMES:
+        link = f'[axis.link]\nkind = "serial"\nchannel = "/dev/{name}"\nvirtual = true\n'
+        after = text.index("identified", text.index(f'name = "{name}"'))
+        line = text.index("\n", after) + 1
+        text = text[:line] + link + text[line:]
+    assert read(text).is_redundant
+    real = text.replace('"/dev/middle"\nvirtual = true', '"/dev/middle"')
+    with pytest.raises(InputError, match="axis middle has a link to a real drive"):
+        read(real)
 
 
 def test_two_actuators_in_parallel_move_one_storey() -> None:

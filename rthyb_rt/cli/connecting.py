@@ -35,8 +35,8 @@ def opened_link(
     separate process is at the other end, sampled at ``rate``; None: at that of the rig file.
 
     Raises:
-        InputError: what prevents opening it; redundant actuators, sensors without an actuator that
-            no link reads, or a range that no frame carries.
+        InputError: what prevents opening it; sensors without an actuator that no link reads, or a
+            range that no frame carries.
         RthybError: the virtual rig's process did not start.
     """
     from rthyb_rt.config import AxesRig
@@ -45,7 +45,6 @@ def opened_link(
     from rthyb_rt.rig.links import opening
 
     if isinstance(rig, AxesRig):
-        rig.refuse_redundant("real time", "run tests in virtual time: rthyb run TEST.toml")
         rig.refuse_silent_sensors("real time")
         sensor_wires.check(rig)
     axis_wires.check(rig)
@@ -198,7 +197,16 @@ def connected(within: Within, *, hears: bool = False) -> Iterator[Connection]:
         within: the rig, or one axis of it.
         hears: whether something is to move: if the rig has sensors without an actuator, the other
             drives are then heard, because their frames contain readings of what the axis moves.
+
+    Raises:
+        InputError: one of redundant actuators is to move; or as `opened_link`.
     """
+    if hears and within.whole is not None:
+        within.whole.refuse_redundant(
+            "moving one axis",
+            "the others, which hold still, would push against it: detach it from the specimen, "
+            "and commission it by a rig file of one axis",
+        )
     clock = clock_of(within.rig)
     with _link_of(within, clock, hears) as (opened, before_tick):
         yield _reach(within.rig, opened, clock, before_tick)

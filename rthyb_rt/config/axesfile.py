@@ -917,14 +917,17 @@ def _sensors_fit(kinematics: Kinematics, sensors: list[LoneSensor] | None) -> st
     return lone_fault(sensors or [], kinematics.interface, kinematics.kind)
 
 
-def _in_virtual_time(axes: list[Axis], kinematics: Kinematics) -> str | None:
-    linked = [axis.name for axis in axes if axis.link is not None]
-    if not linked or len(axes) <= len(kinematics.interface):
+def _on_virtual_drives(axes: list[Axis], kinematics: Kinematics) -> str | None:
+    """Refuse real drives of redundant actuators: their signs cannot be checked safely."""
+    real = [axis.name for axis in axes if axis.link is not None and not axis.link.virtual]
+    if not real or len(axes) <= len(kinematics.interface):
         return None
     return (
-        f"axis {linked[0]} has a link, and there are {len(axes)} axes for "
-        f"{len(kinematics.interface)} directions; redundant actuators are supported in virtual "
-        "time only: remove [axis.link] of every axis"
+        f"axis {real[0]} has a link to a real drive, and there are {len(axes)} axes for "
+        f"{len(kinematics.interface)} directions; redundant actuators are supported with virtual "
+        "drives only, because commissioning would push them against each other: if virtual drives "
+        "are at the other ends, set virtual = true in every [axis.link]; otherwise remove "
+        "[axis.link] of every axis, and run tests in virtual time"
     )
 
 
@@ -960,7 +963,7 @@ class AxesRig(WholeFile):
         Condition("sensor", ("kinematics", "sensor"), _sensors_fit),
         Condition("kinematics", ("axis", "kinematics", "sensor"), _kinematics_fault),
         Condition("sensor", ("axis", "sensor"), _sensors_arrive),
-        Condition("axis", ("axis", "kinematics"), _in_virtual_time),
+        Condition("axis", ("axis", "kinematics"), _on_virtual_drives),
         Condition("kinematics", ("rig", "kinematics", "sensor"), _cells_fit),
         Condition("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),
         Condition("rig", ("rig", "specimen"), _elastic_fits),

@@ -82,7 +82,6 @@ def prepare(
     """
     _refuse_what_is_of_one(test)
     if real_time:
-        rig.refuse_redundant("a test in real time", "run it in virtual time, without --realtime")
         rig.refuse_silent_sensors("a test in real time")
         sensor_wires.check(rig)
         axis_wires.check(rig)
@@ -341,9 +340,8 @@ def at_rest(rig: AxesRig) -> Setup:
     stiffness, is never used.
 
     Raises:
-        InputError: the values of the rig file are inconsistent, or the actuators are redundant.
+        InputError: the values of the rig file are inconsistent.
     """
-    rig.refuse_redundant("real time", "only tests in virtual time are: rthyb run TEST.toml")
     rig.refuse_silent_sensors("real time")
     sensor_wires.check(rig)
     axis_wires.check(rig)

@@ -29,7 +29,13 @@ from rthyb_rt.rig.identification import (
     check_read,
     command_of,
 )
-from rthyb_rt.rig.identify_axes import AxesResult, SweepRun, result_of_runs, sweep_of
+from rthyb_rt.rig.identify_axes import (
+    NOT_SWEPT,
+    AxesResult,
+    SweepRun,
+    result_of_runs,
+    sweep_of,
+)
 
 if TYPE_CHECKING:
     from rthyb_rt.record.recording import RecordedTest
@@ -51,13 +57,15 @@ def identify_axes_live(
         progress: called now and then with (ticks done, ticks of all sweeps).
 
     Raises:
-        InputError: invalid sweep, missing limits, no feedback, or an axis that does not follow.
+        InputError: redundant actuators, invalid sweep, missing limits, no feedback, or an axis
+            that does not follow.
         LimitError: a limit or a drive ended a sweep; the message names axis and cause.
         TimingError: this PC was late.
         StoppedError: the operator ended it.
         RthybError: as in `rthyb_rt.lab.realtime.run`.
     """
     sweep, rig = sweep or sweep_of(), connection.rig
+    rig.refuse_redundant(*NOT_SWEPT)
     check(sweep)
     _check_limits(rig, sweep.amplitude_m)
     command, parts = command_of(sweep, rig.rate)

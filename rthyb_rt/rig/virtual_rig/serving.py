@@ -118,10 +118,8 @@ def drives_of(
 
     Raises:
         CoreError: the rig, the drift or a fault is invalid.
-        InputError: values that pass the checks of the files but not those of the core, or redundant
-            actuators.
+        InputError: values that pass the checks of the files but not those of the core.
     """
-    rig.refuse_redundant("a rig on a link", "run tests in virtual time: rthyb run TEST.toml")
     rig.refuse_silent_sensors("a rig on a link")
     sensor_wires.check(rig)
     axis_wires.check(rig)
