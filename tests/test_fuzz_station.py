@@ -16,6 +16,7 @@ FUZZ = TESTS / "fuzz"
 TICKS, SEED = "200000", "1"
 PROGRAMS = ("fuzz_station", "fuzz_axes")
 MORE_TICKS = "1500000"  # what is rare takes longer
+AXES_TICKS = "3000000"  # until a reading at the end of its range has ended a test
 TABLE = re.compile(r" *(\d+)  (.+)(\n +broken .*)?")
 
 Fuzz = Callable[..., subprocess.CompletedProcess[str]]
@@ -62,10 +63,10 @@ def test_random_days_break_no_rule_and_give_each_its_say(fuzz: Fuzz) -> None:
 
 @pytest.mark.long
 def test_random_days_of_several_axes_break_no_rule_and_give_each_its_say(fuzz: Fuzz) -> None:
-    done = fuzz("ticks", TICKS, SEED, axes=True)
+    done = fuzz("ticks", AXES_TICKS, SEED, axes=True)
     assert done.returncode == 0, done.stdout
     rules = told(done.stdout)
-    assert len(rules) == 21
+    assert len(rules) > 21
     assert [rule for rule, (met, _) in rules.items() if not met] == []
     assert "nothing broken" in done.stdout
 
