@@ -131,7 +131,8 @@ def test_numpy_array_as_a_setting_is_stored_as_a_list(given: Any, stored: Any) -
     test = SHORT.with_(controller=own_parts.Weighted(given))
     found = test["controller.python.settings.weights"]
     assert found == stored
-    assert type(found) is type(stored)
+    # What is read from a test refuses every change; a part of it is a plain list.
+    assert type(found[:] if isinstance(found, list) else found) is type(stored)
     again = rt.Test.from_toml(test.to_toml(), test.rig)
     assert again == test
     assert again["controller.python.settings.weights"] == stored

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final
 
@@ -39,9 +40,40 @@ _CLASS: Final = Text(
 )
 
 
+class _NamedValues(Reader):
+    """A table of up to `MOST_SETTINGS` names and values, in the order of the file."""
+
+    what: str
+
+    def read(self, value: object) -> dict[str, Any]:
+        """Return the values; raise an explained error if one of them is invalid."""
+        if not isinstance(value, dict) or len(value) > MOST_SETTINGS:
+            raise explained(f"found {written(value)}; {self.allowed()}")
+        return {name: self._one(name, given) for name, given in value.items()}
+
+    @abstractmethod
+    def allowed(self) -> str:
+        """Return what is allowed, in words."""
+
+    @abstractmethod
+    def _one(self, name: object, given: object) -> Any:
+        """Return one value; raise an explained error if it or its name is invalid."""
+
+    @abstractmethod
+    def _form_of_one(self) -> dict[str, Any]:
+        """Return the JSON schema of one value."""
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> dict[str, Any]:
+        """Describe the table."""
+        one = self._form_of_one()
+        return {"type": "object", "additionalProperties": one, "description": self.what}
+
+
 @dataclass(frozen=True)
-class NamedParameters(Reader):
-    """Numbers by name for a library or an FMU, in the order of the file."""
+class NamedParameters(_NamedValues):
+    """Numbers by name for a library or an FMU."""
 
     what: str = "the parameters"
     form: ClassVar[str] = "table of names and numbers"
@@ -53,33 +85,20 @@ class NamedParameters(Reader):
             "{ mass_kg = 4220 }"
         )
 
-    def read(self, value: object) -> dict[str, float]:
-        """Return the numbers; raise an explained error if they are invalid."""
-        if not isinstance(value, dict) or len(value) > MOST_SETTINGS:
-            raise explained(f"found {written(value)}; {self.allowed()}")
-        found = {}
-        for name, number in value.items():
-            if not isinstance(name, str) or not _NAME.fullmatch(name):
-                raise explained(f"found the name {written(name)}; {self.allowed()}")
-            try:
-                found[name] = Range("", -1e18, 1e18, name).read(number)
-            except PydanticCustomError as error:
-                raise explained(str((error.context or {})["text"])) from None
-        return found
+    def _one(self, name: object, given: object) -> float:
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            raise explained(f"found the name {written(name)}; {self.allowed()}")
+        try:
+            return Range("", -1e18, 1e18, name).read(given)
+        except PydanticCustomError as error:
+            raise explained(str((error.context or {})["text"])) from None
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        """Describe the table."""
-        return {
-            "type": "object",
-            "additionalProperties": {"type": "number"},
-            "description": self.what,
-        }
+    def _form_of_one(self) -> dict[str, Any]:
+        return {"type": "number"}
 
 
 @dataclass(frozen=True)
-class Settings(Reader):
+class Settings(_NamedValues):
     """Arguments of a class: numbers, strings, true, false, or lists of these."""
 
     what: str = "the settings"
@@ -92,24 +111,16 @@ class Settings(Reader):
             "number, a string, true, false, or a list of these"
         )
 
-    def read(self, value: object) -> dict[str, Any]:
-        """Return the arguments; raise an explained error if they are invalid."""
-        if not isinstance(value, dict) or len(value) > MOST_SETTINGS:
-            raise explained(f"found {written(value)}; {self.allowed()}")
-        for name, given in value.items():
-            items = given if isinstance(given, list) else [given]
-            plain = all(isinstance(item, (bool, int, float, str)) for item in items)
-            if not isinstance(name, str) or not name.isidentifier() or not plain:
-                raise explained(f"found {written(name)} = {written(given)}; {self.allowed()}")
-        return dict(value)
+    def _one(self, name: object, given: object) -> Any:
+        items = given if isinstance(given, list) else [given]
+        plain = all(isinstance(item, (bool, int, float, str)) for item in items)
+        if not isinstance(name, str) or not name.isidentifier() or not plain:
+            raise explained(f"found {written(name)} = {written(given)}; {self.allowed()}")
+        return given
 
-    def __get_pydantic_json_schema__(
-        self, schema: CoreSchema, handler: GetJsonSchemaHandler
-    ) -> dict[str, Any]:
-        """Describe the table."""
+    def _form_of_one(self) -> dict[str, Any]:
         one = {"type": ["number", "string", "boolean"]}
-        either = {"anyOf": [one, {"type": "array", "items": one}]}
-        return {"type": "object", "additionalProperties": either, "description": self.what}
+        return {"anyOf": [one, {"type": "array", "items": one}]}
 
 
 @dataclass(frozen=True)

@@ -76,14 +76,27 @@ def _too_small(link: LinkTable | None, key: str, range_: float, reach: float) ->
     """Return what is wrong with a range, and what to do; both values in mm or kN."""
     of, _, name = key.partition(".")
     signal, unit = ("f_meas", "kN") if of == "force" else ("x_meas", "mm")
-    said = (
-        f"found {range_:.6g} {unit}, but {signal} in the frames of the link carries every reading "
-        f"only up to {_rounded_down(reach):.6g} {unit}; a larger one would arrive as a reading at "
-        f"that end: {_more(link, of, range_, reach)}"
-    )
+    most = f"{_rounded_down(reach):.6g} {unit}"
+    carrier = f"{signal} in the frames of the link"
+    said = beyond_frame(f"{range_:.6g} {unit}", carrier, most, _more(link, of, range_, reach))
     if reach > 0.0:
         said += f'; or set {name} = "{_rounded_down(reach):.6g} {unit}", where a test then ends'
     return said
+
+
+def beyond_frame(range_: str, carrier: str, most: str, remedy: str) -> str:
+    """Return why a range that a frame does not carry is refused, and what to do.
+
+    Args:
+        range_: the range that is stated, with its unit.
+        carrier: the signal or channel, and where it is.
+        most: the largest reading that it carries, with its unit.
+        remedy: what to do.
+    """
+    return (
+        f"found {range_}, but {carrier} carries every reading only up to {most}; a larger one "
+        f"would arrive as a reading at that end: {remedy}"
+    )
 
 
 def _more(link: LinkTable | None, of: str, wanted: float, reach: float) -> str:

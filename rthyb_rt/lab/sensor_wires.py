@@ -17,6 +17,7 @@ from rthyb_rt.config.rigfile import ExtraSensor, LinkTable
 from rthyb_rt.core import wire
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.lab import extra_frames
+from rthyb_rt.lab.axis_wires import beyond_frame
 
 WIRE_MOST: Final = 2**31 - 1
 """Largest number in the 32-bit field of an extra channel of the program's own frames."""
@@ -117,12 +118,12 @@ def _too_small(
     axis = rig.axis[place[0]]
     channel = axis.sensors.extra[place[1]]
     unit, factor = ("kN", 1e-3) if isinstance(one, LoneForce) else ("mm", 1e3)
-    remedy = _remedy(axis.link, channel, range_)
-    return (
-        f"found {range_ * factor:.6g} {unit}, but in the frames of axis {axis.name} the "
-        f"channel {channel.name}, which extra of {one.name} names, carries every reading only up "
-        f"to {reach * factor:.6g} {unit} of either sign; a larger one would arrive as a "
-        f"reading at that end: {remedy}, or state the range of a smaller sensor"
+    return beyond_frame(
+        f"{range_ * factor:.6g} {unit}",
+        f"in the frames of axis {axis.name} the channel {channel.name}, which extra of {one.name} "
+        "names,",
+        f"{reach * factor:.6g} {unit} of either sign",
+        f"{_remedy(axis.link, channel, range_)}, or state the range of a smaller sensor",
     )
 
 
