@@ -48,7 +48,7 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
 
 ANSWERS = {
     "held_out": 0.9, "size": 0.5, "left": 0.5, "driven": (60.0, 60.0, 60.0),
-    "driven_together": 180.0,
+    "driven_together": 180.0, "slow_noise": 1.0,
 }  # fmt: skip
 
 
@@ -87,6 +87,11 @@ def a_form() -> Evidence:
 def a_drift() -> Evidence:
     """Of a naive model: a drift that is not there within the halves."""
     return evidence(of("drift", chi2=1000.0), of("coulomb", chi2=1300.0), naive=True)
+
+
+def slow() -> Evidence:
+    """A drift earns seven times its price among slow noise of 18 times the power of all rows."""
+    return evidence(of("drift", chi2=1000.0), null=1139.0)
 
 
 def the_cells_own_noise() -> Evidence:
@@ -141,6 +146,7 @@ def a_form_of_one() -> Evidence:
 RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
     "needed": (not_needed(), {}, ("coulomb",), ("coulomb", "cubic")),
     "off zero": (a_zero(), {"zero": 1.0}, (), ("bias",)),
+    "slow noise": (slow(), {"slow_noise": 18.0}, (), ("drift",)),
     "drift goes on": (a_drift(), {"drift": DriftRates(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
     "driven": (the_cells_own_noise(), {"driven": (10.0,)}, (), ("viscous",)),
     "more laws": (more_laws(), {}, ("hysteresis",), ("cubic", "gap")),
@@ -388,6 +394,18 @@ def test_a_drift_that_moves_a_body_no_farther_than_its_zero_is_not_named() -> No
     assert decided(seen, zero=20.0).best.names == ("drift",)
 
 
+def test_a_drift_is_compared_with_slow_noise_only_where_there_is_some() -> None:
+    """By chance, the slowest lines of white noise have up to 2.5 times its power."""
+    assert decided(slow(), slow_noise=2.4).best.names == ("drift",)
+    assert decided(slow(), slow_noise=6.0).best.names == ("drift",)
+    assert decided(slow(), slow_noise=7.0).best.names == ()
+    fast = evidence(of("coulomb", chi2=1000.0), null=1139.0)
+    assert decided(fast, slow_noise=18.0).best.names == ("coulomb",)
+    naive = replace(slow(), setting=replace(slow().setting, naive=True))
+    rates = DriftRates(1.0, 0.9, 0.1)
+    assert decided(naive, slow_noise=18.0, drift=rates).best.names == ("drift",)
+
+
 def test_a_drift_that_no_half_shows_has_to_be_better_than_an_offset_by_an_effects_price() -> None:
     """Nobody knows when the cell was zeroed: an offset that drifts contains the offset alone."""
     seen = evidence(
@@ -460,7 +478,8 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
 
 
 FREE = {"part": None, "yielding": None, "drift": DriftRates(1.0, 0.9, 0.01), "beyond_forms": 50.0,
-        "driven": (60.0, 60.0, 60.0), "driven_together": 180.0, "zero": 100.0}  # fmt: skip
+        "driven": (60.0, 60.0, 60.0), "driven_together": 180.0, "zero": 100.0,
+        "slow_noise": 1.0}  # fmt: skip
 
 
 @hypothesis.given(any_evidence(), st.randoms())

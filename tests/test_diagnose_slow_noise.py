@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from types import SimpleNamespace
 
 import event_cases
 import numpy as np
@@ -18,7 +19,7 @@ from test_diagnose_colour import (
 )
 from test_diagnose_noise import DRIVE, F_STD, written
 
-from rthyb_rt.diagnose import engine, estimate, noise, reading
+from rthyb_rt.diagnose import engine, estimate, evidence, noise, reading
 
 ALL = np.ones(N, dtype=np.bool_)
 LINES = noise.Lines(ALL, FINE_HZ)
@@ -145,3 +146,20 @@ def test_drift_of_a_load_cell_on_a_shaking_table_is_seen_in_pink_noise(tmp_path)
     d = on_ground(tmp_path, 5, drift_per_s=0.3)
     assert d.verdict == "ambiguous"  # an offset of the cell goes with so short a recording as well
     assert ["drift"] in d.ambiguous_with
+
+
+def test_the_power_of_the_slowest_lines_is_that_of_the_noise_at_their_frequencies():
+    """Of noise that is white up to 8 half cosines over the recording, 25 times as loud there."""
+    random, n = np.random.default_rng(4), 4096
+    white, slow = [], []
+    cosines = np.cos(np.pi * np.outer(np.arange(1, 9), (np.arange(n) + 0.5) / n))
+    for _ in range(40):
+        y = random.standard_normal(n)
+        loud = y + np.sqrt(24.0 * 2.0 / n) * (random.standard_normal(8) @ cosines)
+        kept = np.sort(random.permutation(n)[: n // 2])
+        for out, residual in ((white, y), (slow, loud)):
+            problem = SimpleNamespace(rows=kept)
+            out.append(evidence.slow_power(problem, SimpleNamespace(residual=residual[kept])))
+    assert np.mean(white) == pytest.approx(1.0, abs=0.2)
+    # Half of the rows carry half of the slow power.
+    assert np.mean(slow) == pytest.approx(13.0, rel=0.25)

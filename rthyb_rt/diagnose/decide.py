@@ -22,7 +22,7 @@ CLOSER = 3
 """Number of sets, best first, for which yielding is tried in place of bristles."""
 What = Literal[
     "part", "yielding", "beyond forms", "drift", "driven", "driven together", "size", "left",
-    "held out", "zero",
+    "held out", "zero", "slow noise",
 ]  # fmt: skip
 
 
@@ -204,7 +204,9 @@ class Need:
             force; "left", the rms difference from the recorded force with the set, as a multiple
             of that of the model as given; "held out", the fraction of its gain that is confirmed
             on rows to which it was not fitted; "zero", how far a constant force or a drift
-            deflects the spring, in standard deviations of the displacement noise in its data sheet.
+            deflects the spring, in standard deviations of the displacement noise in its data sheet;
+            "slow noise", the power of the slowest lines of what it leaves, as a multiple of the
+            noise power.
         of: the set.
         which: indices of the effects concerned.
     """
@@ -523,6 +525,29 @@ def off_zero(court: Court, of: Hypothesis) -> bool:
     return own >= wanted or court.refuse("beside zero", of, found=own, wanted=wanted)
 
 
+def above_slow_noise(court: Court, of: Hypothesis) -> bool:
+    """A constant force or a drift must stand out among the slow noise that a set leaves.
+
+    Both are slow: their evidence is what they earn relative to the noise at such frequencies, not
+    to that of all rows. A line read among noise that swells towards slow motion is part of it.
+    """
+    setting = court.setting
+    if setting.naive or setting.judged != "force":
+        return True
+    slow = court.laws.zeros | court.laws.wanders
+    for i, part in enumerate(of.parts):
+        without = court.by_names.get(of.without(i), court.null if len(of.parts) == 1 else None)
+        if part.name not in slow or without is None:
+            continue
+        power = court.ask("slow noise", of)
+        if power < court.policy.slow_lines_power:
+            return True
+        found, wanted = without.chi2 - of.chi2, power * court.times(of) * part.price
+        if found < wanted:
+            return court.refuse("slow noise", of, part=part.name, found=found, wanted=wanted)
+    return True
+
+
 # ---- rules that compare sets --------------------------------------------------------------------
 
 Sets = list[Hypothesis]
@@ -715,6 +740,7 @@ def each(rule: Callable[[Court, Hypothesis], bool]) -> Callable[[Court, Sets], S
 RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
     "needed": each(needed),
     "off zero": each(off_zero),
+    "slow noise": each(above_slow_noise),
     "drift goes on": each(goes_on),
     "driven": each(driven),
     "more laws": worth_their_size,

@@ -37,6 +37,8 @@ from rthyb_rt.diagnose.select import (
 )
 
 FOLD_S = 0.25
+SLOW_LINES = 8
+"""Number of lines from which the power of slow noise is read: to a half of itself."""
 FOLDS = 4
 
 
@@ -181,6 +183,8 @@ class Gathered:
             return force_n / abs(model.k) / model.x_std
         if need.what == "left":
             return left(problem, fit)
+        if need.what == "slow noise":
+            return slow_power(problem, fit)
         return size(problem, fit) if need.what == "size" else self.held_out(fit)
 
     def _refined(self, members: list[Member]) -> Hypothesis | None:
@@ -259,6 +263,19 @@ def left(problem: ResidualProblem, fit: Fit) -> float:
         contribution(problem, fit, i) for i in range(len(fit.members))
     )
     return float(np.std(before - added[rows])) / max(float(np.std(before)), 1e-300)
+
+
+def slow_power(problem: ResidualProblem, fit: Fit) -> float:
+    """Return the mean power of the slowest lines of a residual, in units of its noise.
+
+    The lines are half cosines over the recording, as of a cosine transform: a straight line is
+    nearly the first one. Rows that are not evaluated are left out.
+    """
+    rows, y = problem.rows, fit.residual
+    phase = np.pi * (rows - rows[0]) / max(int(rows[-1] - rows[0]), 1)
+    lines = np.cos(np.outer(np.arange(1, SLOW_LINES + 1), phase))
+    lines -= lines.mean(axis=1, keepdims=True)
+    return float(np.mean((lines @ y) ** 2 / np.sum(lines**2, axis=1)))
 
 
 def beyond_forms(problem: ResidualProblem, fit: Fit, which: int) -> float:

@@ -487,6 +487,12 @@ class Policy:
         0.5, "fraction of the rows", "judgement",
         "Minimum fraction of the rows that must be usable to determine the colour of the noise.",
     )  # fmt: skip
+    slow_lines_power: float = _entry(
+        2.5, "multiple of the noise power", "physics",
+        "Mean power of the slowest lines of a residual above which a constant force or a drift is "
+        "compared with them.",
+        "by chance, one in a hundred for eight lines of white noise",
+    )  # fmt: skip
     hangs_together: float = _entry(
         0.05, "correlation", "numerics",
         "Correlation of a residual below which later rows are considered independent.",
