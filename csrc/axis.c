@@ -5,7 +5,8 @@
 
 int axis_check(const rthyb_axis_config *cfg)
 {
-    const int good = cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0 && cfg->tare_most_m >= 0.0 &&
+    const int good = cfg->x_frozen_ticks >= 0 && cfg->f_frozen_ticks >= 0 &&
+                     cfg->x_range_m >= 0.0 && cfg->f_range_n >= 0.0 && cfg->tare_most_m >= 0.0 &&
                      cfg->tare_most_n >= 0.0 && cfg->rest_spread_m > 0.0;
     return good ? 0 : RTHYB_E_LIMIT;
 }
@@ -28,6 +29,7 @@ void axis_begin_tare(rthyb_axis *a)
     a->sum_x = a->sum_f = 0.0;
     a->low_x = RTHYB_DISPLACEMENT_MAX_M;
     a->high_x = -RTHYB_DISPLACEMENT_MAX_M;
+    a->repeats_x = a->repeats_f = (rthyb_repeats){.count = 0};
 }
 
 int axis_add_to_tare(rthyb_axis *a, const rthyb_axis_config *cfg, const rthyb_axis_input *in)
@@ -37,6 +39,26 @@ int axis_add_to_tare(rthyb_axis *a, const rthyb_axis_config *cfg, const rthyb_ax
     a->low_x = fmin(a->low_x, in->x_m);
     a->high_x = fmax(a->high_x, in->x_m);
     return !(a->high_x - a->low_x > cfg->rest_spread_m);
+}
+
+int axis_repeats(rthyb_repeats *seen, double reading, int32_t most)
+{
+    const int again = seen->count > 0 && reading == seen->reading;
+    seen->count = again ? seen->count + (seen->count < INT32_MAX) : 1;
+    seen->reading = reading;
+    return most > 0 && seen->count >= most;
+}
+
+int axis_is_frozen(rthyb_axis *a, const rthyb_axis_config *cfg, const rthyb_axis_input *in,
+                   finding *found)
+{
+    const int of_x = axis_repeats(&a->repeats_x, in->x_m, cfg->x_frozen_ticks);
+    const int of_f = axis_repeats(&a->repeats_f, in->f_n, cfg->f_frozen_ticks);
+    if (of_x)
+        *found = (finding){RTHYB_CAUSE_SENSOR_STUCK, a->repeats_x.count, cfg->x_frozen_ticks, 0};
+    else if (of_f)
+        *found = (finding){RTHYB_CAUSE_FORCE_STUCK, a->repeats_f.count, cfg->f_frozen_ticks, 0};
+    return of_x || of_f;
 }
 
 int axis_is_far_off(const rthyb_axis_config *cfg, double x_m, double f_n, finding *found)

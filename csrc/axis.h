@@ -29,6 +29,11 @@ int axis_off_scale(const rthyb_axis_config *cfg, const rthyb_axis_input *in);
 void axis_begin_tare(rthyb_axis *axis);
 /* Adds a reading; 0 if the readings are not at rest. */
 int axis_add_to_tare(rthyb_axis *axis, const rthyb_axis_config *cfg, const rthyb_axis_input *in);
+/* Counts a reading of a tare; 1 once there were `most` equal ones in a row. most = 0: no limit. */
+int axis_repeats(rthyb_repeats *seen, double reading, int32_t most);
+/* The same for both readings of an axis; *found has the one that is frozen, without its place. */
+int axis_is_frozen(rthyb_axis *axis, const rthyb_axis_config *cfg, const rthyb_axis_input *in,
+                   finding *found);
 /* Whether a tare would exceed its limit, because the specimen is deformed or a sensor is misadjusted. */
 int axis_is_far_off(const rthyb_axis_config *cfg, double x_m, double f_n, finding *found);
 /* x_cmd_m: the drive's command, before the new tare; used only if `known`. Returns the command after tare. */

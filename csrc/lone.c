@@ -32,8 +32,9 @@ int lone_check(const rthyb_station_config *cfg)
     int good = 1;
     for (int k = 0; k < RTHYB_SENSORS_ALL; k++) {
         const rthyb_lone_config *own = &cfg->lone[k];
-        good = good && own->range >= 0.0 && own->rest_spread >= 0.0 && own->tare_most >= 0.0 &&
-               !rthyb_watches_check(&own->stuck, 1) && !rthyb_watches_check(&own->jump, 1);
+        good = good && own->frozen_ticks >= 0 && own->range >= 0.0 && own->rest_spread >= 0.0 &&
+               own->tare_most >= 0.0 && !rthyb_watches_check(&own->stuck, 1) &&
+               !rthyb_watches_check(&own->jump, 1);
     }
     return good ? 0 : RTHYB_E_LIMIT;
 }
@@ -173,6 +174,7 @@ void lone_begin_tare(rthyb_station *s)
         s->lone[k].sum = 0.0;
         s->lone[k].low = (double)INFINITY;
         s->lone[k].high = -(double)INFINITY;
+        s->lone[k].repeats = (rthyb_repeats){.count = 0};
     }
 }
 
@@ -191,6 +193,22 @@ int lone_add_to_tare(rthyb_station *s, finding *found)
         }
     }
     return 1;
+}
+
+int lone_is_frozen(rthyb_station *s, finding *found)
+{
+    int frozen = 0;
+    for (int k = 0; k < lones_of(s); k++) {
+        rthyb_repeats *seen = &s->lone[k].repeats;
+        const int32_t most = s->cfg.lone[k].frozen_ticks;
+        if (!axis_repeats(seen, s->lone[k].reading, most) || frozen)
+            continue;
+        const int cause =
+            lone_is_displacement(s, k) ? RTHYB_CAUSE_SENSOR_STUCK : RTHYB_CAUSE_FORCE_STUCK;
+        *found = (finding){cause, seen->count, most, of_sensor(k)};
+        frozen = 1;
+    }
+    return frozen;
 }
 
 int lone_is_far_off(const rthyb_station *s, finding *found)

@@ -17,11 +17,13 @@ typedef struct {
     rthyb_watch jump;  /* value: change from one reading to the next */
     /* ZERO is refused if the reading varies by more than the first, or if the tare exceeds the second; 0 = no limit */
     double rest_spread, tare_most;
+    int32_t frozen_ticks; /* ZERO is refused after so many equal readings in a row; 0 = no limit */
 } rthyb_lone_config;
 
 /* State; readings are before tare. */
 typedef struct {
     double tare, sum, low, high; /* low, high: of the readings of the tare so far */
+    rthyb_repeats repeats;       /* of the tare */
     double reading;              /* as received in this tick; NaN if nothing was */
     double seen; /* last reading of a tick in which every axis and every sensor had one */
     rthyb_leaps leaps;

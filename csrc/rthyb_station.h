@@ -29,6 +29,8 @@ typedef struct {
     double x_range_m, f_range_n; /* a reading beyond the range of its sensor is not used; 0 = off */
     double rest_spread_m;        /* ZERO is refused if the displacement varies by more than this */
     double tare_most_m, tare_most_n; /* ZERO is refused if a tare exceeds these; 0 = no limit */
+    /* ZERO is refused after so many equal readings in a row of the displacement sensor, or of the load cell; 0 = no limit */
+    int32_t x_frozen_ticks, f_frozen_ticks;
     /* 0: use the station's watches; else `watch`, for the causes of an axis: SENSOR_STUCK to FORCE_JUMP, POSITION
      * to TRACKING, RIG_POSITION, RIG_FORCE */
     int32_t own_watches;
@@ -95,6 +97,7 @@ typedef struct {
     /* command that counts as zero, before tare; differs from tare_x if sensor and drive disagree */
     double tare_cmd;
     double tare_x, tare_f, sum_x, sum_f, low_x, high_x;
+    rthyb_repeats repeats_x, repeats_f; /* of the tare */
     double gap; /* reading minus command at rest, found by the tare: reference for drift */
     rthyb_stillness still_x, still_f;
     double seen_x, seen_f; /* last readings */
@@ -163,7 +166,7 @@ typedef struct {
     /* displacement, velocity, acceleration of each interface */
     double resume[RTHYB_COUPLED_MAX][3];
     /* 0 no, 1 in progress; failed: 2 reading not at rest, 3 tare too large, 4 no pose, 5 a sensor without an actuator
-     * gives no usable reading */
+     * gives no usable reading, 6 a reading is frozen */
     int32_t zeroing;
     int32_t tare_readings; /* readings in the tare so far */
     int32_t tared;         /* there is a valid tare: not before the first, nor after a RESET */

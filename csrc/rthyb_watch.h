@@ -67,6 +67,12 @@ typedef struct {
     uint64_t ticks;
 } rthyb_stillness;
 
+/* Reading that a tare has last seen, and how many times in a row. */
+typedef struct {
+    double reading;
+    int32_t count;
+} rthyb_repeats;
+
 /* Number of consecutive readings near the level to which a sensor jumped, and the last of them, before tare. */
 typedef struct {
     int32_t count;

@@ -554,6 +554,24 @@ static int tare_is_refused(const rthyb_station *s, finding *found)
     return !rthyb_controller_has_pose(&s->controller, x);
 }
 
+/* Whether a reading of the tare repeats itself for longer than its noise allows. All are counted,
+ * whether or not one is found. */
+static int is_frozen(rthyb_station *s, const rthyb_station_input *in, finding *found)
+{
+    finding other;
+    int frozen = 0;
+    for (int i = 0; i < axes_of(s); i++)
+        if (axis_is_frozen(&s->axis[i], &s->cfg.axis[i], &in->axis[i], &other) && !frozen) {
+            *found = other;
+            found->where = of_axis(i);
+            frozen = 1;
+        }
+    const int lone = lone_is_frozen(s, &other);
+    if (lone && !frozen)
+        *found = other;
+    return lone || frozen;
+}
+
 /* Tare: mean of tare_ticks readings, of all axes over the same ticks; fails if they move. Ticks
  * without a reading do not count. */
 static void take_tare(rthyb_station *s, const rthyb_station_input *in)
@@ -570,6 +588,11 @@ static void take_tare(rthyb_station *s, const rthyb_station_input *in)
     if (!lone_add_to_tare(s, &found)) {
         (void)refuse(s, found);
         s->zeroing = 2;
+        return;
+    }
+    if (is_frozen(s, in, &found)) {
+        (void)refuse(s, found);
+        s->zeroing = 6;
         return;
     }
     if (++s->tare_readings < s->cfg.tare_ticks)

@@ -120,6 +120,8 @@ void lone_note(rthyb_station *s);
 void lone_begin_tare(rthyb_station *s);
 /* Adds the readings of this tick; 0 if one is not at rest: *found has the sensor, and by how much its readings vary. */
 int lone_add_to_tare(rthyb_station *s, finding *found);
+/* Counts the readings of this tick; whether one is frozen. */
+int lone_is_frozen(rthyb_station *s, finding *found);
 /* Whether a tare would exceed its limit, because the specimen is deformed or loaded, or a sensor is misadjusted. */
 int lone_is_far_off(const rthyb_station *s, finding *found);
 void lone_take_tare(rthyb_station *s);

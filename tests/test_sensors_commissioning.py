@@ -633,7 +633,9 @@ class OneAxis:
         config = dataclasses.replace(
             config,
             watches={},
-            sensors=tuple(dataclasses.replace(one, stuck=None) for one in config.sensors),
+            sensors=tuple(
+                dataclasses.replace(one, stuck=None, frozen_ticks=0) for one in config.sensors
+            ),
         )
         self.config, self.station = config, core.Station(config, PATH_M)
         self.count = 2 if sensors else 0

@@ -390,6 +390,55 @@ def test_a_loaded_cell_is_not_zeroed() -> None:
     assert "14.4 kN is allowed" in said
 
 
+@EACH
+def test_a_frozen_sensor_is_not_zeroed(name: str) -> None:
+    """Its noise is stated, so that equal readings are no chance; a tare of 0.125 s has 128."""
+    first: list[int] = []
+
+    def frozen(_: int, raw: int) -> int:
+        first.append(raw)
+        return first[0]
+
+    said = zeroed(name, frozen)
+    assert f"sensor {name}: its reading was exactly the same in 128 readings in a row" in said
+    assert "check the sensor" in said
+
+
+@pytest.mark.parametrize("noise", ["", "noise_std_n = 10\nlsb_n = 50\n"])
+def test_equal_readings_are_zeroed_if_the_noise_is_not_stated_or_too_small_to_show(
+    noise: str,
+) -> None:
+    first: list[int] = []
+
+    def still(now: int, raw: int) -> int:
+        first.append(raw)
+        return first[0] if now < 0 else raw
+
+    text = DEFAULTS.replace("noise_std_n = 10\nrange_n", f"{noise}range_n")
+    assert text != DEFAULTS
+    rec, _ = through("column", still, text=text)
+    assert rec.meta["end_reason"] == "completed"
+    assert_replays(rec)
+
+
+@pytest.mark.parametrize("number", [wire.ACT_FB, wire.LC_FB])
+def test_a_frozen_reading_of_an_axis_is_not_zeroed(number: int) -> None:
+    held: dict[str, bytes] = {}
+
+    def whole(_: int, frame: bytes) -> bytes:
+        if int.from_bytes(frame[:4], "little") & 0x7FF != number:
+            return frame
+        head, data = frame[:8], bytearray(frame[8:])
+        data[0:4] = held.setdefault("x", bytes(data[0:4]))
+        data[7] = wire.crc8(bytes([number & 0xFF]) + bytes(data[:7]) + bytes(data[8 : frame[4]]))
+        return head + bytes(data)
+
+    with pytest.raises(RthybError) as error:
+        through("wire", whole=whole)
+    what = "displacement" if number == wire.ACT_FB else "force"
+    assert f"axis right: the {what} was exactly the same in 128 readings" in str(error.value)
+
+
 def saturating(count: Iterator[int], after: int) -> Change:
     return lambda _, raw: MOST if next(count) >= after else raw
 

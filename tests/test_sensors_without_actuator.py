@@ -551,6 +551,67 @@ def test_zero_is_refused_if_the_tare_of_a_sensor_is_too_large(
     assert zero(lambda _: {k: sign * 0.99 * limit}).station.state == "ZEROED"
 
 
+FROZEN = {0: "sensor_stuck", 1: "sensor_stuck", 2: "force_stuck"}
+
+
+def noisy(n: int, k: int) -> dict[int, float]:
+    """A reading of one sensor that never repeats the one before."""
+    return {k: OFFSETS[k] + 1e-5 * (n % 2)}
+
+
+@pytest.mark.parametrize("k", range(3))
+@pytest.mark.parametrize("since", [0, 30])
+def test_zero_is_refused_if_a_reading_is_frozen(k: int, since: int) -> None:
+    """From the beginning of the tare, or in the middle of it."""
+    watched = tuple(replace(one, frozen_ticks=24 * (i == k)) for i, one in enumerate(LIMITED))
+    one = zero(lambda n: {k: OFFSETS[k]} if n >= since else noisy(n, k), watched)
+    assert one.station.state == "IDLE"
+    assert one.station.zeroing_failed
+    assert not one.station.tare_too_large
+    assert one.station.refusal == (FROZEN[k], 24.0, 24.0)
+    assert (one.station.refusal_sensor, one.station.refusal_axis) == (k, None)
+    # The tare begins with the tick of the command.
+    assert len(one.records) == 24 + max(since, 1)
+    assert one.station.sensor_tares == (0.0, 0.0, 0.0)
+    # One reading less, and then another one.
+    whole = zero(lambda n: {k: OFFSETS[k]} if n % 24 else noisy(1, k), watched)
+    assert whole.station.state == "ZEROED"
+    # A sensor of which nothing is known is zeroed with what it reads.
+    assert zero(lambda n: {k: OFFSETS[k]}).station.state == "ZEROED"
+
+
+@pytest.mark.parametrize("cause", ["sensor_stuck", "force_stuck"])
+def test_zero_is_refused_if_a_reading_of_an_axis_is_frozen(cause: str) -> None:
+    own = {"x_frozen_ticks": 24} if cause == "sensor_stuck" else {"f_frozen_ticks": 24}
+    axes = (AxisConfig(NAMES[0]), AxisConfig(NAMES[1], **own))
+    one = Bench(config({"axes": axes}))
+
+    def ends(faults: Callable[[int], Any]) -> str:
+        one.step(faults=faults(0))
+        one.step("zero", faults=faults(1))
+        for n in range(2, 300):
+            if one.station.state == "ZEROED" or one.station.zeroing_failed:
+                break
+            one.step(faults=faults(n))
+        return one.station.state
+
+    at = one.read()[1]
+    still = {"x_m": at.x_m, "f_n": at.f_n}
+    moving = {
+        half: {**still, half: still[half] + size} for half, size in (("x_m", 1e-6), ("f_n", 1.0))
+    }
+    half = "x_m" if cause == "sensor_stuck" else "f_n"
+    assert ends(lambda n: {1: moving[half] if n % 2 else still}) == "ZEROED"
+    assert ends(lambda _: {1: still}) == "IDLE"
+    assert one.station.refusal == (cause, 24.0, 24.0)
+    assert (one.station.refusal_axis, one.station.refusal_sensor) == (1, None)
+    again = core.Station(one.settings, shaking(2.0))
+    made = again.replay(np.concatenate(one.records))
+    wanted = np.ascontiguousarray(core.rows.as_records(np.concatenate(one.records)))
+    assert made.tobytes() == wanted.tobytes()
+    assert again.refusal == one.station.refusal
+
+
 def test_start_and_reset_name_a_sensor_without_a_reading() -> None:
     one = bench()
     one.step()

@@ -343,6 +343,29 @@ def test_odds_of_a_repeated_reading_are_those_of_a_sensor_that_is_drawn() -> Non
         assert np.mean(drawn[1:] == drawn[:-1]) <= odds
 
 
+@pytest.mark.parametrize("tare", [10, 64, 128, 1024])
+def test_equal_readings_refuse_a_tare_only_where_noise_rules_them_out(tare: int) -> None:
+    """The odds of so many in a row, at worst, with the noise at which they still count."""
+    for share in (0.01, 0.3, 0.49, 0.5, 1.0, 3.0, 120.0):
+        count = defaults.frozen_ticks(share * 1e-6, 1e-6, tare)
+        odds = defaults.repeat_odds(share * 1e-6, 1e-6)
+        assert count in (0, min(tare, 128))
+        by_chance = odds ** (min(tare, 128) - 1)
+        assert (count > 0) == (by_chance <= 1e-12 and odds <= 0.7)
+        # In any of the places of the tare at which such a row may begin.
+        assert not count or (tare - count + 1) * odds ** (count - 1) < 1e-12
+    assert defaults.frozen_ticks(0.0, 1e-6, tare) == 0
+    assert defaults.frozen_ticks(1e-6, 0.0, tare) == min(tare, 128)
+
+
+def test_noise_of_half_a_step_repeats_for_much_less_than_a_frozen_reading_does() -> None:
+    random = np.random.default_rng(11)
+    drawn = np.round(random.normal(0.0, 0.5, 4_000_000))
+    changes = np.flatnonzero(np.diff(drawn))
+    longest = int(np.diff(changes).max())
+    assert 20 < longest < defaults.frozen_ticks(0.5, 1.0, 1024) // 2
+
+
 def test_a_force_that_jumps_is_not_used_and_ramps_out() -> None:
     lab = Lab().running(3000)
     before = float(lab.row["f_meas_n"])

@@ -36,6 +36,9 @@ STEEPER: Final = 4.0
 """Multiple of the largest change of force per sample in the reference simulation."""
 SHARE_OF_FORCE_LIMIT: Final = 0.1
 """A smaller jump is not dangerous, because the force limit would detect it."""
+FROZEN_S: Final = 128 / STANDARD_HZ
+"""Time for which all readings of a tare must be equal to count as frozen. It is longer than
+`LEAST_STUCK_S`, because a slow converter may repeat each reading while nothing moves."""
 LOST_WARNING: Final = 0.01
 LOST: Final = 0.1
 SKIP_WARNING: Final = 0.01
@@ -89,6 +92,28 @@ def _stuck(sigma: float, step: float, rate: Rate) -> TimeLimit | None:
     samples = math.ceil(math.log(STUCK_ODDS) / math.log(odds)) if odds > 0 else 0
     ticks = max(samples, rate.ticks(LEAST_STUCK_S), 2)
     return TimeLimit(value=ticks / rate.hz, action="ramp-out")
+
+
+def frozen_ticks(sigma: float, step: float, tare_ticks: int, rate: Rate = STANDARD) -> int:
+    """Return how many equal readings in a row show that a reading is frozen during a tare.
+
+    A reading repeats itself with the odds p of `repeat_odds`, so n of them are equal with the odds
+    p^(n - 1). They number as many as `FROZEN_S` has, or the tare if that is shorter, as long as
+    this is below `STUCK_ODDS`.
+
+    Args:
+        sigma: noise of the sensor.
+        step: difference of neighbouring readings.
+        tare_ticks: readings of the tare.
+        rate: rate of the test.
+
+    Returns:
+        The number; 0 if equal readings can be chance: with noise below half a step, or a tare that
+        is too short.
+    """
+    odds, count = repeat_odds(sigma, step), max(2, min(rate.ticks(FROZEN_S), tare_ticks))
+    by_chance = odds > MOST_LIKELY or odds ** (count - 1) > STUCK_ODDS
+    return 0 if by_chance or count > tare_ticks else count
 
 
 def of_displacement_sensor(

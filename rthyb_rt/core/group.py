@@ -54,7 +54,8 @@ class AxisConfig:
     """One of several axes; None: the setting of the controller, or of the station, applies.
 
     ``watches`` by cause, `AXIS_WATCHES`, replaces all watches of the station that belong to an
-    axis. The other settings are as in ``ControllerConfig`` and ``StationConfig``.
+    axis. ZERO is refused after ``x_frozen_ticks`` equal readings in a row of the displacement
+    sensor, or ``f_frozen_ticks`` of the load cell; None: never. The other settings are as in ``ControllerConfig`` and ``StationConfig``.
     """
 
     name: str = ""
@@ -67,6 +68,8 @@ class AxisConfig:
     rest_spread_m: float | None = None
     tare_most_m: float | None = None
     tare_most_n: float | None = None
+    x_frozen_ticks: int | None = None
+    f_frozen_ticks: int | None = None
     watches: Mapping[str, Watch] | None = None
 
     def over(self, common: Any, names: Sequence[str]) -> dict[str, float]:
@@ -94,8 +97,8 @@ class SensorWatches:
 
     ``range``: a reading at or beyond it is not used; 0: none. ``stuck``: ticks for which a reading
     may be repeated while the command moves. ``jump``: change from one reading to the next. ZERO is
-    refused if the reading varies by more than ``rest_spread``, or if the tare exceeds
-    ``tare_most``; 0: no limit.
+    refused if the reading varies by more than ``rest_spread``, if the tare exceeds ``tare_most``,
+    or after ``frozen_ticks`` equal readings in a row; 0: no limit.
     """
 
     name: str = ""
@@ -104,6 +107,7 @@ class SensorWatches:
     jump: Watch | None = None
     rest_spread: float = 0.0
     tare_most: float = 0.0
+    frozen_ticks: int = 0
 
     def mapping(self) -> dict[str, Any]:
         """Return the ``rthyb_lone_config`` of the C core."""
@@ -111,6 +115,7 @@ class SensorWatches:
             "range": self.range,
             "rest_spread": self.rest_spread,
             "tare_most": self.tare_most,
+            "frozen_ticks": self.frozen_ticks,
             **{
                 name: (0.0, 0) if watch is None else _watch(watch)
                 for name, watch in (("stuck", self.stuck), ("jump", self.jump))
@@ -224,6 +229,7 @@ def station_axes(config: ControllerConfig, common: Any) -> list[dict[str, Any]]:
             axis.over(config, ("x_range_m", "f_range_n"))
             | axis.over(common, _STATION)
             | {"own_watches": axis.watches is not None, "watch": watches}
+            | {name: getattr(axis, name) or 0 for name in ("x_frozen_ticks", "f_frozen_ticks")}
         )
     return found
 

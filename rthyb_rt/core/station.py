@@ -610,10 +610,11 @@ class Station:
     def zeroing_failed(self) -> bool:
         """Whether the last tare was refused.
 
-        Because of movement, `tare_too_large`, no matching pose, or a sensor without an actuator
-        that gives no usable reading. `refusal_sensor` is the sensor that caused it, if one did.
+        Because of movement, `tare_too_large`, no matching pose, a sensor without an actuator that
+        gives no usable reading, or a reading that is frozen. `refusal_axis` or `refusal_sensor` is
+        where it is, if it is of one of them.
         """
-        return int(self._c.zeroing) in (2, 3, 4, 5)
+        return int(self._c.zeroing) in (2, 3, 4, 5, 6)
 
     @property
     def tare_too_large(self) -> bool:

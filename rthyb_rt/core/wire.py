@@ -65,6 +65,11 @@ class Frame:
     fd: bool = False
 
 
+DISPLACEMENT_STEP_M: Final = 1e-9
+FORCE_STEP_N: Final = 1e-3
+"""Resolution of the program's own frames."""
+
+
 @dataclass(frozen=True)
 class Setpoint:
     """A command: displacement, sequence number, controller state or key of `NOTICES`."""
@@ -167,9 +172,9 @@ def _spell_out(struct: Any, identifiers: Identifiers) -> None:
     struct.format = lib.RTHYB_WIRE_TABLE
     struct.reset, struct.leaving = lib.RTHYB_NOTICE_RESET, lib.RTHYB_NOTICE_LEAVING
     for message, number, value, step in (
-        (struct.command, identifiers.command, lib.RTHYB_FIELD_X, 1e-9),
-        (struct.displacement, identifiers.displacement, lib.RTHYB_FIELD_X, 1e-9),
-        (struct.force, identifiers.force, lib.RTHYB_FIELD_F, 1e-3),
+        (struct.command, identifiers.command, lib.RTHYB_FIELD_X, DISPLACEMENT_STEP_M),
+        (struct.displacement, identifiers.displacement, lib.RTHYB_FIELD_X, DISPLACEMENT_STEP_M),
+        (struct.force, identifiers.force, lib.RTHYB_FIELD_F, FORCE_STEP_N),
     ):
         message.id, message.length, message.crc_at = number, _OWN_LENGTH, 7
         message.field[value] = ffi.new(
@@ -321,6 +326,17 @@ class Codec:
         """
         part = lib.RTHYB_HAS_F if force else lib.RTHYB_HAS_X
         return float(lib.rthyb_reading_reach(self.struct, part, gain, offset))
+
+    def reading_step(self, *, force: bool, gain: float) -> float:
+        """Return the difference of neighbouring readings of the axis, ``gain`` times the wire.
+
+        0 if the frame contains a floating-point number.
+        """
+        if not self._by_table:
+            return abs(gain) * (FORCE_STEP_N if force else DISPLACEMENT_STEP_M)
+        message = self.struct.force if force else self.struct.displacement
+        signal = message.field[lib.RTHYB_FIELD_F if force else lib.RTHYB_FIELD_X]
+        return 0.0 if signal.kind == lib.RTHYB_FLOAT else abs(gain * float(signal.scale))
 
     def extra_step(self, number: int) -> float:
         """Return the difference of neighbouring values of an extra channel; 0 if it is a float."""

@@ -44,7 +44,7 @@ from rthyb_rt.core.matrix_lead import MatrixLeadConfig
 from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import axes_rig, axis_wires, experiment, sensor_wires
+from rthyb_rt.lab import axes_rig, axis_wires, experiment, frozen, sensor_wires
 from rthyb_rt.lab.experiment import Group, Setup
 
 Floats = NDArray[np.float64]
@@ -493,6 +493,11 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
         )
         for name, own in zip(names, group.derived.axis, strict=True)
     ]
+    tare_ticks = views[0].tare_ticks
+    still: list[tuple[int | None, int | None]] = [
+        frozen.of_axis(rig.of_axis(name), tare_ticks, setup.rate) if real else (None, None)
+        for name in names
+    ]
     axes = tuple(
         replace(
             axis,
@@ -500,9 +505,13 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
             rest_spread_m=view.rest_spread_m,
             tare_most_m=view.tare_most_m,
             tare_most_n=view.tare_most_n,
+            x_frozen_ticks=frozen_x,
+            f_frozen_ticks=frozen_f,
             watches={cause: w for cause, w in view.watches.items() if cause in AXIS_WATCHES},
         )
-        for axis, own, view in zip(setup.controller.axes, group.derived.axis, views, strict=True)
+        for axis, own, view, (frozen_x, frozen_f) in zip(
+            setup.controller.axes, group.derived.axis, views, still, strict=True
+        )
     )
     common = {cause: w for cause, w in views[0].watches.items() if cause not in AXIS_WATCHES}
     part, own = experiment.part_channels(setup.derived), axis_channels(setup.controller)
@@ -527,6 +536,9 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
                 default_limits(one, channel, group) if real else {},
                 _rest_spread_m(one, group),
                 _tare_most(one, rig, views),
+                0
+                if channel is None
+                else frozen.of_sensor(one, channel.step, tare_ticks, setup.rate),
             )
             for one, channel in zip(rig.lone_sensors, channels, strict=True)
         ),
@@ -541,6 +553,7 @@ def sensor_watches(
     derived_limits: Mapping[str, Limit],
     rest_spread: float,
     most: float,
+    frozen_ticks: int = 0,
 ) -> SensorWatches:
     """Return the limits of a sensor without an actuator, stated or else derived.
 
@@ -550,6 +563,7 @@ def sensor_watches(
         derived_limits: those that follow from noise and motion, by name.
         rest_spread: by how much its readings may vary during the tare; 0: not limited.
         most: greatest tare; 0: any.
+        frozen_ticks: equal readings in a row that end the tare; 0: any number may be equal.
     """
     limits: dict[str, tuple[str, Limit | None]] = {"stuck": ("sensor_stuck_s", one.stuck_s)}
     if isinstance(one, LoneForce):
@@ -576,6 +590,7 @@ def sensor_watches(
         watches.get("jump"),
         rest_spread,
         most,
+        frozen_ticks,
     )
 
 

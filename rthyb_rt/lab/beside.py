@@ -15,7 +15,7 @@ from rthyb_rt.config import RigFile, defaults, limits
 from rthyb_rt.config.lonesensors import LoneDisplacement, OneOfSeveral, SensorOfAxes
 from rthyb_rt.core.group import sensor_channels
 from rthyb_rt.core.kinematics import Kinematics
-from rthyb_rt.lab import axes_experiment, sensor_wires
+from rthyb_rt.lab import axes_experiment, frozen, sensor_wires
 from rthyb_rt.lab.experiment import HEARD, Setup
 
 
@@ -48,7 +48,14 @@ def with_watches(setup: Setup, station: core.StationConfig) -> core.StationConfi
         station,
         sensors=tuple(
             axes_experiment.sensor_watches(
-                one.sensor, setup.rate, _default_limits(one, setup), _rest_spread_m(one, setup), 0.0
+                one.sensor,
+                setup.rate,
+                _default_limits(one, setup),
+                _rest_spread_m(one, setup),
+                0.0,
+                frozen.of_sensor(
+                    one.sensor, step_of(setup.rig, one), station.tare_ticks, setup.rate
+                ),
             )
             for one in common.sensors
         ),

@@ -55,6 +55,8 @@ def refused(run: Run) -> str:
         return f"{WORDS['no_pose']}. {REMEDIES['no_pose']}"
     if run.station.tare_too_large:
         return _too_large(run)
+    if run.station.refusal[0] in ("sensor_stuck", "force_stuck"):
+        return _frozen(run)
     sensor = run.station.refusal_sensor
     if sensor is None:
         return ""
@@ -69,6 +71,24 @@ def refused(run: Run) -> str:
             "check the sensor"
         )
     return f"{run.refusal_in_figures}. {REMEDIES['sensor_lost']}"
+
+
+def _frozen(run: Run) -> str:
+    (cause, count, _), axis = run.station.refusal, run.station.refusal_axis
+    sensor = run.station.refusal_sensor
+    whose = trips.whose(axis, None, run.setup.axis_names, ())
+    what, of = "its reading", "it"
+    if sensor is not None:
+        whose = trips.sensor_of(run.config, sensor)
+    elif cause == "sensor_stuck":
+        what, of = "the displacement", "its sensor"
+    else:
+        what, of = "the force", "its load cell"
+    return (
+        f"{whose}: {what} was exactly the same in {count:.0f} readings in a row, which the noise "
+        f"that the rig file states for {of} rules out: the reading is frozen; check the sensor, "
+        "its amplifier and its cable, or correct the noise in the rig file"
+    )
 
 
 def restless(run: Run, whose: str, spread_m: float, allowed_m: float) -> str:

@@ -62,6 +62,7 @@ enum axes_rule {
     AXES_SENSOR_MISSING,
     AXES_SENSOR_READY,
     AXES_SENSOR_TARE,
+    AXES_FROZEN,
     AXES_END_OF_RANGE,
     AXES_REPLAY,
     AXES_RULES
@@ -90,6 +91,7 @@ static const char *const AXES_TEXT[AXES_RULES] = {
         "twenty ticks without a usable reading of any sensor: TRIPPED, by the first to be lost",
     [AXES_SENSOR_READY] = "ARM and START are refused while a sensor is at the end of its range",
     [AXES_SENSOR_TARE] = "ZERO ends with tares of all sensors that are within their limits",
+    [AXES_FROZEN] = "ZERO is refused after so many equal readings in a row, and not before",
     [AXES_END_OF_RANGE] =
         "lost pairs end a test by the reading that was at the end of its range in most of them",
     [AXES_REPLAY] = "the rows replay bit for bit",
@@ -137,6 +139,8 @@ typedef struct {
     int sensor_at_end; /* any, in the tick before */
     /* which readings were at the end of their range in each tick of the last second */
     uint32_t ends[SECOND], ends_now;
+    double repeated[READINGS]; /* readings of the tare, and how many times in a row */
+    int32_t repeats[READINGS];
     /* tracked independently of the station */
     int known;
     double before[MOST], step[MOST], pose[MOST];
@@ -321,6 +325,8 @@ static void some_sensors(axes_episode *e)
             c->rest_spread = some(d, 2e-5, 1e-3);
         if (one_in(d, 4))
             c->tare_most = some(d, 0.1, 1.0) * size;
+        if (one_in(d, 4))
+            c->frozen_ticks = (int32_t)ticks(d, 2.0, 128.0);
     }
     e->cfg.lone_channel = RTHYB_CHANNELS_MAX - 2 * (uint32_t)e->sensors;
     e->cfg.lone_channel_count = 2 * (uint32_t)e->sensors;
@@ -345,6 +351,18 @@ static void some_axis(dice *d, axes_episode *e, int i)
         c->interface[i].force = some_watch(d, 2.0 * e->size.k_e_n_per_m * e->size.peak_m);
     if (one_in(d, 3))
         c->interface[i].position = some_watch(d, 2.0 * e->size.peak_m);
+}
+
+/* With dice of its own, so that the rest of an episode stays what it was. */
+static void some_frozen(axes_episode *e)
+{
+    dice d = {e->seed ^ 0x94d049bb133111ebULL};
+    for (int i = 0; i < e->n; i++) {
+        if (one_in(&d, 6))
+            e->cfg.axis[i].x_frozen_ticks = (int32_t)ticks(&d, 2.0, 128.0);
+        if (one_in(&d, 6))
+            e->cfg.axis[i].f_frozen_ticks = (int32_t)ticks(&d, 2.0, 128.0);
+    }
 }
 
 static void some_drive(dice *d, axes_episode *e, int i)
@@ -393,6 +411,7 @@ static int set_up_axes(axes_episode *e)
         some_axis(d, e, i);
         some_drive(d, e, i);
     }
+    some_frozen(e);
     rthyb_kinematics_config *k = &e->cfg.controller.kinematics;
     some_kinematics(d, e->n, k);
     if (e->n == 1) {
@@ -770,6 +789,43 @@ static void look_at_ends(axes_episode *e, const rthyb_station_input *in)
             << (2 * e->n + k);
 }
 
+/* Number of a reading as in RTHYB_READINGS_ALL: the reading, and how many equal ones in a row end a
+ * tare. */
+static double reading_of(const axes_episode *e, const rthyb_station_input *in, int k, int32_t *most)
+{
+    const int lone = k - 2 * e->n, of_f = k % 2;
+    if (lone >= 0) {
+        *most = e->cfg.lone[lone].frozen_ticks;
+        return in->sensor[lone];
+    }
+    const rthyb_axis_config *c = &e->cfg.axis[k / 2];
+    *most = of_f ? c->f_frozen_ticks : c->x_frozen_ticks;
+    return of_f ? in->axis[k / 2].f_n : in->axis[k / 2].x_m;
+}
+
+/* zeroing, readings: of the station before the tick. */
+static void judge_frozen(axes_episode *e, const rthyb_station_input *in, int refused, int zeroing,
+                         int readings)
+{
+    const rthyb_station *s = &e->station;
+    const int begun = in->command == RTHYB_CMD_ZERO && !refused;
+    const int now = begun || zeroing == 1, before = begun ? 0 : readings;
+    int frozen = 0;
+    if (begun)
+        memset(e->repeats, 0, sizeof e->repeats);
+    if (!now || (s->tare_readings == before && s->zeroing != 6))
+        return; /* this tick did not count */
+    for (int k = 0; k < 2 * e->n + e->sensors; k++) {
+        int32_t most = 0;
+        const double reading = reading_of(e, in, k, &most);
+        e->repeats[k] = reading == e->repeated[k] && e->repeats[k] > 0 ? e->repeats[k] + 1 : 1;
+        e->repeated[k] = reading;
+        frozen = frozen || (most > 0 && e->repeats[k] >= most);
+    }
+    axes_must(e, AXES_FROZEN, frozen == (s->zeroing == 6), s->zeroing, frozen);
+    axes_must(e, AXES_FROZEN, !(frozen && s->state == RTHYB_ZEROED), s->state, frozen);
+}
+
 static uint32_t count_of_ends(const axes_episode *e, int reading)
 {
     uint32_t count = 0;
@@ -989,6 +1045,7 @@ static void tick_axes(axes_episode *e)
     read_sensors(e, &in);
     suffer_sensors(e, &in);
     const int was = s->state, cause = s->cause, leg = s->leg;
+    const int zeroing = s->zeroing, readings = s->tare_readings;
     const uint64_t apart = s->apart;
     for (int j = 0; j < e->m; j++)
         asked[j] = s->controller.interface[j].x_num;
@@ -1003,6 +1060,7 @@ static void tick_axes(axes_episode *e)
         judge_commands(e, &in, &out, x, sent, was);
     judge_faults_of_axes(e, &in, f, was, cause);
     judge_sensors(e, &in, f, was, out.refused);
+    judge_frozen(e, &in, out.refused, zeroing, readings);
     look_at_ends(e, &in);
     judge_ends(e, &in, in.command == RTHYB_CMD_START && !out.refused, cause);
     if (in.command == RTHYB_CMD_ARM && !out.refused)
