@@ -32,9 +32,10 @@ int lone_check(const rthyb_station_config *cfg)
     int good = 1;
     for (int k = 0; k < RTHYB_SENSORS_ALL; k++) {
         const rthyb_lone_config *own = &cfg->lone[k];
-        good = good && own->frozen_ticks >= 0 && own->range >= 0.0 && own->rest_spread >= 0.0 &&
-               own->tare_most >= 0.0 && !rthyb_watches_check(&own->stuck, 1) &&
-               !rthyb_watches_check(&own->jump, 1);
+        good = good && own->frozen_ticks >= 0 && differ_allowance_ok(&own->allowance) &&
+               own->range >= 0.0 && own->rest_spread >= 0.0 && own->tare_most >= 0.0 &&
+               !rthyb_watches_check(&own->stuck, 1) && !rthyb_watches_check(&own->jump, 1) &&
+               !rthyb_watches_check(&own->disagreement, 1);
     }
     return good ? 0 : RTHYB_E_LIMIT;
 }

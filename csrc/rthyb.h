@@ -40,6 +40,7 @@
 #include "rthyb_own_part.h"
 #include "rthyb_controller.h"
 #include "rthyb_watch.h"
+#include "rthyb_disagreement.h"
 #include "rthyb_lone.h"
 #include "rthyb_station.h"
 #include "rthyb_parameters.h"

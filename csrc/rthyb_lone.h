@@ -5,6 +5,7 @@
 
 #include <stdint.h>
 
+#include "rthyb_disagreement.h"
 #include "rthyb_kinematics.h"
 #include "rthyb_watch.h"
 
@@ -12,9 +13,11 @@
 
 /* Values before tare, in m or N. */
 typedef struct {
-    double range;      /* a reading at or beyond it is not used; 0 = off */
-    rthyb_watch stuck; /* value: ticks */
-    rthyb_watch jump;  /* value: change from one reading to the next */
+    double range;              /* a reading at or beyond it is not used; 0 = off */
+    rthyb_watch stuck;         /* value: ticks */
+    rthyb_watch jump;          /* value: change from one reading to the next */
+    rthyb_watch disagreement;  /* value: difference from what the other sensors imply */
+    rthyb_allowance allowance; /* for that difference */
     /* ZERO is refused if the reading varies by more than the first, or if the tare exceeds the second; 0 = no limit */
     double rest_spread, tare_most;
     int32_t frozen_ticks; /* ZERO is refused after so many equal readings in a row; 0 = no limit */

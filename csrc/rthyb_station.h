@@ -6,6 +6,7 @@
 #include <stdint.h>
 
 #include "rthyb_controller.h"
+#include "rthyb_disagreement.h"
 #include "rthyb_lone.h"
 #include "rthyb_watch.h"
 
@@ -31,8 +32,9 @@ typedef struct {
     double tare_most_m, tare_most_n; /* ZERO is refused if a tare exceeds these; 0 = no limit */
     /* ZERO is refused after so many equal readings in a row of the displacement sensor, or of the load cell; 0 = no limit */
     int32_t x_frozen_ticks, f_frozen_ticks;
+    rthyb_allowance x_allowance, f_allowance; /* for SENSOR_DISAGREES and FORCE_DISAGREES */
     /* 0: use the station's watches; else `watch`, for the causes of an axis: SENSOR_STUCK to FORCE_JUMP, POSITION
-     * to TRACKING, RIG_POSITION, RIG_FORCE */
+     * to TRACKING, RIG_POSITION, RIG_FORCE, SENSOR_DISAGREES, FORCE_DISAGREES */
     int32_t own_watches;
     rthyb_watch watch[RTHYB_CAUSE_COUNT];
 } rthyb_axis_config;
@@ -178,6 +180,7 @@ typedef struct {
     int32_t apart_axis; /* axis whose count differed, as last reported to the station; -1: none */
     rthyb_axis axis[RTHYB_COUPLED_MAX];
     rthyb_lone lone[RTHYB_SENSORS_ALL];
+    rthyb_disagreement disagreement;
     rthyb_overload over_interface[RTHYB_COUPLED_MAX];
     int32_t refused_cause; /* reason why the last ARM, START, RESUME, RESET or tare was refused, */
     /* with the values as for a cause; NONE: not because of a limit */

@@ -44,6 +44,10 @@ enum rthyb_cause {
     /* LOST_PAIRS, mostly because this displacement sensor, or load cell, was at the end of its range; no watch */
     RTHYB_CAUSE_SENSOR_RANGE,
     RTHYB_CAUSE_FORCE_RANGE,
+    /* a displacement, or a force, differs from what all other sensors of its kind imply; only with several axes, or a
+     * sensor without an actuator */
+    RTHYB_CAUSE_SENSOR_DISAGREES,
+    RTHYB_CAUSE_FORCE_DISAGREES,
     RTHYB_CAUSE_COUNT
 };
 

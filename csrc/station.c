@@ -51,7 +51,9 @@ static int config_error(const rthyb_station_config *c)
                                 c->brake_acceleration_m_per_s2))
         return RTHYB_E_LIMIT;
     for (int i = 0; i < MOST && i < c->controller.axis_count; i++)
-        if (axis_check(&c->axis[i]) || rthyb_watches_check(c->axis[i].watch, RTHYB_CAUSE_COUNT))
+        if (axis_check(&c->axis[i]) || !differ_allowance_ok(&c->axis[i].x_allowance) ||
+            !differ_allowance_ok(&c->axis[i].f_allowance) ||
+            rthyb_watches_check(c->axis[i].watch, RTHYB_CAUSE_COUNT))
             return RTHYB_E_LIMIT;
     for (int j = 0; j < MOST && j < c->controller.interface_count; j++)
         if (rthyb_watches_check(&c->interface[j].position, 1) ||
@@ -110,6 +112,8 @@ int rthyb_station_init(rthyb_station *s, const rthyb_station_config *cfg)
         return error;
     s->ticks = station_ticks(cfg->controller.period_s);
     s->controller.state = RTHYB_IDLE;
+    rthyb_disagreement_init(&s->disagreement, &cfg->controller.kinematics,
+                            cfg->controller.period_s);
     return error;
 }
 
@@ -609,6 +613,7 @@ static void take_tare(rthyb_station *s, const rthyb_station_input *in)
                               s->controller.axis[i].x_cmd + a->tare_cmd, s->commands);
     }
     lone_take_tare(s);
+    differ_begin(s);
     rthyb_controller_rest(&s->controller, x);
     s->tared = 1;
     s->commands = 1;

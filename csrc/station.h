@@ -139,6 +139,17 @@ void lone_note_channels(rthyb_station *s);
 /* Bits of a row's cause. */
 uint32_t lone_silent_bits(const rthyb_station *s);
 
+/* ---- disagreement.c ---- */
+
+/* After a tare: all readings agree. */
+void differ_begin(rthyb_station *s);
+/* After a sample in which every axis and every sensor has a reading: how far each is from what the others imply, and
+ * whether it is beyond its limit. Status bits for the record. */
+int differ_check(rthyb_station *s);
+int differ_allowance_ok(const rthyb_allowance *allowance);
+/* Whether one is, with a reaction that would interrupt a test. */
+int differ_finds(const rthyb_station *s, finding *found);
+
 /* ---- watches.c ---- */
 
 /* Carries out a reaction; returns the status bits for the record: `bit`, and the trip if there is one. */

@@ -145,7 +145,8 @@ int watch_finds(const rthyb_station *s, finding *found)
     for (int i = 0; i < axes_of(s); i++)
         if (axis_finds(s, i, found))
             return 1;
-    return lone_finds(s, AXIS_OFF_X | AXIS_OFF_F, found) || interfaces_find(s, found);
+    return lone_finds(s, AXIS_OFF_X | AXIS_OFF_F, found) || interfaces_find(s, found) ||
+           differ_finds(s, found);
 }
 
 int watch_wandered(const rthyb_station *s, finding *found)
@@ -310,7 +311,7 @@ void watch_at_rest(rthyb_station *s, rthyb_record *r)
         return;
     int code = r->code | check_forces(s, r, axes) | check_off_scale(s, axes);
     if (s->tared && axes == all_axes(s))
-        code |= check_interface_forces(s);
+        code |= differ_check(s) | check_interface_forces(s);
     if (s->tared)
         code |= check_tracking(s, r, 1, axes);
     r->code = (uint16_t)code;
@@ -386,7 +387,8 @@ void watch_moving(rthyb_station *s, rthyb_record *r, double indicator_before)
     const double h = s->cfg.controller.period_s;
     const double slope = (r->tracking_indicator_m2 - indicator_before) / h;
     s->indicator_slope += (slope - s->indicator_slope) * fmin(h / 0.25, 1.0);
-    int code = r->code | check_commands(s);
+    int code = r->code | differ_check(s);
+    code |= check_commands(s);
     code |= check_forces(s, r, ALL_AXES);
     code |= check_interface_forces(s);
     code |= check_tracking(s, r, 0, ALL_AXES);

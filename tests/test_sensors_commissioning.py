@@ -936,6 +936,15 @@ WATCHED = 'stuck_s = "0.2 s"\njump_{unit} = {most}\nrange_{unit}'
             (('name = "wire"\n', 'name = "wire"\njump_m = { value = 1e-3, enable = false }\n'),),
             "sensor wire: jump_m must not be switched off on a real drive",
         ),
+        (
+            (
+                (
+                    'name = "column"\n',
+                    'name = "column"\ndisagreement_n = { value = 1, action = "none" }\n',
+                ),
+            ),
+            "sensor column: disagreement_n must not be switched off on a real drive",
+        ),
     ],
 )
 def test_a_sensor_of_which_nothing_watches_the_readings_is_not_used_on_real_drives(

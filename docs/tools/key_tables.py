@@ -267,9 +267,11 @@ MEANINGS: dict[str, str] = {
     "time; required there, with the range",
     "LoneDisplacement.stuck_s": "time for which it may repeat its reading while the command moves",
     "LoneDisplacement.jump_m": "change of its reading in 1/1024 s",
+    "LoneDisplacement.disagreement_m": "difference from what the other displacement sensors imply",
     "LoneForce.along": "share of the specimen's force in each direction that it carries",
     "LoneForce.stuck_s": "time for which it may repeat its reading while the command moves",
     "LoneForce.jump_n": "change of its reading in 1/1024 s",
+    "LoneForce.disagreement_n": "difference from what the other load cells imply",
     "PinKinematics.interface": "coordinates of the coupler in its plane; the others stay 0",
     "PinKinematics.pins_m": "pin of each axis at rest, relative to the point that the "
     "interface moves",

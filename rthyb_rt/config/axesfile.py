@@ -30,7 +30,7 @@ from rthyb_rt.config.fields import (
     nearest,
     written,
 )
-from rthyb_rt.config.limits import DEFAULT_TARE_SHARE_MOST, Limits
+from rthyb_rt.config.limits import DEFAULT_TARE_SHARE_MOST, DisplacementLimit, ForceLimit, Limits
 from rthyb_rt.config.lonesensors import (
     AT,
     COMPONENT,
@@ -51,6 +51,8 @@ from rthyb_rt.config.rigfile import (
     MAX_ELEMENTS,
     Actuator,
     Calibration,
+    DisplacementSensor,
+    ForceSensor,
     Identified,
     LinkTable,
     PureDelay,
@@ -222,6 +224,25 @@ def _only_its_own(limits: Limits) -> str | None:
     )
 
 
+class AxisDisplacement(DisplacementSensor):
+    """The displacement sensor of one of several axes."""
+
+    disagreement_m: DisplacementLimit | None = None
+
+
+class AxisForce(ForceSensor):
+    """The load cell of one of several axes."""
+
+    disagreement_n: ForceLimit | None = None
+
+
+class AxisSensors(Sensors):
+    """The sensors of one of several axes."""
+
+    displacement: AxisDisplacement = Field(default_factory=AxisDisplacement)
+    force: AxisForce = Field(default_factory=AxisForce)
+
+
 class Axis(Table):
     """One actuator with its sensors, limits and link; ``elastic_stiffness_n_per_m`` is not its own.
 
@@ -235,7 +256,7 @@ class Axis(Table):
 
     name: Annotated[str, AXIS_NAME]
     actuator: Annotated[Actuator, Field(discriminator="kind")] | None = None
-    sensors: Sensors = Field(default_factory=Sensors)
+    sensors: AxisSensors = Field(default_factory=AxisSensors)
     identified: Identified | None = None
     link: LinkTable | None = None
     calibration: Calibration = Field(default_factory=Calibration)
@@ -913,6 +934,30 @@ def _extras_of(axes: Sequence[Axis]) -> list[list[tuple[str, str]]]:
     return [[(one.name, one.unit) for one in axis.sensors.extra] for axis in axes]
 
 
+def _compared(axes: list[Axis], given: Kinematics, sensors: list[LoneSensor] | None) -> str | None:
+    """Return which sensor has a limit on a disagreement with others that nothing else implies."""
+    if _kinematics_fault(axes, given, sensors) or _sensors_fit(given, sensors):
+        return None  # told by itself
+    ordered = in_order(sensors or ())
+    tie = core_kinematics(given, tuple(axis.name for axis in axes), ordered)
+    for force, rows in zip((False, True), tie.differences(), strict=True):
+        kind, key = ("force", "disagreement_n") if force else ("displacement", "disagreement_m")
+        own = [
+            (f"axis {axis.name}: sensors.{kind}", getattr(getattr(axis.sensors, kind), key))
+            for axis in axes
+        ]
+        further = [(one.name, getattr(one, key)) for one in ordered if one.kind == kind]
+        for (name, limit), row in zip(own + further, rows, strict=True):
+            if limit is not None and not row.any():
+                what = "load cells" if force else "displacement sensors"
+                pins = ": with pins, none are compared" if given.kind == "pins" else ""
+                return (
+                    f"{name} has {key}, but its reading does not follow from those of the other "
+                    f"{what}{pins}, so that it cannot disagree with them; remove {key}"
+                )
+    return None
+
+
 def _sensors_fit(kinematics: Kinematics, sensors: list[LoneSensor] | None) -> str | None:
     return lone_fault(sensors or [], kinematics.interface, kinematics.kind)
 
@@ -963,6 +1008,7 @@ class AxesRig(WholeFile):
         Condition("sensor", ("kinematics", "sensor"), _sensors_fit),
         Condition("kinematics", ("axis", "kinematics", "sensor"), _kinematics_fault),
         Condition("sensor", ("axis", "sensor"), _sensors_arrive),
+        Condition("kinematics", ("axis", "kinematics", "sensor"), _compared),
         Condition("axis", ("axis", "kinematics"), _on_virtual_drives),
         Condition("kinematics", ("rig", "kinematics", "sensor"), _cells_fit),
         Condition("specimen", ("axis", "kinematics", "specimen"), _specimen_fits),

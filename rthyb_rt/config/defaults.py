@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from rthyb_rt.config.limits import (
     IncrementLimit,
@@ -20,6 +20,10 @@ from rthyb_rt.config.limits import (
 )
 from rthyb_rt.config.rate import STANDARD, STANDARD_HZ, Rate
 from rthyb_rt.config.rigfile import RigFile, ServoHydraulic
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 LEAST_STUCK_S: Final = 20 / STANDARD_HZ
 """The same time as for a lost link: a reading that repeats itself carries no information."""
@@ -39,6 +43,30 @@ SHARE_OF_FORCE_LIMIT: Final = 0.1
 FROZEN_S: Final = 128 / STANDARD_HZ
 """Time for which all readings of a tare must be equal to count as frozen. It is longer than
 `LEAST_STUCK_S`, because a slow converter may repeat each reading while nothing moves."""
+DISPLACEMENT_SHARE: Final = 0.2
+"""By which share of its motion a displacement may differ from what is expected of it."""
+FORCE_FACTOR: Final = math.sqrt(2.0)
+"""Allowed ratio of the change of a load cell to the one expected, either way.
+
+The share of the specimen's force that passes through a cell depends on the specimen as drawn, which
+may be off by some tens of percent. The least mistake of a scale is a factor of 2, of a bridge or an
+amplifier: the limit is as far from the one as from the other.
+"""
+ASKEW: Final = math.sin(math.radians(3.0))
+"""Share of the response to one motion that may appear in the response to another one.
+
+A sensor that is mounted by eye is up to 3 degrees out of line, and reads the sine of that angle.
+"""
+LAG_SHARE: Final = 0.25
+"""Largest lag of a sensor as a share of the delay from the command of an axis to its reading."""
+LAG_SAMPLES: Final = 2.0
+"""Besides: readings in the frames of two drives are up to a sample old, each by its own clock."""
+SMOOTHED_S: Final = 8 / STANDARD_HZ
+"""Time constant of the low-pass filter for the disagreement of sensors, as in the core."""
+DISAGREEMENT_SIGMAS: Final = 8.0
+"""Standard deviations of the smoothed noise: one false alarm in 10^15 independent samples."""
+BEYOND_REFERENCE: Final = 2.0
+"""Multiple of the motion of the reference simulation, as is recommended for the position limit."""
 LOST_WARNING: Final = 0.01
 LOST: Final = 0.1
 SKIP_WARNING: Final = 0.01
@@ -114,6 +142,45 @@ def frozen_ticks(sigma: float, step: float, tare_ticks: int, rate: Rate = STANDA
     odds, count = repeat_odds(sigma, step), max(2, min(rate.ticks(FROZEN_S), tare_ticks))
     by_chance = odds > MOST_LIKELY or odds ** (count - 1) > STUCK_ODDS
     return 0 if by_chance or count > tare_ticks else count
+
+
+def allowed_lag(peak_per_s: float, delay_s: float, rate: Rate) -> float:
+    """Return by how much a sensor differs that is as late as commissioning accepts, m or N.
+
+    Args:
+        peak_per_s: largest rate of change of its reading in the reference simulation.
+        delay_s: the largest delay of an axis.
+        rate: rate of the test.
+    """
+    return (LAG_SHARE * delay_s + LAG_SAMPLES / rate.hz) * peak_per_s
+
+
+def disagreements(
+    weights: NDArray[np.float64],
+    allowed: Sequence[float],
+    sigmas: Sequence[float],
+    steps: Sequence[float],
+    rate: Rate,
+) -> list[float]:
+    """Return the constant part of the default limits on the disagreement of sensors.
+
+    Args:
+        weights: of all readings in each difference, (n, n), as `Kinematics.differences`.
+        allowed: by how much each reading itself may be off, m or N, (n,).
+        sigmas, steps: noise of each, and difference of its neighbouring readings, (n,).
+        rate: rate of the test.
+
+    Returns:
+        The limits, (n,); 0 for a reading that the others do not imply.
+    """
+    import numpy as np
+
+    weight = 1.0 / (1.0 + SMOOTHED_S * rate.hz)
+    smoothed = math.sqrt(weight / (2.0 - weight))
+    sizes = np.abs(weights)
+    noise = smoothed * np.sqrt(sizes**2 @ np.square(sigmas))
+    found = sizes @ (np.array(allowed) + 0.5 * np.array(steps)) + DISAGREEMENT_SIGMAS * noise
+    return [float(v) for v in found]
 
 
 def of_displacement_sensor(

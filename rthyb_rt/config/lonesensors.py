@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 from pydantic import StrictBool
 
 from rthyb_rt.config.fields import Condition, Point, Range, Text, nearest, written
-from rthyb_rt.config.limits import IncrementLimit, StepLimit, TimeLimit
+from rthyb_rt.config.limits import (
+    DisplacementLimit,
+    ForceLimit,
+    IncrementLimit,
+    StepLimit,
+    TimeLimit,
+)
 from rthyb_rt.config.rigfile import DisplacementSensor, ExtraSensor, ForceSensor, RigFile
 from rthyb_rt.core.sizes import SENSORS_MAX
 
@@ -95,6 +101,7 @@ class LoneDisplacement(DisplacementSensor):
     extra: Annotated[str, _EXTRA] | None = None
     stuck_s: TimeLimit | None = None
     jump_m: IncrementLimit | None = None
+    disagreement_m: DisplacementLimit | None = None
 
     @property
     def pin(self) -> Pin:
@@ -123,6 +130,7 @@ class LoneForce(ForceSensor):
     extra: Annotated[str, _EXTRA] | None = None
     stuck_s: TimeLimit | None = None
     jump_n: StepLimit | None = None
+    disagreement_n: ForceLimit | None = None
 
 
 LoneSensor = LoneDisplacement | LoneForce

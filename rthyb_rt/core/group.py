@@ -27,10 +27,15 @@ Reaction = Literal["none", "indicate", "hold", "ramp-out", "trip"]
 REACTIONS: Final = cast(tuple[Reaction, ...], tuple(options("rthyb_reaction", "RTHYB_REACT_")))
 CAUSES: Final = tuple(words("rthyb_cause", "RTHYB_CAUSE_"))
 WATCHABLE: Final = CAUSES[CAUSES.index("skips") : CAUSES.index("apart")]
-AXIS_WATCHES: Final = tuple(
-    name
-    for name in WATCHABLE[WATCHABLE.index("sensor_stuck") :]
-    if name not in ("indicator", "energy")
+DISAGREE: Final = ("sensor_disagrees", "force_disagrees")
+"""Watches of a displacement and of a force that differ from what the other sensors imply."""
+AXIS_WATCHES: Final = (
+    *(
+        name
+        for name in WATCHABLE[WATCHABLE.index("sensor_stuck") :]
+        if name not in ("indicator", "energy")
+    ),
+    *DISAGREE,
 )
 """Quantities for which an axis may have limits of its own."""
 INTERFACE_WATCHES: Final = ("position", "force")
@@ -38,6 +43,7 @@ _CONTROL: Final = (
     *("x_range_m", "f_range_n", "velocity_limit_m_per_s", "acceleration_limit_m_per_s2"),
     "clamp_m",
 )
+_ALLOWANCES: Final = ("x_allowance", "f_allowance")
 _STATION: Final = ("rest_spread_m", "tare_most_m", "tare_most_n")
 
 
@@ -50,12 +56,27 @@ class Watch:
 
 
 @dataclass(frozen=True)
+class Allowance:
+    """By how much a reading may differ from what it measures.
+
+    The larger of ``share`` times the largest value that the other sensors of its kind have implied
+    since the tare, and ``least``, m or N. ``grows``: the limit on the disagreement of this reading
+    is the value of its watch plus these allowances of it and of those that it is compared with.
+    """
+
+    share: float = 0.0
+    least: float = 0.0
+    grows: bool = False
+
+
+@dataclass(frozen=True)
 class AxisConfig:
     """One of several axes; None: the setting of the controller, or of the station, applies.
 
     ``watches`` by cause, `AXIS_WATCHES`, replaces all watches of the station that belong to an
-    axis. ZERO is refused after ``x_frozen_ticks`` equal readings in a row of the displacement
-    sensor, or ``f_frozen_ticks`` of the load cell; None: never. The other settings are as in ``ControllerConfig`` and ``StationConfig``.
+    axis, and adds those of `DISAGREE`. ZERO is refused after ``x_frozen_ticks`` equal readings in a
+    row of the displacement sensor, or ``f_frozen_ticks`` of the load cell; None: never. The other
+    settings are as in ``ControllerConfig`` and ``StationConfig``.
     """
 
     name: str = ""
@@ -70,6 +91,8 @@ class AxisConfig:
     tare_most_n: float | None = None
     x_frozen_ticks: int | None = None
     f_frozen_ticks: int | None = None
+    x_allowance: Allowance | None = None
+    f_allowance: Allowance | None = None
     watches: Mapping[str, Watch] | None = None
 
     def over(self, common: Any, names: Sequence[str]) -> dict[str, float]:
@@ -96,7 +119,9 @@ class SensorWatches:
     """A sensor without an actuator; values before tare, in m or N.
 
     ``range``: a reading at or beyond it is not used; 0: none. ``stuck``: ticks for which a reading
-    may be repeated while the command moves. ``jump``: change from one reading to the next. ZERO is
+    may be repeated while the command moves. ``jump``: change from one reading to the next.
+    ``disagreement``: difference from what the other sensors of its kind imply, with ``allowance``.
+    ZERO is
     refused if the reading varies by more than ``rest_spread``, if the tare exceeds ``tare_most``,
     or after ``frozen_ticks`` equal readings in a row; 0: no limit.
     """
@@ -108,6 +133,8 @@ class SensorWatches:
     rest_spread: float = 0.0
     tare_most: float = 0.0
     frozen_ticks: int = 0
+    disagreement: Watch | None = None
+    allowance: Allowance = Allowance()
 
     def mapping(self) -> dict[str, Any]:
         """Return the ``rthyb_lone_config`` of the C core."""
@@ -116,9 +143,10 @@ class SensorWatches:
             "rest_spread": self.rest_spread,
             "tare_most": self.tare_most,
             "frozen_ticks": self.frozen_ticks,
+            "allowance": dataclasses.asdict(self.allowance),
             **{
                 name: (0.0, 0) if watch is None else _watch(watch)
-                for name, watch in (("stuck", self.stuck), ("jump", self.jump))
+                for name, watch in ((name, getattr(self, name)) for name in _WATCHES)
             },
         }
 
@@ -126,9 +154,13 @@ class SensorWatches:
     def of(cls, plain: Mapping[str, Any]) -> SensorWatches:
         """Return the settings from `dataclasses.asdict`."""
         given = dict(plain)
-        for name in ("stuck", "jump"):
-            given[name] = None if given[name] is None else Watch(**given[name])
+        for name in _WATCHES:
+            given[name] = None if given.get(name) is None else Watch(**given[name])
+        given["allowance"] = Allowance(**given.get("allowance", {}))
         return cls(**given)
+
+
+_WATCHES: Final = ("stuck", "jump", "disagreement")
 
 
 def sensor_channels(sensors: Sequence[tuple[str, str]]) -> tuple[Channel, ...]:
@@ -230,6 +262,7 @@ def station_axes(config: ControllerConfig, common: Any) -> list[dict[str, Any]]:
             | axis.over(common, _STATION)
             | {"own_watches": axis.watches is not None, "watch": watches}
             | {name: getattr(axis, name) or 0 for name in ("x_frozen_ticks", "f_frozen_ticks")}
+            | {name: dataclasses.asdict(getattr(axis, name) or Allowance()) for name in _ALLOWANCES}
         )
     return found
 
@@ -368,6 +401,9 @@ def _axis(plain: Mapping[str, Any]) -> AxisConfig:
     given = _watches(dict(plain))
     if "law" in given:
         given["law"] = LawConfig(**given["law"])
+    for name in _ALLOWANCES:
+        if name in given:
+            given[name] = Allowance(**given[name])
     return AxisConfig(**given)
 
 

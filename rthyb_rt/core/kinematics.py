@@ -288,6 +288,26 @@ class Kinematics:
         whole = np.array(list(flat)).reshape(self.directions, n + p)
         return whole[:, :n], whole[:, n:]
 
+    def differences(self) -> tuple[FloatArray, FloatArray]:
+        """Return how readings differ from what all other sensors of their kind imply.
+
+        Row k has the weights of all readings in the difference of reading k from the least squares
+        fit to all others, as the station compares them: of the displacements of the axes and the
+        displacement sensors without an actuator, (size + displacement_sensors, ...), and of the
+        forces of the axes and the load cells without an actuator, (size + force_sensors, ...). A
+        row of zeros belongs to a reading that the others do not imply, as with pins all of them.
+        """
+        c = ffi.new("rthyb_disagreement *")
+        lib.rthyb_disagreement_init(c, ffi.addressof(self._c, "cfg"), 1.0)
+
+        def square(rows: Any, count: int) -> FloatArray:
+            return np.array([list(row[0:count]) for row in rows[0:count]])
+
+        return (
+            square(c.by_x, self.size + self.displacement_sensors),
+            square(c.by_f, self.size + self.force_sensors),
+        )
+
     def resultants(self, axis_n: npt.ArrayLike) -> FloatArray:
         """Return forces along the coordinates, N or N m, (n, directions), at the last pose.
 

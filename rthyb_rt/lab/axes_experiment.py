@@ -34,6 +34,8 @@ from rthyb_rt.config.testfile import MATRIX, MatrixLaw
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.core.group import (
     AXIS_WATCHES,
+    DISAGREE,
+    Allowance,
     AxisConfig,
     InterfaceConfig,
     SensorWatches,
@@ -44,7 +46,14 @@ from rthyb_rt.core.matrix_lead import MatrixLeadConfig
 from rthyb_rt.core.matrix_rfc import MatrixRfcConfig
 from rthyb_rt.errors import InputError
 from rthyb_rt.ground_motion import GroundMotion
-from rthyb_rt.lab import axes_rig, axis_wires, experiment, frozen, sensor_wires
+from rthyb_rt.lab import (
+    axes_rig,
+    axis_wires,
+    disagreement,
+    experiment,
+    frozen,
+    sensor_wires,
+)
 from rthyb_rt.lab.experiment import Group, Setup
 
 Floats = NDArray[np.float64]
@@ -493,30 +502,13 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
         )
         for name, own in zip(names, group.derived.axis, strict=True)
     ]
-    tare_ticks = views[0].tare_ticks
-    still: list[tuple[int | None, int | None]] = [
-        frozen.of_axis(rig.of_axis(name), tare_ticks, setup.rate) if real else (None, None)
-        for name in names
-    ]
+    apart = disagreement.limits(group, real=real)
     axes = tuple(
-        replace(
-            axis,
-            velocity_limit_m_per_s=_velocity(own, axis, real),
-            rest_spread_m=view.rest_spread_m,
-            tare_most_m=view.tare_most_m,
-            tare_most_n=view.tare_most_n,
-            x_frozen_ticks=frozen_x,
-            f_frozen_ticks=frozen_f,
-            watches={cause: w for cause, w in view.watches.items() if cause in AXIS_WATCHES},
-        )
-        for axis, own, view, (frozen_x, frozen_f) in zip(
-            setup.controller.axes, group.derived.axis, views, still, strict=True
-        )
+        _axis_config(setup, group, k, view, apart, real=real) for k, view in enumerate(views)
     )
     common = {cause: w for cause, w in views[0].watches.items() if cause not in AXIS_WATCHES}
     part, own = experiment.part_channels(setup.derived), axis_channels(setup.controller)
     lone = _lone_channels(rig)
-    channels = sensor_wires.carried(rig) if real else [None] * len(rig.lone_sensors)
     return replace(
         views[0],
         controller=replace(setup.controller, axes=axes),
@@ -529,21 +521,70 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
         part_channel_count=len(part),
         axis_channel=setup.channels.index(own[0]) if own else 0,
         axis_channel_count=len(own),
-        sensors=tuple(
-            sensor_watches(
-                one,
-                setup.rate,
-                default_limits(one, channel, group) if real else {},
-                _rest_spread_m(one, group),
-                _tare_most(one, rig, views),
-                0
-                if channel is None
-                else frozen.of_sensor(one, channel.step, tare_ticks, setup.rate),
-            )
-            for one, channel in zip(rig.lone_sensors, channels, strict=True)
-        ),
+        sensors=_sensor_configs(setup, group, views, apart, real=real),
         lone_channel=setup.channels.index(lone[0]) if lone else 0,
         lone_channel_count=len(lone),
+    )
+
+
+def _axis_config(
+    setup: Setup,
+    group: Group,
+    k: int,
+    view: core.StationConfig,
+    apart: disagreement.Limits,
+    *,
+    real: bool,
+) -> AxisConfig:
+    """Return the settings of axis k, from those that it would have as a rig of one axis."""
+    axis, own = setup.controller.axes[k], group.derived.axis[k]
+    of_x, of_f = apart.axis_m[k], apart.axis_n[k]
+    differing = {
+        cause: one.watch
+        for cause, one in zip(DISAGREE, (of_x, of_f), strict=True)
+        if one.watch is not None
+    }
+    still: tuple[int | None, int | None] = (None, None)
+    if real:
+        still = frozen.of_axis(group.rig.of_axis(axis.name), view.tare_ticks, setup.rate)
+    return replace(
+        axis,
+        velocity_limit_m_per_s=_velocity(own, axis, real),
+        rest_spread_m=view.rest_spread_m,
+        tare_most_m=view.tare_most_m,
+        tare_most_n=view.tare_most_n,
+        x_frozen_ticks=still[0],
+        f_frozen_ticks=still[1],
+        x_allowance=of_x.allowance if differing else None,
+        f_allowance=of_f.allowance if differing else None,
+        watches={
+            cause: w for cause, w in {**view.watches, **differing}.items() if cause in AXIS_WATCHES
+        },
+    )
+
+
+def _sensor_configs(
+    setup: Setup,
+    group: Group,
+    views: Sequence[core.StationConfig],
+    apart: disagreement.Limits,
+    *,
+    real: bool,
+) -> tuple[SensorWatches, ...]:
+    """Return the settings of the sensors without an actuator."""
+    rig, ticks = group.rig, views[0].tare_ticks
+    channels = sensor_wires.carried(rig) if real else [None] * len(rig.lone_sensors)
+    return tuple(
+        sensor_watches(
+            one,
+            setup.rate,
+            default_limits(one, channel, group) if real else {},
+            _rest_spread_m(one, group),
+            _tare_most(one, rig, views),
+            0 if channel is None else frozen.of_sensor(one, channel.step, ticks, setup.rate),
+            differs,
+        )
+        for one, channel, differs in zip(rig.lone_sensors, channels, apart.sensor, strict=True)
     )
 
 
@@ -554,6 +595,7 @@ def sensor_watches(
     rest_spread: float,
     most: float,
     frozen_ticks: int = 0,
+    differs: disagreement.Differing | None = None,
 ) -> SensorWatches:
     """Return the limits of a sensor without an actuator, stated or else derived.
 
@@ -564,6 +606,7 @@ def sensor_watches(
         rest_spread: by how much its readings may vary during the tare; 0: not limited.
         most: greatest tare; 0: any.
         frozen_ticks: equal readings in a row that end the tare; 0: any number may be equal.
+        differs: limit on its difference from what the other sensors imply.
     """
     limits: dict[str, tuple[str, Limit | None]] = {"stuck": ("sensor_stuck_s", one.stuck_s)}
     if isinstance(one, LoneForce):
@@ -591,6 +634,8 @@ def sensor_watches(
         rest_spread,
         most,
         frozen_ticks,
+        None if differs is None else differs.watch,
+        Allowance() if differs is None else differs.allowance,
     )
 
 

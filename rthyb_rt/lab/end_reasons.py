@@ -34,6 +34,8 @@ WORDS: Final[dict[str, str]] = {
     "sensor_lost": "no usable reading",
     "sensor_range": "end of the range of the displacement sensor",
     "force_range": "end of the range of the load cell",
+    "sensor_disagrees": "disagreement of the displacement sensor",
+    "force_disagrees": "disagreement of the load cell",
     "not_finite": "a value was not a number",
 }
 _OF_SENSOR: Final[dict[str, str]] = {
@@ -43,6 +45,8 @@ _OF_SENSOR: Final[dict[str, str]] = {
     "force_jump": "jump of the reading",
     "sensor_range": "end of its range",
     "force_range": "end of its range",
+    "sensor_disagrees": "disagreement",
+    "force_disagrees": "disagreement",
     "not_finite": "no numeric reading",
 }
 """The same for a sensor without an actuator, whose name follows."""
@@ -78,6 +82,12 @@ REMEDIES: Final[dict[str, str]] = {
     "enough.",
     "force_range": "Again and again the force was at the end of its load cell's range, where a "
     "reading is not used: check the connector of the cell, and whether its range is large enough.",
+    "sensor_disagrees": "The displacement does not fit those of all other displacement sensors: "
+    "check mounting, sign and scale of this sensor first, then of the others. Its limit is "
+    "disagreement_m in the rig file.",
+    "force_disagrees": "The force does not fit those of all other load cells: check mounting, sign "
+    "and scale of this cell first, then of the others. Its limit is disagreement_n in the rig "
+    "file.",
     "heartbeat": "Something blocked the program for a second, such as a full disk, a suspended "
     "process or a debugger.",
 }

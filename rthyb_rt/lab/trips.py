@@ -47,6 +47,8 @@ _WATCHED: Final[dict[str, _Watched]] = {
     "sensor_lost": _Watched("no usable reading for", "ticks", 1.0),
     "sensor_range": _Watched("the displacement read", "mm", 1e3),
     "force_range": _Watched("the load cell read", "kN", 1e-3),
+    "sensor_disagrees": _Watched("differs from the other displacement sensors by", "mm", 1e3),
+    "force_disagrees": _Watched("differs from the other load cells by", "kN", 1e-3),
     "skips": _Watched("skipped", "ticks", 1.0),
     "skip_share": _Watched("skipped", "% of the ticks", 100.0),
     "stalled": _Watched("this PC stalled for", "ticks", 1.0),

@@ -64,6 +64,7 @@ enum axes_rule {
     AXES_SENSOR_TARE,
     AXES_FROZEN,
     AXES_END_OF_RANGE,
+    AXES_DISAGREES,
     AXES_REPLAY,
     AXES_RULES
 };
@@ -94,6 +95,8 @@ static const char *const AXES_TEXT[AXES_RULES] = {
     [AXES_FROZEN] = "ZERO is refused after so many equal readings in a row, and not before",
     [AXES_END_OF_RANGE] =
         "lost pairs end a test by the reading that was at the end of its range in most of them",
+    [AXES_DISAGREES] = "a reading that differs most from what the others imply, beyond its limit "
+                       "that trips: TRIPPED",
     [AXES_REPLAY] = "the rows replay bit for bit",
 };
 
@@ -365,6 +368,39 @@ static void some_frozen(axes_episode *e)
     }
 }
 
+static rthyb_allowance some_allowance(dice *d, double size)
+{
+    rthyb_allowance a = {0};
+    if (one_in(d, 2))
+        return a;
+    a.share = between(d, 0.0, 0.5);
+    a.least = between(d, 0.0, 0.05) * size;
+    a.grows = one_in(d, 2);
+    return a;
+}
+
+/* Limits on the disagreement of readings, likewise with dice of its own. */
+static void some_disagreements(axes_episode *e)
+{
+    dice d = {e->seed ^ 0xbf58476d1ce4e5b9ULL};
+    const double m = e->size.peak_m, n = e->size.k_e_n_per_m * e->size.peak_m;
+    const int p = e->cfg.controller.kinematics.displacement_sensors;
+    for (int k = 0; k < e->sensors; k++)
+        if (one_in(&d, 2)) {
+            e->cfg.lone[k].disagreement = some_watch(&d, 0.3 * (k < p ? m : n));
+            e->cfg.lone[k].allowance = some_allowance(&d, k < p ? m : n);
+        }
+    for (int i = 0; i < e->n; i++) {
+        rthyb_axis_config *c = &e->cfg.axis[i];
+        c->x_allowance = some_allowance(&d, m);
+        c->f_allowance = some_allowance(&d, n);
+        if (one_in(&d, 2))
+            c->watch[RTHYB_CAUSE_SENSOR_DISAGREES] = some_watch(&d, 0.3 * m);
+        if (one_in(&d, 2))
+            c->watch[RTHYB_CAUSE_FORCE_DISAGREES] = some_watch(&d, 0.3 * n);
+    }
+}
+
 static void some_drive(dice *d, axes_episode *e, int i)
 {
     e->delay[i] = below(d, WAY_BACK);
@@ -424,6 +460,7 @@ static int set_up_axes(axes_episode *e)
         some_redundant(&own, k);
     e->sensor_dice.state = e->seed ^ 0x2545f4914f6cdd1dULL;
     some_sensors(e);
+    some_disagreements(e);
     e->m = k->size > 0 ? rthyb_kinematics_directions(k) : e->n;
     e->cfg.controller.axis_count = e->n;
     e->cfg.controller.interface_count = e->m;
@@ -834,6 +871,71 @@ static uint32_t count_of_ends(const axes_episode *e, int reading)
     return count;
 }
 
+static const rthyb_watch *watch_on_difference(const axes_episode *e, int place, int of_x)
+{
+    const int p = e->cfg.controller.kinematics.displacement_sensors;
+    if (place < e->n)
+        return axis_watch(e, place,
+                          of_x ? RTHYB_CAUSE_SENSOR_DISAGREES : RTHYB_CAUSE_FORCE_DISAGREES);
+    return &e->cfg.lone[place - e->n + (of_x ? 0 : p)].disagreement;
+}
+
+/* What one kind of reading is compared with, from the smoothed differences of the station, which are
+ * those of an independent calculation in tests/test_disagreement.py. */
+static void judge_differences(axes_episode *e, int of_x, int was)
+{
+    const rthyb_station *s = &e->station;
+    const rthyb_disagreement *d = &s->disagreement;
+    const int count = of_x ? d->displacements : d->forces;
+    const double *apart = of_x ? d->x : d->f, *norm = of_x ? d->norm_x : d->norm_f;
+    int most = 0;
+    for (int k = 0; k < count; k++) {
+        axes_must(e, AXES_FINITE, isfinite(apart[k]), apart[k], k);
+        most = norm[k] * fabs(apart[k]) > norm[most] * fabs(apart[most]) ? k : most;
+    }
+    if (count == 0)
+        return;
+    const rthyb_watch *w = watch_on_difference(e, most, of_x);
+    double limit = w->value;
+    const int p = e->cfg.controller.kinematics.displacement_sensors;
+    for (int i = 0; i < count; i++) {
+        const rthyb_axis_config *c = &e->cfg.axis[i < e->n ? i : 0];
+        const rthyb_allowance *of_axis = of_x ? &c->x_allowance : &c->f_allowance;
+        const rthyb_allowance *a =
+            i < e->n ? of_axis : &e->cfg.lone[i - e->n + (of_x ? 0 : p)].allowance;
+        const rthyb_axis_config *mine = &e->cfg.axis[most < e->n ? most : 0];
+        const int grows = most >= e->n ? e->cfg.lone[most - e->n + (of_x ? 0 : p)].allowance.grows
+                                       : (of_x ? mine->x_allowance.grows : mine->f_allowance.grows);
+        const double weight = of_x ? d->by_x[most][i] : d->by_f[most][i];
+        if (grows)
+            limit += fabs(weight) * fmax(a->share * (of_x ? d->peak_x[i] : d->peak_f[i]), a->least);
+    }
+    const int beyond = trips_at(w) && fabs(apart[most]) > limit * (1.0 + 1e-12);
+    if (beyond && s->tared && on_its_way(was) && s->controller.missing == 0)
+        axes_must(e, AXES_DISAGREES,
+                  s->state == RTHYB_TRIPPED || s->state == RTHYB_IDLE ||
+                      (s->state == RTHYB_RAMP_OUT && s->cause > RTHYB_CAUSE_OPERATOR),
+                  s->state, most);
+}
+
+/* A cause that names a disagreement has a value beyond its limit, of a reading that has one. */
+static void judge_disagreement(axes_episode *e, int was, int cause)
+{
+    const rthyb_station *s = &e->station;
+    const int of_x = s->cause == RTHYB_CAUSE_SENSOR_DISAGREES;
+    const int p = e->cfg.controller.kinematics.displacement_sensors;
+    judge_differences(e, 1, was);
+    judge_differences(e, 0, was);
+    if (s->cause == cause || !(of_x || s->cause == RTHYB_CAUSE_FORCE_DISAGREES))
+        return;
+    const int place =
+        s->cause_sensor >= 0 ? e->n + s->cause_sensor - (of_x ? 0 : p) : s->cause_axis;
+    axes_must(e, AXES_DISAGREES,
+              fabs(s->cause_value) > s->cause_limit && s->cause_limit > 0.0 &&
+                  watch_on_difference(e, place, of_x)->reaction >= RTHYB_REACT_HOLD,
+              s->cause_value, s->cause_limit);
+}
+
 /* Called after a tick; its own readings count from the next one on. losses: ticks of the second
  * before it that lack a pair. */
 static void judge_ends(axes_episode *e, const rthyb_station_input *in, int started, int cause)
@@ -1061,6 +1163,7 @@ static void tick_axes(axes_episode *e)
     judge_faults_of_axes(e, &in, f, was, cause);
     judge_sensors(e, &in, f, was, out.refused);
     judge_frozen(e, &in, out.refused, zeroing, readings);
+    judge_disagreement(e, was, cause);
     look_at_ends(e, &in);
     judge_ends(e, &in, in.command == RTHYB_CMD_START && !out.refused, cause);
     if (in.command == RTHYB_CMD_ARM && !out.refused)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from rthyb_rt.config import RigFile
+from rthyb_rt.config import RigFile, defaults
 from rthyb_rt.config.rigfile import DisplacementChannel
 from rthyb_rt.rig.commissioning.guided_motion import MotionResult
 
-SLOPE_TOLERANCE: Final = 0.2
+SLOPE_TOLERANCE: Final = defaults.DISPLACEMENT_SHARE
 """Allowed deviation of displacement/command from 1; shaft and amplifier contribute to it."""
 
 

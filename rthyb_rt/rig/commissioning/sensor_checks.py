@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.config import RigFile
+from rthyb_rt.config import RigFile, defaults
 from rthyb_rt.config.lonesensors import OneOfSeveral, SensorOfAxes
 from rthyb_rt.lab import beside
 from rthyb_rt.numbers import quantity
@@ -25,18 +25,8 @@ from rthyb_rt.rig.commissioning.guided_motion import Floats, MotionResult, Rows
 from rthyb_rt.rig.commissioning.polarity import SLOPE_TOLERANCE
 from rthyb_rt.rig.commissioning.sensor_lag import SensorLag
 
-FORCE_FACTOR: Final = math.sqrt(2.0)
-"""Allowed ratio of the change of a load cell to the one expected, either way.
-
-The share of the specimen's force that passes through a cell depends on the specimen as drawn, which
-may be off by some tens of percent. The least mistake of a scale is a factor of 2, of a bridge or an
-amplifier: the limit is as far from the one as from the other.
-"""
-ASKEW: Final = math.sin(math.radians(3.0))
-"""Share of the response to one motion that may appear in the response to another one.
-
-A sensor that is mounted by eye is up to 3 degrees out of line, and reads the sine of that angle.
-"""
+FORCE_FACTOR: Final = defaults.FORCE_FACTOR
+ASKEW: Final = defaults.ASKEW
 LEAST_SEEN: Final = 0.98
 """Least share of the frames in which the channel has a number, as for pairs on the link."""
 

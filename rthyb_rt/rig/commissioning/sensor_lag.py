@@ -15,18 +15,17 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.config import Rate
+from rthyb_rt.config import Rate, defaults
 from rthyb_rt.rig.commissioning.guided_motion import Floats, MotionResult, Rows
 
-SHARE: Final = 0.25
+SHARE: Final = defaults.LAG_SHARE
 """Largest lag as a share of the delay from the command of the moving axis to its reading.
 
 At the frequency at which the axis is one radian late, its sensor then is a quarter of a radian
 late; at a tenth of it, where tests are made, the damping ratio of a sensor that alone determines
 the position is wrong by half of .025, or 1.25 % (omega tau / 2, Horiuchi).
 """
-SAMPLES: Final = 2.0
-"""Besides: readings in the frames of two drives are up to a sample old, each by its own clock."""
+SAMPLES: Final = defaults.LAG_SAMPLES
 SETTLED_S: Final = 0.25
 """How long after the end of the command both signals are followed."""
 

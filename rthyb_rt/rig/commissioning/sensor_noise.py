@@ -31,7 +31,8 @@ def unwatched(one: LoneSensor, step: float, measured: float | None = None) -> st
     """
     (noise_key, noise, lsb), keys = _noise(one), _watches(one)
     both = " and ".join(keys)
-    off = [key for key, limit in keys.items() if limit is not None and not limit.acts]
+    watched = keys | _disagreement(one)
+    off = [key for key, limit in watched.items() if limit is not None and not limit.acts]
     if off:
         return f"{' and '.join(off)} must not be switched off on a real drive"
     lacking = [key for key, limit in keys.items() if limit is None]
@@ -93,6 +94,13 @@ def _watches(one: LoneSensor) -> dict[str, Limit | None]:
     if isinstance(one, LoneForce):
         return {"stuck_s": one.stuck_s, "jump_n": one.jump_n}
     return {"stuck_s": one.stuck_s, "jump_m": one.jump_m}
+
+
+def _disagreement(one: LoneSensor) -> dict[str, Limit | None]:
+    """Return the limit on its difference from the other sensors, by key; it has a default."""
+    if isinstance(one, LoneForce):
+        return {"disagreement_n": one.disagreement_n}
+    return {"disagreement_m": one.disagreement_m}
 
 
 def _written(one: LoneSensor, value: float) -> str:
