@@ -318,53 +318,6 @@ def test_recording_that_ends_amid_skipped_ticks_is_replayed_up_to_them() -> None
     assert not realtime.replay(cut).identical
 
 
-def late_before_a_motion(count: int) -> str:
-    """Return the cause that ends a motion of half a second after ticks were skipped at rest."""
-    with in_step() as (session, recorded):
-        session.command("zero")
-        session.wait(0.6)
-        assert session.state == "ZEROED"
-        for _ in range(count):
-            session.loop.step(skipped=8)
-            session.wait(0.01)
-        session.command("arm")
-        session.command("start")
-        session.wait(0.5)
-        moving = session.state in ("RAMP_IN", "RUNNING")
-    rec = recorded()
-    assert moving
-    assert realtime.replay(rec).identical
-    return str(rec.meta["station"]["cause"])
-
-
-@pytest.mark.parametrize("count", [0, 2, 8])
-def test_a_pc_that_was_late_before_a_motion_does_not_end_it_at_its_start(count: int) -> None:
-    """8 times 8 ticks are more than the 5 % of a second that end a motion."""
-    assert late_before_a_motion(count) != "skips"
-
-
-def test_a_pc_that_stays_late_does_not_hinder_the_start_for_ever() -> None:
-    with in_step() as (session, recorded):
-        session.command("zero")
-        session.wait(0.6)
-        passing, waits = session._pass, list[float]()
-
-        def late(seconds: float) -> None:
-            waits.append(seconds)
-            passing(seconds)
-            for _ in range(10):
-                passing(0.01)
-                session.loop.step(skipped=8)
-
-        session._pass = late  # type: ignore[method-assign]
-        late(0.1)
-        waits.clear()
-        session.command("arm")
-        assert [wait for wait in waits if wait == 1.0] == [1.0] * 4
-        session._pass = passing  # type: ignore[method-assign]
-    recorded()
-
-
 def test_row_that_was_changed_is_where_the_replay_departs() -> None:
     rec = Bench().run()
     rec.samples["x_read_m"][1000] += 1e-9

@@ -8,7 +8,6 @@ the class in this module.
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -71,10 +70,6 @@ _RELEASE_S: Final = 0.25
 _PAIR_S: Final = 0.25
 _SILENT_WAITS: Final = 20
 
-_PUNCTUAL_WAITS_S: Final = 4
-"""Longest wait for a second in which hardly a tick is skipped, before a motion."""
-_ROOM_FOR_SKIPS: Final = 0.5
-"""Share of the skipped ticks that end a motion, with which one may begin."""
 _RATE_S: Final = 0.1
 _RATE_PAIRS: Final = 16
 _RATE_OFF: Final = 0.2
@@ -365,7 +360,6 @@ class Conductor:
         """
         if name == "arm":
             self._refuse_rate()
-            self._await_punctual_ticks()
         for _ in range(_ATTEMPTS_AT_REST.get(name, _ATTEMPTS)):
             state = self.state
             obeyed, tick = self._answered(name)
@@ -400,11 +394,12 @@ class Conductor:
             return
         if why := self.other_rate(before):
             raise InputError(why, self.opened.name)
-        most = self._most_skips
-        if self.rate.hz <= STANDARD_HZ:
+        watch = self.config.watches.get("skips")
+        if self.rate.hz <= STANDARD_HZ or (watch is not None and watch.reaction == "none"):
             return
         ticks = now.ticks.elapsed - before.ticks.elapsed
         skipped = now.ticks.skipped - before.ticks.skipped
+        most = watch.value if watch and watch.value > 0.0 else SKIPS
         if skipped <= most * ticks:
             return
         late_us = now.wake.since(before.wake).percentile_ns(99) / 1e3
@@ -415,32 +410,6 @@ class Conductor:
             f"late, and a tick lasts {1e6 * self.rate.period_s:.0f} us; run rthyb jitter to see "
             "what to change on this PC, or use a lower sample rate"
         )
-
-    @property
-    def _most_skips(self) -> float:
-        """Share of skipped ticks in a second above which a motion ends; inf: none ends it."""
-        watch = self.config.watches.get("skips")
-        if watch is not None and watch.reaction == "none":
-            return math.inf
-        return watch.value if watch is not None and watch.value > 0.0 else SKIPS
-
-    def _await_punctual_ticks(self) -> None:
-        """Wait, at rest, until ticks that were skipped before would not end the motion.
-
-        The station judges their share of the last second, and that second began at rest: a PC that
-        was late while the processes of a rig started would end a motion in its first tick. If it
-        stays late, the motion begins nevertheless and the station decides.
-        """
-        before = self._at_zero
-        for _ in range(_PUNCTUAL_WAITS_S):
-            now = self._count()
-            if before is None:
-                return
-            skipped = now.ticks.skipped - before.ticks.skipped
-            if skipped <= _ROOM_FOR_SKIPS * self._most_skips * self.rate.hz:
-                return
-            before = now
-            self._pass(1.0)
 
     def _is_released(self) -> bool:
         """Wait for the drive to follow after a reset; False if it does not."""
