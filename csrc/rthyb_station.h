@@ -89,7 +89,6 @@ enum rthyb_station_size {
     RTHYB_LOST_TICKS = 20, /* ticks of 1/1024 s without a pair after which the link is lost */
     /* most skipped ticks that are made up for later: RTHYB_LOST_TICKS at 4096 Hz */
     RTHYB_BLIND_MAX = 80,
-    RTHYB_RECENT_MAX = 4096, /* ticks in the last second, at 4096 Hz */
     /* displacement sensor and load cell of each axis, then the sensors without an actuator */
     RTHYB_READINGS_ALL = 2 * RTHYB_COUPLED_MAX + RTHYB_SENSORS_ALL
 };
@@ -112,19 +111,6 @@ typedef struct {
     rthyb_overload over_f, over_rig_f;
     double reading_x_m, reading_f_n; /* reading in this tick, if there was one */
 } rthyb_axis;
-
-/* One bit per tick in the last second, and the number of bits set. */
-typedef struct {
-    uint64_t map[RTHYB_RECENT_MAX / 64];
-    uint32_t count;
-} rthyb_recent;
-
-/* Ticks of the last second in which a reading was at the end of its sensor's range, and the last such reading, before
- * tare. */
-typedef struct {
-    rthyb_recent ticks;
-    double reading;
-} rthyb_range_end;
 
 /* Time constants of a station, in its ticks. */
 typedef struct {

@@ -64,6 +64,23 @@ typedef struct {
     int32_t reaction; /* enum rthyb_reaction */
 } rthyb_watch;
 
+enum rthyb_recent_size {
+    RTHYB_RECENT_MAX = 4096 /* ticks in the last second, at 4096 Hz */
+};
+
+/* One bit per tick in the last second, and the number of bits set. */
+typedef struct {
+    uint64_t map[RTHYB_RECENT_MAX / 64];
+    uint32_t count;
+} rthyb_recent;
+
+/* Ticks of the last second in which a reading was at the end of its sensor's range, and the last such reading, before
+ * tare. */
+typedef struct {
+    rthyb_recent ticks;
+    double reading;
+} rthyb_range_end;
+
 /* Repeated reading of a stuck sensor, the command when the repetition began, and for how many ticks it has been
  * repeated. */
 typedef struct {
