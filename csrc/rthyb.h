@@ -44,6 +44,7 @@
 #include "rthyb_lone.h"
 #include "rthyb_station.h"
 #include "rthyb_parameters.h"
+#include "rthyb_frame.h"
 #include "rthyb_wire.h"
 #include "rthyb_ring.h"
 #include "rthyb_time.h"

@@ -6,12 +6,12 @@
 #include <stdint.h>
 
 #include "rthyb_extra.h"
+#include "rthyb_frame.h"
 #include "rthyb_record.h"
 
 /* cffi: begin */
 
 enum rthyb_wire_size {
-    RTHYB_FRAME_MAX = 64,       /* data of a CAN FD frame, bytes */
     RTHYB_SERIAL_COMMAND = 12,  /* a command on the serial line, including the final 0 */
     RTHYB_SERIAL_FEEDBACK = 16, /* feedback without extra channels, each of which adds 4 */
     RTHYB_PACKET_MAX = 14,      /* after COBS decoding, including the CRC, without them */
@@ -44,20 +44,6 @@ enum rthyb_verdict {
     RTHYB_W_STUCK = 2048,     /* the drive repeats the same sample */
     RTHYB_W_PACKET = 4096     /* from a deframer: complete packet with valid CRC */
 };
-
-/* Format of a CAN frame. */
-enum rthyb_frame_format {
-    RTHYB_CLASSIC = 0,
-    RTHYB_FD = 1,         /* CAN FD, all of it at one bit rate */
-    RTHYB_FD_SWITCHED = 2 /* CAN FD, its data at the higher bit rate of the data phase */
-};
-
-typedef struct {
-    uint32_t id;    /* as in SocketCAN, flags included; serial: 0 */
-    int32_t fd;     /* enum rthyb_frame_format in which it is sent; received: 0 or not */
-    int32_t length; /* bytes in data */
-    uint8_t data[RTHYB_FRAME_MAX];
-} rthyb_frame;
 
 enum rthyb_signal_kind { RTHYB_UNSIGNED, RTHYB_SIGNED, RTHYB_FLOAT };
 

@@ -532,7 +532,7 @@ def _axis_config(
     group: Group,
     k: int,
     view: core.StationConfig,
-    apart: disagreement.Limits,
+    apart: disagreement.DisagreementLimits,
     *,
     real: bool,
 ) -> AxisConfig:
@@ -567,7 +567,7 @@ def _sensor_configs(
     setup: Setup,
     group: Group,
     views: Sequence[core.StationConfig],
-    apart: disagreement.Limits,
+    apart: disagreement.DisagreementLimits,
     *,
     real: bool,
 ) -> tuple[SensorWatches, ...]:

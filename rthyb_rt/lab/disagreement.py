@@ -42,7 +42,7 @@ class Differing:
 
 
 @dataclass(frozen=True)
-class Limits:
+class DisagreementLimits:
     """The limits by kind.
 
     Attributes:
@@ -55,7 +55,7 @@ class Limits:
     sensor: tuple[Differing, ...]
 
 
-def limits(group: Group, *, real: bool) -> Limits:
+def limits(group: Group, *, real: bool) -> DisagreementLimits:
     """Return the limits of a test.
 
     Args:
@@ -67,7 +67,7 @@ def limits(group: Group, *, real: bool) -> Limits:
     """
     of_x, of_f = (_of_kind(group, force=force, real=real) for force in (False, True))
     n = len(group.rig.names)
-    return Limits(of_x[:n], of_f[:n], of_x[n:] + of_f[n:])
+    return DisagreementLimits(of_x[:n], of_f[:n], of_x[n:] + of_f[n:])
 
 
 def _of_kind(group: Group, *, force: bool, real: bool) -> tuple[Differing, ...]:
