@@ -19,7 +19,33 @@ FRAME = Path(__file__).parents[1] / "examples" / "two-actuator-frame.toml"
 RATE_HZ = 1024.0
 
 
-def frame(folder: Path, rho_inf: float, more: str = "", pga: str = "0.12 g") -> Setup:
+RIG = Path(config.shipped_rig("two-axis-frame")).read_text("utf-8")
+COLUMN = """
+[[sensor]]
+kind = "force"
+name = "column"
+along = { x = 0.4 }
+noise_std_n = NOISE
+"""
+WIRE = """
+[[sensor]]
+kind = "displacement"
+name = "wire"
+pin_m = [0.2667, 0.3]
+direction = [1, 0]
+noise_std_m = 2e-5
+"""
+
+
+def rig_with(sensors: str, cell_forces: str) -> str:
+    """Return the shipped rig of two actuators with sensors that belong to neither."""
+    keyed = RIG.replace("[kinematics]\n", f"[kinematics]\n{cell_forces}\n")
+    return keyed.replace("[kinematics]", sensors + "\n[kinematics]")
+
+
+def frame(
+    folder: Path, rho_inf: float, more: str = "", pga: str = "0.12 g", rig: str = RIG
+) -> Setup:
     """Return the shipped test of two actuators, whose rotations have no mass."""
     text = FRAME.read_text("utf-8").replace('"two-actuator-frame/', f'"{FRAME.with_suffix("")}/')
     text = text.replace("rho_inf = 0.5", f"rho_inf = {rho_inf}")
@@ -28,7 +54,7 @@ def frame(folder: Path, rho_inf: float, more: str = "", pga: str = "0.12 g") -> 
     path = folder / "frame.toml"
     path.write_text(text + more, "utf-8")
     return axes_experiment.prepare(
-        config.load_test(path), config.load_any_rig(config.shipped_rig("two-axis-frame"))
+        config.load_test(path), config.parse_any_rig(rig, "two-axis-frame.toml")
     )
 
 
@@ -45,14 +71,8 @@ def linear(setup: Setup) -> Setup:
     )
 
 
-@pytest.mark.parametrize("rho_inf", [0.0, 0.8, 0.95])
-@pytest.mark.parametrize("cutoff_hz", [0.0, 60.0])
-def test_a_specimen_at_rest_is_shaken_by_noise_as_predicted(
-    rho_inf: float, cutoff_hz: float, tmp_path: Path
-) -> None:
-    """With a law that does not learn at rest, and hardly any ground motion."""
-    still = f"rfc = {{ cutoff_hz = {cutoff_hz} }}\nmatrix = {{ gate_factor = 1e6 }}\n"
-    setup = linear(frame(tmp_path, rho_inf, still, "0.00001 g"))
+def as_predicted(setup: Setup) -> None:
+    """Compare predicted noise of velocity and acceleration with that of a test."""
     known = axes_roots.axes_and_laws(setup)
     assert known is not None
     assert setup.group is not None
@@ -66,6 +86,44 @@ def test_a_specimen_at_rest_is_shaken_by_noise_as_predicted(
     assert found == pytest.approx(predicted["acceleration"], rel=0.05)
     found = [np.diff(x).std() * RATE_HZ for x in commands]
     assert found == pytest.approx(predicted["velocity"], rel=0.05)
+
+
+# With a law that does not learn at rest, and hardly any ground motion.
+STILL = "rfc = {{ cutoff_hz = {} }}\nmatrix = {{ gate_factor = 1e6 }}\n"
+
+
+@pytest.mark.parametrize("rho_inf", [0.0, 0.8, 0.95])
+@pytest.mark.parametrize("cutoff_hz", [0.0, 60.0])
+def test_a_specimen_at_rest_is_shaken_by_noise_as_predicted(
+    rho_inf: float, cutoff_hz: float, tmp_path: Path
+) -> None:
+    as_predicted(linear(frame(tmp_path, rho_inf, STILL.format(cutoff_hz), "0.00001 g")))
+
+
+@pytest.mark.parametrize(
+    ("sensors", "cell_forces"),
+    [
+        (COLUMN.replace("NOISE", "100"), "cell_forces = [[1.25], [0.1]]"),
+        (WIRE, ""),
+        (COLUMN.replace("NOISE", "50") + WIRE, "cell_forces = [[2.5], [0]]"),
+    ],
+    ids=["cell", "wire", "cell and wire"],
+)
+def test_noise_of_a_load_cell_below_a_column_and_of_a_wire_shakes_the_specimen_as_predicted(
+    sensors: str, cell_forces: str, tmp_path: Path
+) -> None:
+    rig = rig_with(sensors, cell_forces)
+    as_predicted(linear(frame(tmp_path, 0.8, STILL.format(60.0), "0.00001 g", rig)))
+
+
+def test_a_load_cell_below_a_column_whose_noise_is_multiplied_is_said_before_the_test(
+    tmp_path: Path,
+) -> None:
+    """Its correction was given in N per kN."""
+    for per_newton, said in ((1.25, False), (2000, True)):
+        rig = rig_with(COLUMN.replace("NOISE", "20"), f"cell_forces = [[{per_newton}], [0]]")
+        texts = loop_stability.demand(frame(tmp_path, 0.5, rig=rig))
+        assert any("noise of the sensors alone" in text for text in texts) == said
 
 
 def test_noise_that_exceeds_the_acceleration_limit_is_said_before_the_test(tmp_path: Path) -> None:

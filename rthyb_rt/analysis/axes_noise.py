@@ -1,8 +1,8 @@
 """What the noise of the sensors alone asks of several axes, before a test runs.
 
 As for one axis (`rthyb_rt.analysis.command_noise`), with matrices: the noise of every load cell and
-displacement sensor reaches every axis through the interface. Rotations without mass pass it on
-almost undamped.
+displacement sensor, those without an actuator among them, reaches every axis through the interface.
+Rotations without mass pass it on almost undamped.
 """
 
 from __future__ import annotations
@@ -49,12 +49,27 @@ def of_loop(setup: Setup, loop: AxesLoop) -> dict[str, Floats]:
 
 
 def _entering(rig: AxesRig) -> tuple[Floats, Floats]:
-    """Return pose and interface forces for one standard deviation of each axis' sensors."""
+    """Return pose and interface forces for one standard deviation of each sensor, at rest.
+
+    (directions, displacement sensors) and (directions, load cells): those of the axes, in their
+    order, then those without an actuator.
+    """
     tie = rig.core_kinematics()
     found = [rig.of_axis(name).identified for name in rig.names]
     noise_m = [0.0 if one is None else one.rest_noise_displacement_m or 0.0 for one in found]
     noise_n = [0.0 if one is None else one.rest_noise_force_n or 0.0 for one in found]
-    return tie.shares()[0] * noise_m, tie.resultants(np.diag(noise_n)).T
+    for one in rig.lone_sensors:
+        if one.kind == "force":
+            noise_n.append(one.noise_std_n)
+        else:
+            noise_m.append(one.noise_std_m)
+    # A cell without an actuator also changes what the cells of the axes count for.
+    unit = np.eye(tie.size + tie.force_sensors)
+    still = np.zeros((len(unit), tie.displacement_sensors))
+    by_cell = tie.measured_forces(
+        unit[:, : tie.size], np.concatenate([still, unit[:, tie.size :]], axis=1)
+    )
+    return np.concatenate(tie.shares(), axis=1) * noise_m, by_cell.T * noise_n
 
 
 def judge(setup: Setup) -> CommandNoise | None:
