@@ -150,6 +150,21 @@ def test_can_fd_without_a_faster_data_phase_is_no_way_out(file: Path) -> None:
 
 
 @OWN_FRAMES
+@pytest.mark.parametrize("of_fd", AXES)
+def test_an_axis_of_classic_can_on_a_bus_of_can_fd_is_refused_with_both_axes(
+    file: Path, of_fd: str
+) -> None:
+    """With bit rates that agree and at a rate at which all frames would have room."""
+    text = file.read_text("utf-8").replace("data_bitrate = 4000000\n", "")
+    text = text.replace("bitrate = 1000000\n", "bitrate = 1000000\nsample_rate_hz = 512\n")
+    at = text.index("fd = true\n", 0 if of_fd == "right" else text.index("fd = true\n") + 1)
+    file.write_text(text[:at] + text[at + len("fd = true\n") :], "utf-8")
+    said = changed(file)
+    assert f"fd = true is given for {of_fd} and not for" in said
+    assert "axes left and right share" in said
+
+
+@OWN_FRAMES
 def test_equal_identifiers_are_refused_with_both_axes_and_the_identifier(file: Path) -> None:
     said = changed(file, ("command = 512, displacement = 513", "command = 512, displacement = 258"))
     assert "axes left and right both use frames with the identifier 0x102" in said

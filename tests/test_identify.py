@@ -311,6 +311,17 @@ def test_a_higher_velocity_is_allowed_and_a_reduced_amplitude_is_noted() -> None
     assert usual.tones[-1].amplitude_m == pytest.approx(0.05 / (2 * math.pi * 8.0))
 
 
+def test_a_velocity_that_reduces_even_the_slowest_sine_is_noted_with_the_amplitude_asked_for() -> (
+    None
+):
+    """1 mm/s is .318 mm at .5 Hz, the slowest sine."""
+    for highest_hz in (5.0, 0.5):
+        found = identify(rig("delay-10-elastic"), SweepPlan.up_to(highest_hz, 2e-3, 1e-3))
+        (note,) = (text for text in found.notes if "amplitude is less" in text)
+        assert "from 0.5 Hz the amplitude is less than 2 mm" in note
+        assert f"mm at {highest_hz:g} Hz, so that no sine is faster than 1 mm/s" in note
+
+
 def test_one_slow_sine_is_enough() -> None:
     result = identify(rig("delay-10-elastic"), SweepPlan.up_to(0.3))
     assert_allclose(result.k_e_n_per_m, 4737410.0, rtol=1e-6)

@@ -260,6 +260,17 @@ def test_a_file_is_written_and_read_again() -> None:
     [
         ("base_m = [-0.7, 0.2]", "base_m = [0.1, 0.05]", "wire: has its pin at its own base"),
         ("base_m = [-0.7, 0.2]", "direction = [0, 0]", "wire: found direction = [0, 0]"),
+        ("base_m = [-0.7, 0.2]", "direction = [1e-7, 0]", "wire: found direction = [1e-07, 0]"),
+        (
+            "pin_m = [0.1, 0.05]\nbase_m = [-0.7, 0.2]",
+            "pin_m = [0, 0.2]\ndirection = [0, 1]",
+            "wire: found pin_m = [0, 0.2] and direction = [0, 1]; with these its reading at rest",
+        ),
+        (
+            "pin_m = [0.1, 0.05]\nbase_m = [-0.7, 0.2]",
+            "pin_m = [0, 0.05]\nbase_m = [0, 0.4]",
+            "responds to none of the directions x, theta",
+        ),
         ("base_m = [-0.7, 0.2]\n", "", "wire: found pin_m; with kinematics of kind"),
         ("pin_m = [0.1, 0.05]\n", "", "wire: found base_m; with kinematics of kind"),
         ("base_m = [-0.7, 0.2]", "base_m = [-0.7, inf]", "found inf"),

@@ -494,7 +494,11 @@ def _pins_fault(names: list[str], given: PinKinematics) -> str | None:
         if name in given.bases_m and _apart(pin, given.bases_m[name]) <= 1e-6:
             return f"axis {name} has its pin at its own base, [{pin[0]:g}, {pin[1]:g}] m"
         if name in given.directions and _apart(given.directions[name], [0.0, 0.0]) <= 1e-6:
-            return f"directions: axis {name} has no direction; found [0, 0]"
+            x, y = given.directions[name]
+            return (
+                f"directions: found [{x:g}, {y:g}] for axis {name}; it needs the direction from "
+                "base to pin, longer than 1e-06, such as [1, 0]"
+            )
     return None
 
 

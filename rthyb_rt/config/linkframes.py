@@ -116,6 +116,15 @@ def _one_bus(rig: AxesRig, axes: list[int], names: str, channel: str) -> str | N
     if not all(frames_are_known(link) for link in links):
         return None
     first = links[0]
+    of_fd = [rig.names[i] for i in axes if (link := rig.axis[i].link) is not None and link.fd]
+    if 0 < len(of_fd) < len(axes):
+        classic = [rig.names[i] for i in axes if rig.names[i] not in of_fd]
+        return (
+            f"axes {names} share {channel}, but fd = true is given for {' and '.join(of_fd)} and "
+            f"not for {' and '.join(classic)}; a bus is either CAN FD or classic CAN, because a "
+            "drive of classic CAN destroys frames of CAN FD: give fd = true, with the same bit "
+            "rates, for all of them or for none, or a bus of its own"
+        )
     if first.bitrate is None:
         return _same_identifiers(rig, axes, channel) or (
             f"axes {names} share {channel}, and without a bitrate its load cannot be "

@@ -44,6 +44,8 @@ _EXTRA: Final = Text(
 )
 LEAST_LENGTH_M: Final = 1e-6
 """Least distance of a pin from its base (kinematics.c)."""
+_LEAST_SLOPE: Final = 1e-9
+"""Least reading for a unit of a direction, m/m or m/rad: less is rounding of the coordinates."""
 _STATE_ALONG: Final = "add along = { name = value }, its reading for a unit along each direction"
 READ: Final = "_read"
 """Ends the name of the channel with the readings as received."""
@@ -335,7 +337,11 @@ def fault(sensors: Sequence[LoneSensor], directions: Sequence[str], kind: str) -
         count = sum(one.kind == which for one in sensors)
         if count > SENSORS_MAX:
             return f'found {count} sensors of kind = "{which}"; there may be up to {SENSORS_MAX}'
-    faults = (_place_fault(one, kind) for one in sensors if isinstance(one, LoneDisplacement))
+    faults = (
+        _place_fault(one, kind) or _blind(one, kind, directions)
+        for one in sensors
+        if isinstance(one, LoneDisplacement)
+    )
     return next((found for found in faults if found is not None), None)
 
 
@@ -366,5 +372,30 @@ def _place_fault(one: LoneDisplacement, kind: str) -> str | None:
     if length > LEAST_LENGTH_M:
         return None
     if pin.far:
-        return f"{one.name}: found direction = [0, 0]; it needs the direction from base to pin"
+        return (
+            f"{one.name}: found direction = [{pin.base_m[0]:g}, {pin.base_m[1]:g}]; it needs the "
+            f"direction from base to pin, longer than {LEAST_LENGTH_M:g}, such as [1, 0]"
+        )
     return f"{one.name}: has its pin at its own base, [{px:g}, {py:g}] m"
+
+
+def _blind(one: LoneDisplacement, kind: str, directions: Sequence[str]) -> str | None:
+    """Return an error if a sensor between pins responds to no direction of the interface at rest.
+
+    Its slopes there are the direction cosines of base to pin and the lever arm about the origin, as
+    the core has them (kinematics.c).
+    """
+    if kind == "matrix":
+        return None
+    (px, py), pin = one.pin_m or (0.0, 0.0), one.pin
+    ex, ey = pin.base_m if pin.far else (px - pin.base_m[0], py - pin.base_m[1])
+    length = math.hypot(ex, ey)
+    slopes = {"x": ex / length, "y": ey / length, "theta": (px * ey - py * ex) / length}
+    if any(abs(slopes[name]) > _LEAST_SLOPE for name in directions if name in slopes):
+        return None
+    key, (bx, by) = ("direction" if pin.far else "base_m"), pin.base_m
+    return (
+        f"{one.name}: found pin_m = [{px:g}, {py:g}] and {key} = [{bx:g}, {by:g}]; with these its "
+        f"reading at rest responds to none of the directions {', '.join(directions)}: mount it "
+        "along the motion, or correct the coordinates"
+    )

@@ -238,7 +238,7 @@ def identify(
     check(sweep)
     motion, parts = _motion(sweep, rate)
     setup = experiment.prescribed(rig, motion.name, motion.path_m, rate)
-    return _found(rig, MotionResult(virtual_time.run(setup, progress)), parts)
+    return _found(rig, MotionResult(virtual_time.run(setup, progress)), parts, sweep)
 
 
 def identify_live(
@@ -272,7 +272,7 @@ def identify_live(
     guided_motion.check_distance(connection.rig, sweep.amplitude_m)
     motion, parts = _motion(sweep, connection.rig.rate)
     moved = guided_motion.carry_out(connection, motion, operator=operator, progress=progress)
-    found = _found(connection.rig, moved, parts)
+    found = _found(connection.rig, moved, parts, sweep)
     link = _link_delay(moved)
     at = connection.rig.rate.pace
     return replace(found, link_delay_samples=None if link is None else link / at)
@@ -284,7 +284,9 @@ def _motion(sweep: SweepPlan, rate: Rate) -> tuple[guided_motion.GuidedMotion, l
     return guided_motion.GuidedMotion("identify", np.append(command, 0.0), stay=False), parts
 
 
-def _found(rig: RigFile, moved: MotionResult, parts: list[SineRows]) -> IdentificationResult:
+def _found(
+    rig: RigFile, moved: MotionResult, parts: list[SineRows], sweep: SweepPlan
+) -> IdentificationResult:
     """Return the result of a sweep that was carried out."""
     _check_ranges(rig, moved.running)
     running = moved.running[1:]
@@ -297,7 +299,8 @@ def _found(rig: RigFile, moved: MotionResult, parts: list[SineRows]) -> Identifi
     check_read(signals.read, parts)
     found = _result(rig, signals, parts, (moved.start_m, moved.start_n))
     left_out = int(np.count_nonzero(~signals.read))
-    return replace(found, left_out=left_out, recording=moved.recording)
+    notes = (*found.notes, *_reduced(sweep))
+    return replace(found, left_out=left_out, recording=moved.recording, notes=notes)
 
 
 def result_of(
@@ -729,24 +732,24 @@ def _check_specimen(rig: RigFile, part: SineRows, slowest: Tone, noise_n: float)
         )
 
 
-def _reduced(tones: list[Tone]) -> list[str]:
-    """Return a note if the amplitude of fast sines was reduced."""
-    usual_m = tones[0].amplitude_m
-    smaller = [tone for tone in tones if tone.amplitude_m < usual_m * (1.0 - 1e-6)]
+def _reduced(sweep: SweepPlan) -> list[str]:
+    """Return a note if the plan reduces the amplitude of fast sines."""
+    usual_m = sweep.amplitude_m
+    smaller = [f for f in sweep.frequencies_hz if sweep.amplitude_at(f) < usual_m]
     if not smaller:
         return []
-    fastest, last = max(2e3 * np.pi * t.frequency_hz * t.amplitude_m for t in smaller), smaller[-1]
+    first, last = smaller[0], smaller[-1]
     return [
-        f"from {smaller[0].frequency_hz:g} Hz the amplitude is less than {usual_m * 1e3:.4g} mm, "
-        f"{last.amplitude_m * 1e3:.3g} mm at {last.frequency_hz:g} Hz, so that no sine is faster "
-        f"than {fastest:.4g} mm/s: allow a higher velocity if the actuator can follow it and "
-        "noise or friction hides the small motion"
+        f"from {first:g} Hz the amplitude is less than {usual_m * 1e3:.4g} mm, "
+        f"{sweep.amplitude_at(last) * 1e3:.3g} mm at {last:g} Hz, so that no sine is faster "
+        f"than {sweep.velocity_m_per_s * 1e3:.4g} mm/s: allow a higher velocity if the actuator "
+        "can follow it and noise or friction hides the small motion"
     ]
 
 
 def _notes(tones: list[Tone], stiffness: float, alpha: float) -> list[str]:
     """Return notes for the user."""
-    notes = _reduced(tones)
+    notes = list[str]()
     worst = max(tones[: max(1, len(tones) // 2)], key=lambda tone: tone.distortion)
     if worst.distortion > STIFFNESS_NONLINEAR:
         notes.append(
