@@ -150,6 +150,22 @@ def test_can_fd_without_a_faster_data_phase_is_no_way_out(file: Path) -> None:
 
 
 @OWN_FRAMES
+@pytest.mark.parametrize(("data_bitrate", "faster"), [(4000000, True), (8000000, False)])
+def test_a_bus_of_can_fd_that_is_too_slow_is_not_told_to_become_one(
+    file: Path, data_bitrate: int, faster: bool
+) -> None:
+    said = changed(
+        file,
+        ("data_bitrate = 4000000\n", f"data_bitrate = {data_bitrate}\n"),
+        ("bitrate = 1000000\n", "bitrate = 1000000\nsample_rate_hz = 4096\n"),
+    )
+    assert "no bit rate up to 1000000 bit/s is enough" in said
+    assert "give each axis a bus of its own" in said
+    assert "with fd = true" not in said
+    assert ("raise data_bitrate" in said) == faster
+
+
+@OWN_FRAMES
 @pytest.mark.parametrize("of_fd", AXES)
 def test_an_axis_of_classic_can_on_a_bus_of_can_fd_is_refused_with_both_axes(
     file: Path, of_fd: str

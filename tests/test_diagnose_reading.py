@@ -584,6 +584,9 @@ def test_a_shipped_rig_is_a_model_by_its_name():
     assert reading.read_model(path).rig.rig.name == "shaking-table-portal-frame"
     with pytest.raises(InputError, match=r'--model: .*did you mean "shaking-table-portal-frame"'):
         reading.find_model("shaking-table-portal-fram")
+    # A test is a model as well: its rig and its numerical part.
+    with pytest.raises(InputError, match=r"no rig or test of that name.*section5-T0\.5"):
+        reading.find_model("nonsense")
 
 
 # ---- from the command line ----------------------------------------------------------------------

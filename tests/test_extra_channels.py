@@ -320,6 +320,11 @@ def test_an_accelerometer_in_g_reads_in_g() -> None:
             EXTRA + '[link]\nkind = "serial"\nchannel = "/dev/ttyUSB0"\nbitrate = 400000\n',
             "feedback (24 bytes)",
         ),
+        (
+            '[[sensors.extra]]\nname = "a"\nunit = "g"\nsignal = "Tilt"\n'
+            '[link]\nkind = "serial"\nchannel = "/dev/ttyUSB0"\nbitrate = 2000000\n',
+            'extra channel a: found signal = "Tilt", which names a signal in a DBC file',
+        ),
         (EXTRA + '[link]\nkind = "can"\nchannel = "can0"\n', "the frames of hw/rthyb.dbc are full"),
     ],
 )

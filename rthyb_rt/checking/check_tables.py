@@ -226,7 +226,8 @@ def link_rows(link: dict[str, Any] | None) -> list[tuple[str, str, str]]:
             what += f", {link['axes_on_bus']} axes on this bus"
         rows.append(("Bus load", percent(link["bus_load"], 3), f"{what}; up to 80 % is accepted"))
     elif link["kind"] != "socket":
-        rows.append(("Bus load", "not known", "bitrate, or cantools for the DBC file, is missing"))
+        lacking = "bitrate" if link["bitrate"] is None else "cantools, which reads the DBC file,"
+        rows.append(("Bus load", "not known", f"{lacking} is missing"))
     clocks = {
         "host": (
             "host",

@@ -22,6 +22,9 @@ MAX_SHARE = 0.8
 CAN_BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 """Bit rates that every adapter supports (CiA 102)."""
 
+MOST_DATA_BITRATE = 8_000_000
+"""Highest bit rate of the data phase of CAN FD."""
+
 BAUD_RATES = (460_800, 500_000, 576_000, 921_600, 1_000_000, 1_152_000, 1_500_000, 2_000_000,
               2_500_000, 3_000_000, 3_500_000, 4_000_000)  # fmt: skip
 """Baud rates of Linux that can be sufficient."""

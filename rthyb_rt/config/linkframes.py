@@ -15,10 +15,9 @@ if TYPE_CHECKING:
     from rthyb_rt.config.axesfile import AxesRig
     from rthyb_rt.core.wire import Codec
 
-_FD_OR_OWN_BUS = (
-    "with fd = true and a data_bitrate, frames of CAN FD carry the same numbers in less time; or "
-    "give each axis a bus of its own"
-)
+_OWN_BUS = "give each axis a bus of its own"
+_FD = "with fd = true and a data_bitrate, frames of CAN FD carry the same numbers in less time; or "
+_FASTER = "raise data_bitrate if all drives can follow, or "
 
 
 def frames_are_known(link: LinkTable) -> bool:
@@ -139,8 +138,17 @@ def _one_bus(rig: AxesRig, axes: list[int], names: str, channel: str) -> str | N
         first.bitrate,
         first.data_bitrate,
         rate_hz=first.sample_rate_hz,
-        otherwise=busload.SHORTER if any(one.dbc for one in links) else _FD_OR_OWN_BUS,
+        otherwise=busload.SHORTER if any(one.dbc for one in links) else _more_room(first),
     )
+
+
+def _more_room(link: LinkTable) -> str:
+    """Return what to do if the program's own frames of several axes load a bus too much."""
+    if not link.fd:
+        return _FD + _OWN_BUS
+    # Without a data_bitrate, `busload.bus_fault` itself says to set it.
+    faster = link.data_bitrate is not None and link.data_bitrate < busload.MOST_DATA_BITRATE
+    return (_FASTER if faster else "") + _OWN_BUS
 
 
 def frames_of_axis(rig: AxesRig, number: int) -> tuple[busload.FrameSize, ...]:

@@ -1098,7 +1098,11 @@ class LinkTable(Table):
     bitrate: Annotated[int, Count(1, 12_000_000, "the bit rate or baud rate")] | None = None
     fd: StrictBool = False
     data_bitrate: (
-        Annotated[int, Count(10_000, 8_000_000, "the bit rate of CAN FD's data phase")] | None
+        Annotated[
+            int,
+            Count(10_000, busload.MOST_DATA_BITRATE, "the bit rate of CAN FD's data phase"),
+        ]
+        | None
     ) = None
     ids: IdentifiersTable | None = None
     dbc: Annotated[str, _words("the DBC file")] | None = None
@@ -1204,8 +1208,17 @@ def kinds() -> Iterator[type[Table]]:
 
 
 def extras_arrive(sensors: Sensors, link: LinkTable | None) -> str | None:
-    """Report an extra channel for which the link has no space."""
-    if link is None or not sensors.extra or link.kind == "socket":
+    """Report an extra channel for which the link has no space, or no signal of that name."""
+    if link is None or not sensors.extra:
+        return None
+    for one in sensors.extra:
+        if one.signal is not None and link.dbc is None:
+            return (
+                f"extra channel {one.name}: found signal = {written(one.signal)}, which names a "
+                "signal in a DBC file, but link.dbc is missing; add link.dbc, or remove signal: in "
+                "the program's own frames the channels follow in the order of the rig file"
+            )
+    if link.kind == "socket":
         return None
     extras, rate_hz = len(sensors.extra), link.sample_rate_hz
     if link.kind == "serial":

@@ -30,16 +30,21 @@ def find_model(name_or_path: str) -> Path:
     if path.is_dir():
         raise InputError(
             "is a folder; a model is a baseline file (rthyb-baseline/1), a rig file, a test file "
-            "or the name of a shipped rig",
+            "or the name of a shipped rig or test",
             str(path),
         )
     try:
         return config.find_rig(name_or_path)
     except InputError as error:
-        message = error.problems[0].message.replace(
-            "give the path of a rig file", "give the path of a baseline, rig or test file"
+        message = (
+            error.problems[0]
+            .message.replace(
+                "give the path of a rig file", "give the path of a baseline, rig or test file"
+            )
+            .replace("no rig of that name", "no rig or test of that name")
         )
-        raise InputError(message, "--model") from None
+        tests = ", ".join(config.shipped("test")) or "none"
+        raise InputError(f"{message}; the tests are {tests}", "--model") from None
 
 
 def read_model(path: Path) -> Model:
