@@ -23,6 +23,7 @@ from test_sensors_without_actuator import (
 
 from rthyb_rt import config as files
 from rthyb_rt.analysis import several_axes as analysis
+from rthyb_rt.checking.examined_rig import examine_rig
 from rthyb_rt.core import CoreError
 from rthyb_rt.core.coupled_rig import CoupledRig
 from rthyb_rt.core.kinematics import Kinematics, Pin
@@ -288,6 +289,18 @@ def test_a_fault_is_told_with_sensor_value_and_what_is_allowed(
     problems = [str(one) for one in caught.value.problems]
     assert any(said in one for one in problems), problems
     assert all(one.startswith("floor.toml:") for one in problems)
+
+
+def test_a_load_cell_with_an_unusual_correction_is_said_by_check() -> None:
+    """By a wrong sign, or newtons per kilonewton; half of the correction is usual."""
+    for entry, share in ((1.25, None), (2.5, None), (0, None), (-1.25, -0.5), (1250, 500)):
+        rig = read(RIG.replace("cell_forces = [[1.25], [0]]", f"cell_forces = [[{entry}], [0]]"))
+        texts = examine_rig(rig, None, stiffness_stated=True).warnings
+        texts = [text for text in texts if "cell_forces" in text]
+        assert len(texts) == (share is not None)
+        if share is not None:
+            assert f"found {entry:g} for load cell column along x" in texts[0]
+            assert f"is a correction of {share:g}; usual is 0" in texts[0]
 
 
 def test_the_virtual_rig_reads_exact_lengths_far_from_rest() -> None:

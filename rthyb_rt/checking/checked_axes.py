@@ -9,6 +9,7 @@ import numpy as np
 
 from rthyb_rt.analysis import axes_roots, loop_stability
 from rthyb_rt.analysis.loop_roots import LoopVerdict
+from rthyb_rt.checking import cell_corrections
 from rthyb_rt.checking.check_tables import loop_rows
 from rthyb_rt.checking.remarks import within_reach
 from rthyb_rt.config import AxesRig, Limit, TestFile
@@ -188,7 +189,7 @@ def examine_axes(test: TestFile, rig: AxesRig) -> ExaminedAxes:
     setup = axes_experiment.prepare(test, rig)
     assert setup.group is not None
     loop = loop_stability.judge(setup)
-    warnings = _limits_in_reach(setup, setup.group)
+    warnings = _limits_in_reach(setup, setup.group) + cell_corrections.warnings(rig)
     warnings += loop_stability.remarks(setup, loop)
     if loop is not None and loop.unstable and loop_stability.is_real(setup):
         warnings.append("a test in real time will be refused: the loop is unstable")

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from rthyb_rt import config, core
-from rthyb_rt.checking import check_tables, facts
+from rthyb_rt.checking import cell_corrections, check_tables, facts
 from rthyb_rt.config import STANDARD_HZ, AxesRig, Identified, RigFile, response
 from rthyb_rt.config.linkframes import on_one_bus
 from rthyb_rt.config.lonesensors import LoneForce
@@ -168,7 +168,8 @@ def examine_rig(
         tuple(axes),
         _sensor_rows(rig) if isinstance(rig, AxesRig) else [],
         config.omitted(rig) + [_of(axis, text) for axis in axes for text in axis.notes()],
-        [_of(axis, text) for axis in axes for text in axis.warnings()],
+        [_of(axis, text) for axis in axes for text in axis.warnings()]
+        + (cell_corrections.warnings(rig) if isinstance(rig, AxesRig) else []),
     )
 
 
