@@ -159,8 +159,7 @@ def test_an_axis_is_named_in_overrides() -> None:
         (
             "directions = { upper = [1, 0]",
             "directions = { upper = [0, 0]",
-            "axis upper has no "
-            r"direction; found \[0, 0\]",
+            r"directions: found \[0, 0\] for axis upper; it needs the direction from base to pin",
         ),
         (
             "directions = { upper = [1, 0], lower = [1, 0] }",
