@@ -95,8 +95,8 @@ def _of_kind(group: Group, *, force: bool, real: bool) -> tuple[Differing, ...]:
 
 def _readings(group: Group, one: LoneSensor, *, force: bool) -> Floats:
     """Return what a sensor without an actuator reads in the reference simulation, (n,)."""
-    along = np.array([(one.along or {}).get(name, 0.0) for name in group.rig.directions])
-    return np.asarray((group.reference.force if force else group.reference.x) @ along)
+    seen = group.reference.force if force else group.reference.x
+    return np.asarray(seen @ group.rig.along(one))
 
 
 def _allowances(group: Group, further: Sequence[LoneSensor], *, force: bool) -> list[Allowance]:
@@ -111,8 +111,7 @@ def _allowances(group: Group, further: Sequence[LoneSensor], *, force: bool) -> 
     found = [Allowance(of_axis)] * len(rig.names)
     share = defaults.FORCE_FACTOR - 1.0 if force else defaults.DISPLACEMENT_SHARE
     for one in further:
-        along = np.array([(one.along or {}).get(name, 0.0) for name in rig.directions])
-        by_axis = np.abs(along) @ np.abs(tie.jacobian().T if force else tie.back())
+        by_axis = np.abs(rig.along(one)) @ np.abs(tie.jacobian().T if force else tie.back())
         terms = max(float((own @ by_axis).max()), float(by_axis.max() * own.max()))
         least = defaults.BEYOND_REFERENCE * defaults.ASKEW * terms
         found.append(Allowance(share, least))
