@@ -319,7 +319,9 @@ static int refuse(rthyb_station *s, finding found)
 /* Returns to the initial state; what a recording needs from the last test stays readable until
  * then. The tare, the readings and the commands are kept: the ramp begins at the last commands of
  * the drives, because the difference between those and the readings would otherwise be sent as a
- * single step. */
+ * single step. Shares of the last second begin anew: what happened at rest is no reason to end a
+ * test. What is true now is kept: for how many ticks the drives' counts have been apart, and by how
+ * much readings disagree, of which the tare was the beginning. */
 static void begin_test(rthyb_station *s)
 {
     const uint32_t generation = s->controller.generation;
@@ -337,7 +339,7 @@ static void begin_test(rthyb_station *s)
         s->axis[i].over_f = s->axis[i].over_rig_f = (rthyb_overload){.seen = s->tick};
     for (int j = 0; j < interfaces_of(s); j++)
         s->over_interface[j] = (rthyb_overload){.seen = s->tick};
-    s->losses = (rthyb_recent){.count = 0};
+    s->skips = s->losses = (rthyb_recent){.count = 0};
     memset(s->ends, 0, sizeof s->ends);
     rthyb_controller_rest(&s->controller, x);
     for (int i = 0; i < axes_of(s); i++)

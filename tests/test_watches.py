@@ -467,6 +467,38 @@ def test_skipped_ticks_are_said_at_one_in_a_hundred_and_ramp_out_at_fifty_a_seco
     assert (lab.station.cause_value, lab.station.cause_limit) == (51 / 1024, 50 / 1024)
 
 
+def test_a_pc_that_was_late_before_start_does_not_end_the_test_at_its_start() -> None:
+    """Ticks skipped at rest are counted, but the share that ends a test begins at START."""
+    lab = Lab().zeroed()
+    lab.step("arm")
+    for _ in range(80):
+        lab.step(skipped=1)
+    assert not lab.steps(1).step("start").refused
+    assert lab.station.skipped == 80
+    for _ in range(40):
+        lab.step(skipped=1)
+    assert lab.station.state in ("RAMP_IN", "RUNNING")
+    for _ in range(11):
+        lab.step(skipped=1)
+    assert ended(lab) == ("RAMP_OUT", "skips")
+    assert (lab.station.cause_value, lab.station.cause_limit) == (51 / 1024, 50 / 1024)
+
+
+def test_a_pc_that_was_late_between_two_tests_is_not_held_against_the_second() -> None:
+    """A second test in the same service begins as the first did, with nothing indicated."""
+    lab = Lab().running(100)
+    lab.step("stop")
+    lab.until("IDLE")
+    lab.zeroed()
+    lab.step("arm")
+    for _ in range(60):
+        lab.step(skipped=1)
+    assert not lab.steps(1).step("start").refused
+    lab.until("RUNNING")
+    lab.steps(100)
+    assert (lab.station.cause, lab.station.indicated) == ("none", [])
+
+
 def test_shares_have_keys() -> None:
     changes = {"limits.lost_pairs_share": "0.02", "limits.skipped_ticks_share": "0.01"}
     lab = Lab(changes).running(200)
