@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.analysis import loop_roots, margins, unseen_response
+from rthyb_rt.analysis import axes_resonances, loop_roots, margins, unseen_response
+from rthyb_rt.analysis.axes_resonances import Pair
 from rthyb_rt.analysis.linear_parts import LinearStep
 from rthyb_rt.analysis.loop_roots import AnyLoop, Block, LoopVerdict, closed_roots
 from rthyb_rt.config import response
@@ -57,6 +58,8 @@ sweep itself leaves uncertain, 1 to 2 % on the shipped rigs from one sweep to th
 _QUIET: Final = tuple(0.1 * 0.25**k for k in range(8))
 """Trial weights on the size of the response beyond the sweep, where it is not known."""
 _BEYOND_TONES: Final = 40
+_WORTH: Final = 2.0
+"""Factor by which each pole pair must reduce the error; as for the orders of one axis."""
 
 
 @dataclass(frozen=True)
@@ -194,33 +197,94 @@ def fitted_axes(rig: AxesRig, found: MatrixResponse, period_s: float) -> Axes | 
     # Forces as displacements at rest, so that both count alike.
     per_k = np.linalg.inv(k_e)
     wanted = np.concatenate([moved, per_k @ z @ moved], axis=1)
-    on_circle = np.exp(2j * np.pi * f * period_s)
-    beyond = np.exp(2j * np.pi * np.linspace(f[-1] * period_s, 0.5, _BEYOND_TONES))
-    right = _stacked(wanted).reshape(2 * f.size, -1)
-    scale = float(np.abs(moved).max())
-    blocks = [_Poles.of(period_s, late) for late in range(MOST_LATE + 1)]
-    trials = [(one, _stacked(one.response(on_circle)), _stacked(one.response(beyond)))
-              for one in blocks]  # fmt: skip
-    aim = np.concatenate([right, np.zeros((2 * _BEYOND_TONES, right.shape[1]))])
-    best: tuple[float, _Poles, Floats] | None = None
-    for quiet in _QUIET:
-        for block, columns, outside in trials:
-            rows = np.concatenate([columns, quiet * outside])
-            weights = np.linalg.lstsq(rows, aim, rcond=1e-12)[0]
-            error = float(np.abs(columns @ weights - right).max()) / scale
-            if best is None or error < best[0]:
-                best = error, block, weights
-        if best is not None and best[0] <= GOOD:
-            break
-    assert best is not None
-    error, block, weights = best
+    error, block, weights = _model_of(f, wanted, len(k_e), period_s)
+    if error > MOST_ERROR:
+        return None
     size = len(k_e)
     system = _mixed(block, weights.reshape(-1, 2 * size, moved.shape[2]))
     both = np.zeros((2 * size, 2 * size))
     both[:size, :size], both[size:, size:] = np.eye(size), k_e
-    if error > MOST_ERROR:
-        return None
     return Axes(system.times(both), float(f[-1]), error)
+
+
+class _Fits:
+    """Fits of x_m and of the force, as a displacement, by poles behind a delay.
+
+    Args:
+        f: frequencies of the sweep, (k,).
+        wanted: both, one below the other, (k, 2 size, axes).
+        size: number of directions.
+        period_s: sampling period.
+    """
+
+    def __init__(self, f: Floats, wanted: Complexes, size: int, period_s: float) -> None:
+        self.f, self.h, self.moved = f, period_s, wanted[:, :size]
+        self.z = np.exp(2j * np.pi * f * period_s)
+        self.beyond = np.exp(2j * np.pi * np.linspace(f[-1] * period_s, 0.5, _BEYOND_TONES))
+        self.right = _stacked(wanted).reshape(2 * f.size, -1)
+        self.aim = np.concatenate([self.right, np.zeros((2 * _BEYOND_TONES, self.right.shape[1]))])
+
+    def best_of(self, blocks: list[_Poles], scale: Floats) -> tuple[float, _Poles, Floats]:
+        """Return the error of the best fit, its poles, and their weights.
+
+        Args:
+            blocks: the poles that are tried.
+            scale: what an error counts against, at each row, (2 k, 1).
+        """
+        trials = [(one, _stacked(one.response(self.z)), _stacked(one.response(self.beyond)))
+                  for one in blocks]  # fmt: skip
+        best: tuple[float, _Poles, Floats] | None = None
+        for quiet in _QUIET:
+            for block, columns, outside in trials:
+                rows = np.concatenate([columns, quiet * outside])
+                weights = np.linalg.lstsq(rows, self.aim, rcond=1e-12)[0]
+                error = float((np.abs(columns @ weights - self.right) / scale).max())
+                if best is None or error < best[0]:
+                    best = error, block, weights
+            if best is not None and best[0] <= GOOD:
+                break
+        assert best is not None
+        return best
+
+
+def _model_of(
+    f: Floats, wanted: Complexes, size: int, period_s: float
+) -> tuple[float, _Poles, Floats]:
+    """Return error, poles and weights of the simplest model that follows a sweep, or of the best.
+
+    Pole pairs are added one by one where real poles do not follow it, each only if it halves what
+    is left: a further pair can also follow noise.
+    """
+    fits = _Fits(f, wanted, size, period_s)
+    peak = np.abs(fits.moved).max(axis=(1, 2))
+    real = [_Poles.of(period_s, late) for late in range(MOST_LATE + 1)]
+    best = fits.best_of(real, np.full((2 * f.size, 1), peak.max()))
+    if best[0] <= GOOD:
+        return best
+    # A peak is no reason to be less accurate elsewhere.
+    scale = np.tile(np.maximum(peak, peak[0]), 2)[:, None]
+    grid = axes_resonances.Grid(fits.z, fits.beyond, _QUIET[-1], period_s)
+    late = [one for one in real if one.late * period_s <= _slowest_s(f, fits.moved)]
+    fixed = [grid.rows(one.response(fits.z), one.response(fits.beyond)) for one in late]
+    for count in range(1, axes_resonances.most_pairs(f.size, 1 + real[0].rho.size) + 1):
+        at, pairs = axes_resonances.found_pairs(grid, f, fixed, fits.aim, count)
+        found = fits.best_of([_Poles.of(period_s, at, tuple(pairs))], scale)
+        if found[0] * _WORTH <= best[0]:
+            best = found
+        if best[0] <= GOOD:
+            break
+    return best
+
+
+def _slowest_s(f: Floats, moved: Complexes) -> float:
+    """Return the longest delay of the slowest sine, s: no delay in series with it is longer.
+
+    Each axis counts by the direction that it moves most, either way: the phase of a small coupling
+    is that of noise.
+    """
+    most = np.abs(moved[0]).argmax(axis=0)
+    turns = -np.angle(moved[0][most, np.arange(most.size)]) % np.pi
+    return float(turns.max() / (2.0 * np.pi * f[0]))
 
 
 def each_alone(rig: AxesRig, rate: Rate) -> Axes | None:
@@ -295,27 +359,40 @@ def _stacked(values: Complexes) -> Floats:
 
 @dataclass(frozen=True)
 class _Poles(Block):
-    """A delay of late + 1 samples, and what each pole makes of it: outputs (1, 1 + poles)."""
+    """A delay of late + 1 samples, and what poles make of it: outputs (1, 1 + real + 2 pairs)."""
 
     late: int
     rho: Floats
+    pairs: tuple[Pair, ...]
+    period_s: float
 
     @classmethod
-    def of(cls, h: float, late: int) -> _Poles:
-        """Return those of `POLES_HZ` that a sampling period allows."""
+    def of(cls, h: float, late: int, pairs: tuple[Pair, ...] = ()) -> _Poles:
+        """Return those of `POLES_HZ` that a sampling period allows, and pole pairs."""
         rho = np.exp(-2.0 * math.pi * np.array([f for f in POLES_HZ if 2.0 * f * h < 1.0]) * h)
-        n = late + 1
-        a = np.zeros((n + rho.size,) * 2)
+        n, real = late + 1, late + 1 + rho.size
+        a = np.zeros((real + 2 * len(pairs),) * 2)
         a[np.arange(1, n), np.arange(n - 1)] = 1.0
-        a[n:, n:], a[n:, n - 1] = np.diag(rho), 1.0 - rho
-        c = np.eye(n + rho.size)[n - 1 :]
-        return cls(a, np.eye(n + rho.size)[0], c, np.zeros(len(c)), late, rho)
+        a[n:real, n:real], a[n:real, n - 1] = np.diag(rho), 1.0 - rho
+        c = np.eye(len(a))[n - 1 :]
+        for k, pair in enumerate(pairs):
+            # States: z u / D and u / D, with D = z^2 + a1 z + a0.
+            new, a1, a0 = real + 2 * k, *pair.of_z(h)
+            a[new, [n - 1, new, new + 1]] = 1.0, -a1, -a0
+            a[new + 1, new] = 1.0
+            rest, rate = (1.0 + a1 + a0), 2.0 * math.pi * pair.natural_hz * h
+            own = c[rho.size + 1 + 2 * k :]
+            own[:2] = 0.0
+            own[0, new + 1] = rest
+            own[1, [new, new + 1]] = rest / rate, -rest / rate
+        return cls(a, np.eye(len(a))[0], c, np.zeros(len(c)), late, rho, pairs, h)
 
     def response(self, z: Complexes) -> Complexes:
-        """Return the transfer function at z (k,) as (k, 1 + poles)."""
+        """Return the transfer function at z (k,) as (k, outputs)."""
         behind = (1.0 - self.rho) / (z[:, None] - self.rho)
+        own = [pair.response(z, self.period_s) for pair in self.pairs]
         waits = z[:, None] ** -(self.late + 1.0)
-        return np.asarray(waits * np.hstack([np.ones((z.size, 1)), behind]))
+        return np.asarray(waits * np.hstack([np.ones((z.size, 1)), behind, *own]))
 
 
 def matrix_law(config: MatrixLeadConfig, terms: Floats) -> System:
