@@ -12,7 +12,15 @@
  * reading with the largest r is compared with its limit, and the others that are equal to it: if
  * only one reading is redundant, all are equal, and which one is wrong is not known.
  *
+ * With pins, H has the slopes of all lengths at the pose of this tick, and y is what the readings
+ * leave at that pose, which is the least squares one: it is (1 - P) y already, and the lengths are
+ * exact, so that readings that agree leave nothing at any pose. The load cells of the axes turn
+ * with them: T is the Jacobian at the pose. What is filtered is then the normalised residual,
+ * because the weights change with the pose, and all residuals are equal if one reading is redundant.
+ *
  * Noise of single readings does not count: e_k passes a low-pass filter of the first order. */
+#include <string.h>
+
 #include "station.h"
 
 #define SMOOTHED_S (8.0 / 1024.0) /* time constant: 20 Hz, above the motion of a specimen */
@@ -65,45 +73,75 @@ static void weigh(const double q[ALL][MOST], int rows, int columns, double weigh
     }
 }
 
-static void rows_of_pose(const rthyb_kinematics_config *tie, int n, int m, double h[ALL][MOST])
+/* Slopes of the displacements, rows of m values: of the n axes, and of the sensors without an
+ * actuator. */
+typedef struct {
+    int n, m;
+    const double *axes, *sensors;
+} slopes;
+
+static void rows_of_pose(const rthyb_kinematics_config *tie, slopes by, double h[ALL][MOST])
 {
+    const int n = by.n, m = by.m;
     for (int j = 0; j < m; j++) {
         for (int i = 0; i < n; i++)
-            h[i][j] = tie->matrix[i * m + j];
+            h[i][j] = by.axes[i * m + j];
         for (int k = 0; k < tie->displacement_sensors; k++)
-            h[n + k][j] = tie->reads[k * m + j];
+            h[n + k][j] = by.sensors[k * m + j];
     }
 }
 
-static void rows_of_forces(const rthyb_kinematics_config *tie, int n, int m, double h[ALL][MOST])
+static void rows_of_forces(const rthyb_kinematics_config *tie, slopes by, double h[ALL][MOST])
 {
+    const int n = by.n, m = by.m;
     for (int c = 0; c < n; c++) {
         for (int i = 0; i < n; i++)
             h[i][c] = i == c ? 1.0 : 0.0;
         for (int k = 0; k < tie->force_sensors; k++) {
             h[n + k][c] = 0.0;
             for (int j = 0; j < m; j++)
-                h[n + k][c] += tie->carries[k * m + j] * tie->matrix[c * m + j];
+                h[n + k][c] += tie->carries[k * m + j] * by.axes[c * m + j];
         }
     }
+}
+
+static void weigh_all(rthyb_disagreement *d, const rthyb_kinematics_config *tie, slopes by)
+{
+    double h[ALL][MOST] = {{0.0}};
+    rows_of_pose(tie, by, h);
+    orthonormal(h, d->displacements, by.m);
+    weigh(h, d->displacements, by.m, d->by_x, d->norm_x);
+    rows_of_forces(tie, by, h);
+    orthonormal(h, d->forces, by.n);
+    weigh(h, d->forces, by.n, d->by_f, d->norm_f);
+}
+
+/* At rest, where the displacements are 0. */
+static int slopes_at_rest(const rthyb_kinematics_config *tie, double *found)
+{
+    const double none[RTHYB_SENSORS_ALL] = {0.0};
+    double left[ALL] = {0.0};
+    rthyb_kinematics rest;
+    if (rthyb_kinematics_init(&rest, tie))
+        return 0;
+    rthyb_kinematics_left(&rest, none, none, found, left);
+    return 1;
 }
 
 void rthyb_disagreement_init(rthyb_disagreement *d, const rthyb_kinematics_config *tie,
                              double period_s)
 {
-    double h[ALL][MOST] = {{0.0}};
+    double at_rest[RTHYB_MEASURED_MAX] = {0.0};
     const int n = tie->size, m = rthyb_kinematics_directions(tie);
+    const int pins = tie->kind == RTHYB_KINEMATICS_PINS;
     *d = (rthyb_disagreement){.share = period_s / (SMOOTHED_S + period_s)};
-    if (n < 1 || n > MOST || m > MOST || tie->kind != RTHYB_KINEMATICS_MATRIX)
+    if (n < 1 || n > MOST || m > MOST || (pins && !slopes_at_rest(tie, at_rest)))
         return;
     d->displacements = n + tie->displacement_sensors > m ? n + tie->displacement_sensors : 0;
     d->forces = tie->force_sensors > 0 ? n + tie->force_sensors : 0;
-    rows_of_pose(tie, n, m, h);
-    orthonormal(h, d->displacements, m);
-    weigh(h, d->displacements, m, d->by_x, d->norm_x);
-    rows_of_forces(tie, n, m, h);
-    orthonormal(h, d->forces, n);
-    weigh(h, d->forces, n, d->by_f, d->norm_f);
+    weigh_all(d, tie,
+              pins ? (slopes){n, m, at_rest, at_rest + (ptrdiff_t)n * m}
+                   : (slopes){n, m, tie->matrix, tie->reads});
 }
 
 void differ_begin(rthyb_station *s)
@@ -118,16 +156,39 @@ int differ_allowance_ok(const rthyb_allowance *a)
     return a->share >= 0.0 && a->share <= 1e6 && a->least >= 0.0 && isfinite(a->least);
 }
 
-static void smooth(double share, int count, double weight[ALL][ALL], const double *reading,
-                   double *smoothed, double *peak)
+/* left: the readings, or what the fit leaves of them. */
+static void smooth(double share, int count, double weight[ALL][ALL], const double *left,
+                   const double *reading, double *smoothed, double *peak)
 {
     for (int k = 0; k < count; k++) {
         double apart = 0.0;
         for (int i = 0; i < count; i++)
-            apart += weight[k][i] * reading[i];
+            apart += weight[k][i] * left[i];
         smoothed[k] += share * (apart - smoothed[k]);
         peak[k] = fmax(peak[k], fabs(reading[k] - apart));
     }
+}
+
+/* Keeps the normalised residuals, although the weights have changed. */
+static void renormalise(int count, const double *before, const double *norm, double *smoothed)
+{
+    for (int k = 0; k < count; k++)
+        smoothed[k] = norm[k] > 0.0 ? smoothed[k] * (before[k] / norm[k]) : 0.0;
+}
+
+/* With pins: the weights at the pose of this tick, and what the displacements leave there. */
+static void turn(rthyb_station *s, const double *x, double *left)
+{
+    rthyb_disagreement *d = &s->disagreement;
+    const rthyb_kinematics *tie = &s->controller.kinematics;
+    const int n = tie->cfg.size, m = tie->cfg.directions;
+    double norm_x[ALL], norm_f[ALL], found[RTHYB_MEASURED_MAX] = {0.0};
+    memcpy(norm_x, d->norm_x, sizeof norm_x);
+    memcpy(norm_f, d->norm_f, sizeof norm_f);
+    rthyb_kinematics_left(tie, x, x + n, found, left);
+    weigh_all(d, &tie->cfg, (slopes){n, m, found, found + (ptrdiff_t)n * m});
+    renormalise(d->displacements, norm_x, d->norm_x, d->x);
+    renormalise(d->forces, norm_f, d->norm_f, d->f);
 }
 
 /* Readings of this tick, after tare, as the controller has taken them. */
@@ -136,7 +197,8 @@ static void follow(rthyb_station *s)
     rthyb_disagreement *d = &s->disagreement;
     const rthyb_controller *c = &s->controller;
     const int n = axes_of(s), p = s->cfg.controller.kinematics.displacement_sensors;
-    double x[ALL] = {0.0}, f[ALL] = {0.0};
+    const int compared = d->displacements > 0 || d->forces > 0;
+    double x[ALL] = {0.0}, f[ALL] = {0.0}, left[ALL];
     for (int i = 0; i < n; i++) {
         x[i] = c->axis[i].x_m1;
         f[i] = c->axis[i].f1;
@@ -146,8 +208,11 @@ static void follow(rthyb_station *s)
             x[n + k] = c->sensor[k];
         else
             f[n + k - p] = c->sensor[k];
-    smooth(d->share, d->displacements, d->by_x, x, d->x, d->peak_x);
-    smooth(d->share, d->forces, d->by_f, f, d->f, d->peak_f);
+    memcpy(left, x, sizeof left);
+    if (compared && s->cfg.controller.kinematics.kind == RTHYB_KINEMATICS_PINS)
+        turn(s, x, left);
+    smooth(d->share, d->displacements, d->by_x, left, x, d->x, d->peak_x);
+    smooth(d->share, d->forces, d->by_f, f, f, d->f, d->peak_f);
 }
 
 /* Number of a reading of one kind among the sensors without an actuator. */

@@ -469,21 +469,34 @@ int rthyb_kinematics_axes(rthyb_kinematics *s, const double *pose, double *axis_
     return code;
 }
 
-/* Differences of the readings from those at a pose, and the largest of them; on request, also the
+/* Differences of readings from those at a pose, and the largest of them; on request, also the
  * Jacobian there. `rows`: the axes, or with them the displacement sensors without an actuator. */
-static double left_at(const rthyb_kinematics *s, int rows, const double *pose, double *jacobian,
-                      double *left)
+static double left_of(const rthyb_kinematics *s, int rows, const double *pose, const double *axis_m,
+                      const double *sensor, double *jacobian, double *left)
 {
     const int n = s->cfg.size;
     const plane at = plane_of(&s->cfg, pose);
     double most = 0.0;
     for (int i = 0; i < rows; i++) {
         const rod own = i < n ? rod_of_axis(s, i) : rod_of_sensor(&s->cfg, i - n);
-        const double read = i < n ? s->axis_m[i] : s->sensor[i - n];
+        const double read = i < n ? axis_m[i] : sensor[i - n];
         left[i] = read - reach(&s->cfg, &own, &at, jacobian ? jacobian + (ptrdiff_t)i * n : NULL);
         most = fmax(most, fabs(left[i]));
     }
     return most;
+}
+
+static double left_at(const rthyb_kinematics *s, int rows, const double *pose, double *jacobian,
+                      double *left)
+{
+    return left_of(s, rows, pose, s->axis_m, s->sensor, jacobian, left);
+}
+
+void rthyb_kinematics_left(const rthyb_kinematics *s, const double *axis_m, const double *sensor,
+                           double *slopes, double *left)
+{
+    const int rows = s->cfg.size + s->cfg.displacement_sensors;
+    (void)left_of(s, rows, s->pose, axis_m, sensor, slopes, left);
 }
 
 /* Least-squares step for more readings than coordinates; *most: the largest change of a reading that

@@ -31,7 +31,8 @@ typedef struct {
     double peak_x[RTHYB_COMPARED_MAX], peak_f[RTHYB_COMPARED_MAX]; /* of what the others imply */
 } rthyb_disagreement;
 
-/* For kinematics that rthyb_kinematics_init accepts, or of size 0. With pins nothing is compared. */
+/* For kinematics that rthyb_kinematics_init accepts, or of size 0. With pins the weights are those at rest; the station
+ * replaces them by those at the pose of each tick. */
 void rthyb_disagreement_init(rthyb_disagreement *d, const rthyb_kinematics_config *tie,
                              double period_s);
 /* cffi: end */

@@ -120,6 +120,10 @@ void rthyb_kinematics_change(const rthyb_kinematics_config *cfg, const double *f
                              const double *to, const double *force, double *sensor);
 /* d reading / d pose of the displacement sensors without an actuator at the last pose found, rows of `directions`. */
 void rthyb_kinematics_reads(const rthyb_kinematics *s, double *reads);
+/* With pins: by how much the displacements of the axes and of the sensors without an actuator differ from their
+ * lengths at the last pose found, and d length / d pose there, a row for each. */
+void rthyb_kinematics_left(const rthyb_kinematics *s, const double *axis_m, const double *sensor,
+                           double *slopes, double *left);
 /* Number of sensors without an actuator. */
 int32_t rthyb_kinematics_sensors(const rthyb_kinematics_config *cfg);
 /* The inverse: forces and moments in interface coordinates -> force of each axis; with redundant axes, the smallest

@@ -75,7 +75,7 @@ def test_a_reading_is_compared_with_the_least_squares_fit_to_all_others(
 
 
 def test_a_reading_on_which_no_other_depends_cannot_disagree() -> None:
-    """The second axis alone measures the rotation; with pins, nothing is compared."""
+    """The second axis alone measures the rotation; a single pin has no other."""
     found, of_forces = Kinematics([[1.0, 0.0], [0.0, 1.0]], reads=[[1.0, 0.0]]).differences()
     np.testing.assert_allclose(found, [[1, 0, -1], [0, 0, 0], [-1, 0, 1]], atol=1e-12)
     assert not of_forces.any()

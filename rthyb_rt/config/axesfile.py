@@ -954,10 +954,9 @@ def _compared(axes: list[Axis], given: Kinematics, sensors: list[LoneSensor] | N
         for (name, limit), row in zip(own + further, rows, strict=True):
             if limit is not None and not row.any():
                 what = "load cells" if force else "displacement sensors"
-                pins = ": with pins, none are compared" if given.kind == "pins" else ""
                 return (
                     f"{name} has {key}, but its reading does not follow from those of the other "
-                    f"{what}{pins}, so that it cannot disagree with them; remove {key}"
+                    f"{what}, so that it cannot disagree with them; remove {key}"
                 )
     return None
 

@@ -295,7 +295,8 @@ class Kinematics:
         fit to all others, as the station compares them: of the displacements of the axes and the
         displacement sensors without an actuator, (size + displacement_sensors, ...), and of the
         forces of the axes and the load cells without an actuator, (size + force_sensors, ...). A
-        row of zeros belongs to a reading that the others do not imply, as with pins all of them.
+        row of zeros belongs to a reading that the others do not imply. With pins, the rows are
+        those at rest; the station compares with those at the pose of each tick.
         """
         c = ffi.new("rthyb_disagreement *")
         lib.rthyb_disagreement_init(c, ffi.addressof(self._c, "cfg"), 1.0)
