@@ -1,12 +1,14 @@
 """The two-actuator frame and the ten storeys on CAN, a bus for each axis: by `rthyb run --realtime`
-and through the service, each a process beside `rthyb rig`; and a bus that is pulled out."""
+and through the service, each a process beside `rthyb rig`; and a bus that is pulled out. The frame
+also with both axes on one bus of CAN FD, each with frames of its own."""
 
 from __future__ import annotations
 
+import struct
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -15,6 +17,8 @@ import pytest
 import stalls
 import test_service_daemon
 from command_line import Answer, Rthyb
+from loop_bench import can_socket
+from one_bus import FD_BYTE, MOST_BYTES, SWITCHED
 from realtime_bench import ATTEMPTS, STATE, Process, process, require_calm, until
 from realtime_lab import Lab, TooEarly, assert_whole, memory_folder, repeated
 from stalls import Stalled
@@ -37,15 +41,22 @@ TWO_S, LONG = ("--set", "test.duration_s=2"), ("--set", "test.duration_s=6")
 GENTLE = ("--set", "ground_motion.pga_g=0.04")
 IN_TWO_S = 2048
 LINK = 'kind = "can"\nchannel = "{bus}"\nclock = "host"\nvirtual = true\n'
+FD = "fd = true\nbitrate = 1_000_000\ndata_bitrate = 4_000_000\n"
+FIRST = 0x110
+"""Identifier of the first axis' command on a bus for all; the next axis' is higher by 16."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """An example as it stands, and the axes of its rig; of one axis none has a name."""
+    """An example as it stands, and the axes of its rig; of one axis none has a name.
+
+    ``shared``: all axes are on one bus of CAN FD, each with identifiers of its own.
+    """
 
     test: str
     rig: str
     axes: tuple[str, ...] = ()
+    shared: bool = False
 
     @property
     def file(self) -> Path:
@@ -53,21 +64,36 @@ class Example:
 
     @property
     def buses(self) -> tuple[str, ...]:
-        return tuple(f"bus{k}" for k in range(len(self.axes) or 1))
+        return tuple(f"bus{k}" for k in range(1 if self.shared else len(self.axes) or 1))
+
+    @property
+    def identifiers(self) -> tuple[tuple[int, int, int], ...]:
+        """Of command, displacement and force of each axis on a bus for all."""
+        firsts = [FIRST + 16 * k for k in range(len(self.axes))]
+        return tuple((first, first + 0x100, first + 0x101) for first in firsts)
+
+    def link(self, k: int) -> str:
+        """Return the link of an axis."""
+        if not self.shared:
+            return LINK.format(bus=self.buses[k])
+        words = zip(("command", "displacement", "force"), self.identifiers[k], strict=True)
+        ids = ", ".join(f"{word} = {number}" for word, number in words)
+        return f"{LINK.format(bus=self.buses[0])}{FD}ids = {{ {ids} }}\n"
 
     def rig_file(self) -> str:
-        """Return the shipped rig file, each of its axes on a bus of its own."""
+        """Return the shipped rig file with the link of each of its axes."""
         text = config.find_rig(self.rig).read_text(encoding="utf-8")
         if not self.axes:
-            return f"{text}\n[link]\n{LINK.format(bus=self.buses[0])}"
-        for axis, bus in zip(self.axes, self.buses, strict=True):
+            return f"{text}\n[link]\n{self.link(0)}"
+        for k, axis in enumerate(self.axes):
             head = f'[[axis]]\nname = "{axis}"\n'
             assert text.count(head) == 1
-            text = text.replace(head, f"{head}\n[axis.link]\n{LINK.format(bus=bus)}")
+            text = text.replace(head, f"{head}\n[axis.link]\n{self.link(k)}")
         return text
 
 
 FRAME = Example("two-actuator-frame", "two-axis-frame", ("upper", "lower"))
+TOGETHER = replace(FRAME, shared=True)
 STOREYS = Example("ten-storeys", "delay-10-bouc-wen")
 BOTH = pytest.mark.parametrize("example", [FRAME, STOREYS], ids=lambda example: example.test)
 STOPPED = loop.PHASES.index("stopped")
@@ -78,7 +104,7 @@ EITHER = pytest.mark.parametrize("axis", FRAME.axes)
 def buses_of(example: Example) -> Iterator[None]:
     with ExitStack() as owned:
         for bus in example.buses:
-            owned.enter_context(vcan(bus))
+            owned.enter_context(vcan(bus, fd=example.shared))
         yield
 
 
@@ -195,6 +221,69 @@ def test_example_runs_in_real_time_on_a_bus_for_each_axis(
 
     lab = OnBuses(tmp_path, memory, example)
     with buses_of(example):
+        repeated(attempt)
+
+
+def frames_on(bus: str) -> list[bytes]:
+    """Return frames that pass on a bus of CAN FD, those of about fifty ticks."""
+    with can_socket(bus, [number for one in TOGETHER.identifiers for number in one], True) as heard:
+        time.sleep(0.05)
+        found = list[bytes]()
+        while True:
+            try:
+                found.append(heard.recv(MOST_BYTES))
+            except BlockingIOError:
+                return found
+
+
+def test_both_axes_run_on_one_bus_of_can_fd_each_with_frames_of_its_own(
+    tmp_path: Path, memory: Path
+) -> None:
+    """Every frame is one of CAN FD at the faster rate; each axis follows its own commands."""
+
+    def attempt(out: str) -> None:
+        begun_s, frames = time.monotonic(), list[bytes]()
+        with lab.at_work(out, *TWO_S) as controller:
+            if lab.await_state(controller, "RUNNING", 300):
+                frames = frames_on(TOGETHER.buses[0])
+            status, rec = lab.ended(out, controller, begun_s)
+        require_calm(rec)
+        assert status == 0
+        assert_completed(rec, TOGETHER)
+        numbers = {struct.unpack("=I", frame[:4])[0] for frame in frames}
+        assert numbers == {number for one in TOGETHER.identifiers for number in one}
+        assert all(len(frame) == MOST_BYTES and frame[FD_BYTE] & SWITCHED for frame in frames)
+        for log in log_of(tmp_path / f"{out}.npy", TOGETHER):
+            assert log["refused"].max() == 0
+            assert np.isfinite(log["target_m"]).all()
+
+    lab = OnBuses(tmp_path, memory, TOGETHER)
+    with buses_of(TOGETHER):
+        repeated(attempt)
+
+
+def test_a_pulled_bus_for_both_axes_trips_the_test_and_stops_both_drives(
+    tmp_path: Path, memory: Path
+) -> None:
+    def attempt(out: str) -> None:
+        begun_s = time.monotonic()
+        with ip_at_hand() as ip, lab.at_work(out, *LONG) as controller:
+            if lab.await_state(controller, "RUNNING", 300):
+                ip(f"link set {TOGETHER.buses[0]} down")
+            status, rec = lab.ended(out, controller, begun_s)
+            ip(f"link set {TOGETHER.buses[0]} up")
+        require_calm(rec)
+        if not tripped_in_motion(rec):
+            raise TooEarly
+        assert status == 6
+        assert rec.meta["end_reason"] == f"tripped: link down of axis {TOGETHER.axes[0]}"
+        assert_sound(rec, TOGETHER)
+        for log in log_of(tmp_path / f"{out}.npy", TOGETHER):
+            assert log["refused"].max() == 0
+            assert_stop_is_in_time(log)
+
+    lab = OnBuses(tmp_path, memory, TOGETHER)
+    with buses_of(TOGETHER):
         repeated(attempt)
 
 
