@@ -636,6 +636,7 @@ static void observe(observer *o, const event *e, const rthyb_station *s, size_t 
     if (e->in.command == RTHYB_CMD_START && !e->refused) {
         o->running = 0;
         o->adopted = 0;
+        memset(&o->skips, 0, sizeof o->skips);
         memset(&o->losses, 0, sizeof o->losses);
     }
     if (e->in.command == RTHYB_CMD_RESET && !e->refused)
