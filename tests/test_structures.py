@@ -14,7 +14,7 @@ import scipy.io
 import scipy.linalg
 import scipy.sparse
 from command_line import Rthyb
-from frames import beam_stiffness, shear_building
+from frames import beam_stiffness, shear_building, space_frame
 
 from rthyb_rt import config
 from rthyb_rt.analysis import summary
@@ -29,6 +29,7 @@ from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record import recording
 from rthyb_rt.report import figures
+from rthyb_rt.report import structure as structure_figures
 
 K_E = 4737410.0
 EXAMPLE = config.builtin_test_path().with_name("ten-storeys.toml")
@@ -239,6 +240,53 @@ def test_a_structure_is_the_same_from_every_kind_of_file(kind: str, tmp_path: Pa
     assert found.part.load_kg == pytest.approx(np.diag(M4))
 
 
+@pytest.mark.parametrize("sparse_file", [False, True], ids=["dense", "sparse"])
+@pytest.mark.parametrize(
+    "names",
+    [
+        np.array(["sway", "up"], dtype=object),
+        np.array([["sway"], ["up"]], dtype=object),
+        np.array(["sway", "up"]),
+    ],
+    ids=["cell row", "cell column", "padded characters"],
+)
+def test_directions_in_a_matlab_file_are_called_as_in_matlab(
+    names: Any, sparse_file: bool, tmp_path: Path
+) -> None:
+    kind = scipy.sparse.csc_matrix if sparse_file else np.asarray
+    moved = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
+    data = {"M": kind(M4), "K": kind(K4), "C": kind(C4), "influence": kind(moved)}
+    cells = np.array(LABELS, dtype=object)
+    scipy.io.savemat(tmp_path / "a.mat", data | {"labels": cells, "directions": names})
+    test = from_file(tmp_path, 'file = "a.mat"\ndirection = "up"')
+    found = deriving.structure_of_test(test, K_E, 1.0 / 1024.0)
+    assert found.influence == pytest.approx(moved[:, 1])
+    wrong = from_file(tmp_path, 'file = "a.mat"\ndirection = "down"')
+    with pytest.raises(InputError, match='found "down"; must be one of "sway", "up"'):
+        deriving.structure_of_test(wrong, K_E, 1.0 / 1024.0)
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (["x", "x"], 'directions: found "x" twice; must be different'),
+        (["x", ""], "directions: found 2 directions; must be 2, none empty"),
+        (["x", "y", "z"], "directions: found 3 directions; must be 2, none empty"),
+    ],
+)
+def test_directions_that_cannot_be_told_apart_are_refused(
+    names: list[str], said: str, tmp_path: Path
+) -> None:
+    cells = np.array(names, dtype=object)
+    moved = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 0.0], [0.0, 1.0]])
+    scipy.io.savemat(
+        tmp_path / "a.mat", {"M": M4, "K": K4, "C": C4, "influence": moved, "directions": cells}
+    )
+    with pytest.raises(InputError) as caught:
+        from_file(tmp_path, 'file = "a.mat"', '[[interface]]\ndof = "1"')
+    assert said in str(caught.value)
+
+
 def test_a_specimen_is_taken_out_and_a_combination_moved(tmp_path: Path) -> None:
     more = """specimen = { stiffness_n_per_m = 1e6, mass_kg = 50 }
 [numerical]
@@ -258,6 +306,43 @@ dof = { "2.x" = 1, "1.x" = -1 }"""
     assert found.part.load_kg == pytest.approx(np.diag(M4))
     names = [(one.name, one.unit) for one in found.part.responses]
     assert names == [("dof_4_x", "m"), ("dof_3_x_less_2_x", "m"), ("element_1", "N")]
+
+
+def test_a_vertical_mode_of_a_frame_is_shown_as_vertical(tmp_path: Path) -> None:
+    m, k, labels, corners = space_frame((2, 2), 1)
+    m, k = m.toarray(), k.toarray()
+    moved = np.zeros((len(labels), 1))
+    moved[0::6] = 1.0
+    np.savez(
+        tmp_path / "a.npz", M=m, K=k, C=1e-4 * k, labels=labels, influence=moved, directions=["x"]
+    )
+    test = from_file(tmp_path, 'file = "a.npz"', f'[[interface]]\ndof = "{labels[corners[0]]}"')
+    found = deriving.structure_of_test(test, K_E, 1.0 / 1024.0)
+    assert isinstance(found, SparseStructure)
+    k[corners[0], corners[0]] += K_E
+    # The rotations have no mass: they follow the displacements statically.
+    own = np.arange(len(labels)) % 6 < 3
+    follow = np.linalg.solve(k[np.ix_(~own, ~own)], k[np.ix_(~own, own)])
+    w2, phi = scipy.linalg.eigh(
+        k[np.ix_(own, own)] - k[np.ix_(own, ~own)] @ follow, m[np.ix_(own, own)]
+    )
+    modes, ways = found.modes(), np.array(["x", "y", "z"] * 4)
+    assert [one.frequency_hz for one in modes] == pytest.approx(np.sqrt(w2[:10]) / (2.0 * np.pi))
+    vertical = []
+    for i, mode in enumerate(modes):
+        want, got = phi[:, i], np.array(mode.shape)[own]
+        want = want / want[np.argmax(np.abs(want))]
+        got = got * np.sign(got @ want)
+        assert got == pytest.approx(want, abs=1e-6)
+        most = ways[np.argmax(np.abs(want))]
+        at, way = structure_figures._moving(found, np.array(mode.shape))
+        assert np.abs(np.array(mode.shape)[at]).max() > 0.99
+        assert way in ("", most)
+        if np.abs(want[ways != "z"]).max() < 1e-3:
+            vertical.append(i)
+            assert way == "z"
+            assert mode.effective_mass < 1e-6
+    assert vertical
 
 
 # ---- what is refused ----------------------------------------------------------------------------

@@ -354,17 +354,33 @@ def _check_masses(mass: Symmetric, labels: tuple[str, ...], where: str) -> None:
 def _labels(given: Any, n: int, where: str) -> tuple[str, ...]:
     if given is None:
         return tuple(str(i + 1) for i in range(n))
-    flat = np.asarray(given, dtype=object).ravel()
-    # Cells of MATLAB are arrays of one string each; its character arrays are padded.
-    names = tuple(str(one.ravel()[0] if isinstance(one, np.ndarray) and one.size else one).strip()
-                  for one in flat)  # fmt: skip
+    return _names(given, n, "labels", where)
+
+
+def _names(given: Any, n: int, what: str, where: str) -> tuple[str, ...]:
+    """Return n different names from an array of text, or a cell or character array of MATLAB.
+
+    Raises:
+        InputError: another number of names, an empty one, or one that occurs twice.
+    """
+    names = tuple(_text(one) for one in np.asarray(given, dtype=object).ravel())
     if len(names) != n or not all(names):
-        raise InputError(f"found {len(names)} labels; must be {n}, none empty", where)
+        raise InputError(f"found {len(names)} {what}; must be {n}, none empty", where)
     if len(set(names)) < n:
         seen: set[str] = set()
         twice = next(one for one in names if one in seen or seen.add(one))  # type: ignore[func-returns-value]
         raise InputError(f"found {written(twice)} twice; must be different", where)
     return names
+
+
+def _text(one: Any) -> str:
+    """Return one name: cells of MATLAB are arrays of one string; its character arrays are padded.
+
+    SciPy returns a cell of an empty string as an array without elements.
+    """
+    if isinstance(one, np.ndarray):
+        one = one.ravel()[0] if one.size else ""
+    return str(one).strip()
 
 
 def _influence(
@@ -394,15 +410,10 @@ def _influence(
             "displacement for a unit displacement of the ground",
             where,
         )
-    names = arrays.get("directions")
+    given, count = arrays.get("directions"), values.shape[1]
     directions = (
-        [str(i + 1) for i in range(values.shape[1])]
-        if names is None
-        else [str(one).strip() for one in np.asarray(names, dtype=object).ravel()]
+        tuple(str(i + 1) for i in range(count))
+        if given is None
+        else _names(given, count, "directions", place("directions"))
     )
-    if len(directions) != values.shape[1]:
-        raise InputError(
-            f"found {len(directions)} directions for {values.shape[1]} columns",
-            place("directions"),
-        )
     return {name: values[:, i].copy() for i, name in enumerate(directions)}

@@ -34,7 +34,8 @@ class Mode:
     Attributes:
         frequency_hz: natural frequency without damping.
         damping_ratio: phi' C phi / (2 omega), with phi' M phi = 1.
-        shape: mode shape with largest entry 1, (n,).
+        shape: mode shape whose largest translation is 1, or if none of its degrees of freedom is
+            known to be one, its largest entry, (n,).
         at_interface: entry of the interface in the mode shape with unit modal mass, 1/sqrt(kg).
         effective_mass: effective modal mass for the ground motion, as a share.
     """

@@ -6,7 +6,7 @@ import functools
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, cast
 
 import numpy as np
@@ -51,6 +51,11 @@ DEFAULT_RECORDED: Final = 10
 """Number of storeys up to which drifts and shears are recorded if the file gives no ``record``."""
 _CLEARLY: Final = 0.5
 """Share of the largest entry from which on a degree of freedom is named as part of a motion."""
+_TRANSLATIONS: Final = ("x", "y", "z")
+ROTATIONS: Final = ("rx", "ry", "rz")
+"""Ends of labels, "7.rz", as `rthyb import-opensees` writes them."""
+_ROUNDING: Final = 1e-12
+"""Share of a mode's kinetic energy below which a motion is rounding: one millionth in amplitude."""
 _NAMED: Final = 5
 """Number of degrees of freedom that a message names."""
 _DIFFERENCE: Final = re.compile(r"(.+?)\s+-\s+(.+)")
@@ -67,6 +72,8 @@ class SparseStructure:
         specimen_mass_kg: subtracted from the masses, because it is present in the laboratory.
         interfaces: names of what the actuators move, one per interface of the part.
         heights_m: heights of the floors above the ground, (count,); empty: no storeys.
+        directions: displacements for a unit displacement of the ground along each direction that
+            the file of matrices names, (n,) each.
     """
 
     labels: tuple[str, ...]
@@ -75,6 +82,7 @@ class SparseStructure:
     specimen_mass_kg: float = 0.0
     interfaces: tuple[str, ...] = ("x",)
     heights_m: tuple[float, ...] = ()
+    directions: Mapping[str, Floats] = field(default_factory=dict)
 
     def slowed(self, time_scale: float) -> SparseStructure:
         """Return the structure for a slower time scale, see `rthyb_rt.config.timescale`.
@@ -119,11 +127,11 @@ class SparseStructure:
         row = self.joined.interface_rows()[0]
         moved = shapes.T @ self.part.load_kg
         whole = float(self.influence @ self.part.load_kg)
+        inertia = shapes * (self.joined.mass_kg.matrix() @ shapes)
         found = []
         for i, square in enumerate(w2):
             omega, shape = math.sqrt(square), shapes[:, i]
-            # Rotations are not displacements: the scale is the largest entry that the ground moves.
-            at = np.flatnonzero(self.influence) if np.any(self.influence) else np.arange(shape.size)
+            at = self._scaled_by(inertia[:, i])
             largest = shape[at][np.argmax(np.abs(shape[at]))] or 1.0
             found.append(
                 Mode(
@@ -135,6 +143,42 @@ class SparseStructure:
                 )
             )
         return tuple(found)
+
+    def _scaled_by(self, inertia: Floats) -> NDArray[np.intp]:
+        """Return the degrees of freedom whose largest entry is the scale of a mode shape.
+
+        These are the translations, because a rotation in rad is not a displacement in m; in a mode
+        without translation, all.
+
+        Args:
+            inertia: phi * (M phi) for phi' M phi = 1, (n,).
+        """
+        if self.translations.size and abs(inertia[self.translations].sum()) > _ROUNDING:
+            return self.translations
+        return np.arange(inertia.size)
+
+    @functools.cached_property
+    def along(self) -> dict[str, NDArray[np.intp]]:
+        """Degrees of freedom by what they are: x, y, z, rx, ry, rz as the end of their label says.
+
+        Without such a label, they belong to the first direction of the file that moves them; those
+        that no direction moves have no name, "".
+        """
+        found: dict[str, list[int]] = {}
+        for i, label in enumerate(self.labels):
+            way = label.rpartition(".")[2] if "." in label else ""
+            if way not in _TRANSLATIONS + ROTATIONS:
+                way = next((name for name, by in self.directions.items() if by[i]), "")
+            found.setdefault(way, []).append(i)
+        return {way: np.array(at) for way, at in found.items()}
+
+    @functools.cached_property
+    def translations(self) -> NDArray[np.intp]:
+        """Degrees of freedom that are displacements, as far as labels and directions tell."""
+        turning = [at for way, at in self.along.items() if way in ROTATIONS]
+        named = [at for way, at in self.along.items() if way and way not in ROTATIONS]
+        moved = np.flatnonzero(self.influence)
+        return np.setdiff1d(np.concatenate([moved, *named]), np.concatenate([[], *turning]))
 
     def modes(self) -> tuple[Mode, ...]:
         """Return the lowest modes of the complete structure, at most `SHOWN_MODES`."""
@@ -333,6 +377,7 @@ class _Bare:
     responses: list[Response]
     specimen_mass_kg: float = 0.0
     heights_m: tuple[float, ...] = ()
+    directions: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def build(
@@ -374,8 +419,9 @@ def build(
     )
     names = tuple(one.name for one in keys.interfaces) or ("x",)
     structure = SparseStructure(
-        bare.labels, part, bare.influence, bare.specimen_mass_kg, names, bare.heights_m
-    )
+        bare.labels, part, bare.influence, bare.specimen_mass_kg, names, bare.heights_m,
+        bare.directions,
+    )  # fmt: skip
     place = "numerical.storeys" if isinstance(given, Storeys) else "numerical.matrices"
     try:
         _check_masses(bare, keys)
@@ -716,7 +762,7 @@ def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
     responses = _label_responses(keys.record or (), data.labels, place, entry_joint)
     return _Bare(
         data.labels, mass, stiffness, damping, influence, load, interfaces, joints,
-        responses, taken_mass,
+        responses, taken_mass, directions=data.influence,
     )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.config.numerical_structure import Structure
 from rthyb_rt.config.own_structure import OwnStructure
-from rthyb_rt.config.sparse_structure import SparseStructure
+from rthyb_rt.config.sparse_structure import ROTATIONS, SparseStructure
 from rthyb_rt.core.own_library import Recorded
 from rthyb_rt.core.sparse import Response
 from rthyb_rt.numbers import number, percent
@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 
 SHOWN_MODES = 5
 SHOWN_CURVES = 3
+_STILL = 1e-6
+"""Part of a mode shape that is rounding."""
 _COLOURS = (draw.BLUE, draw.ORANGE, draw.GREEN, draw.PURPLE, draw.RED)
 _UNITS = {"m": ("mm", 1e3), "N": ("kN", 1e-3), "rad": ("mrad", 1e3)}
 _WORDS = {"m": "displacements", "N": "forces", "rad": "rotations"}
@@ -45,27 +47,26 @@ def plates(
 def modes(structure: Structure | SparseStructure) -> draw.Plate:
     """Return the shapes of the lowest modes side by side."""
     shown = structure.modes()[:SHOWN_MODES]
-    heights: Floats
+    grounded = isinstance(structure, SparseStructure) and bool(structure.heights_m)
+    drawn = [_moving(structure, np.array(mode.shape)) for mode in shown]
+    most = max(at.size for at, _ in drawn)
+    heights, what = np.arange(1.0, most + 1.0), "degree of freedom, in order"
     if isinstance(structure, SparseStructure) and structure.heights_m:
         heights, what = np.array(structure.heights_m), "height, m"
-        at = np.arange(heights.size)
-    else:
-        # Without coordinates: the degrees of freedom that the ground motion excites, in order.
-        influence = getattr(structure, "influence", np.ones(len(structure.labels)))
-        at = np.flatnonzero(influence) if np.any(influence) else np.arange(len(structure.labels))
-        heights, what = np.asarray(at + 1.0, np.float64), "degree of freedom, in order"
-    grounded = isinstance(structure, SparseStructure) and bool(structure.heights_m)
     paper = draw.Paper("modes", draw.FULL_WIDTH_IN, (2.0,))
     (axes,) = paper.axes
-    for i, mode in enumerate(shown):
+    for i, (mode, (at, _)) in enumerate(zip(shown, drawn, strict=True)):
         shape = np.array(mode.shape)[at]
-        x, y = (np.append(0.0, v) if grounded else v for v in (shape, heights))
+        x, y = (np.append(0.0, v) if grounded else v for v in (shape, heights[: at.size]))
         axes.axvline(2.5 * i, color=draw.GREY, linewidth=0.4)
         axes.plot(2.5 * i + x, y, color=_COLOURS[i], linewidth=1.0, marker="o", markersize=2.0)
     axes.set_xlim(-1.25, 2.5 * len(shown) - 1.25)
     axes.set_ylim(0.0 if grounded else 0.5, float(heights.max()) * 1.04 + 0.04)
     axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    names = [f"{number(m.frequency_hz, 3)} Hz, {percent(m.damping_ratio, 2)}" for m in shown]
+    names = [
+        f"{number(m.frequency_hz, 3)} Hz, {percent(m.damping_ratio, 2)}{way and f', in {way}'}"
+        for m, (_, way) in zip(shown, drawn, strict=True)
+    ]
     axes.set_xticks([2.5 * i for i in range(len(shown))], names)
     draw.head(axes, what)
     shares = ", ".join(_share(mode.effective_mass) for mode in shown)
@@ -73,7 +74,32 @@ def modes(structure: Structure | SparseStructure) -> draw.Plate:
         "Frequency and damping ratio of the structure with an elastic specimen; effective modal "
         f"mass: {shares}."
     )
+    if any(way for _, way in drawn):
+        note += (
+            " Each mode is drawn in the direction of its largest motion, which is named if it is "
+            "not that of the ground motion."
+        )
     return paper.plate("Mode shapes", note)
+
+
+def _moving(structure: Structure | SparseStructure, shape: Floats) -> tuple[NDArray[np.intp], str]:
+    """Return the degrees of freedom to draw of a mode, and what they are if not as excited.
+
+    These are the displacements that the ground motion excites, unless others move more. Rotations
+    are drawn only of a mode without displacements.
+    """
+    every = np.arange(shape.size)
+    if not isinstance(structure, SparseStructure) or structure.heights_m:
+        return every, ""
+    excited = np.intersect1d(np.flatnonzero(structure.influence), structure.translations)
+    ways = {"": excited} | {way or "others": at for way, at in structure.along.items()}
+    moves = {way: float(np.abs(shape[at]).max(initial=0.0)) for way, at in ways.items()}
+    displacing = {way: moves[way] for way, at in ways.items() if way not in ROTATIONS}
+    if max(displacing.values()) > _STILL:
+        moves = displacing
+    # Symmetric structures move alike in two directions: rounding does not choose between them.
+    way = "" if moves[""] > 0.99 * max(moves.values()) else max(moves, key=lambda one: moves[one])
+    return ways[way], way
 
 
 def _share(mass: float) -> str:
