@@ -388,11 +388,14 @@ PER_COUNT void limit_all(int n, rthyb_controller *c, const double *wanted, doubl
     }
 }
 
-/* If there is one axis, and the compiler knows it, no loops remain. */
+double limiter_single_command(rthyb_controller *c, double wanted)
+{
+    double command;
+    limit_all(1, c, &wanted, &command);
+    return command;
+}
+
 void limiter_commands(int n, rthyb_controller *c, const double *wanted, double *command)
 {
-    if (n == 1)
-        limit_all(1, c, wanted, command);
-    else
-        limit_all(n, c, wanted, command);
+    limit_all(n, c, wanted, command);
 }

@@ -7,6 +7,8 @@
 #define COMMAND_MAX_M (1e2 * RTHYB_DISPLACEMENT_MAX_M)
 
 void limiter_rest(rthyb_limiter *limiter, double x_m);
+/* Limits the wanted command of the only axis. */
+double limiter_single_command(rthyb_controller *c, double wanted);
 /* Limits the wanted commands of n axes. */
 void limiter_commands(int n, rthyb_controller *c, const double *wanted, double *command);
 /* Stores the command sent in this tick; if it cannot be sent after all, limiter_stayed undoes this. blind: nothing is

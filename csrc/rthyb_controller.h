@@ -89,6 +89,7 @@ typedef struct {
     int32_t at_direction; /* the command in an interface coordinate is at its bound */
     /* 0: the axes are at positions that correspond to no pose of the specimen, so each axis is held where it is */
     int32_t posed;
+    int32_t alone; /* one axis, and neither kinematics nor matrices */
     /* Of the following, only the entries in use, and the parts that were configured, are ever accessed. */
     rthyb_controller_axis axis[RTHYB_COUPLED_MAX];
     rthyb_controller_interface interface[RTHYB_COUPLED_MAX];
