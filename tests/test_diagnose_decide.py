@@ -48,7 +48,7 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
 
 ANSWERS = {
     "held_out": 0.9, "size": 0.5, "left": 0.5, "driven": (60.0, 60.0, 60.0),
-    "driven_together": 180.0, "slow_noise": 1.0,
+    "driven_together": 180.0, "slow_noise": 1.0, "beyond_forms": 1e9,
 }  # fmt: skip
 
 
@@ -81,6 +81,14 @@ def a_form() -> Evidence:
     """A second effect takes up a three-hundredth of the whole, far above the noise."""
     return evidence(
         of("coulomb", chi2=1160.0), of("cubic", chi2=15_000.0), of("coulomb", "cubic", chi2=1100.0)
+    )
+
+
+def a_normal_offset() -> Evidence:
+    """A load cell 0.08 ms late, which shows where friction jumps; 0.1 ms is normal."""
+    late = part("time_skew", offset_s=8e-5)
+    return evidence(
+        of("coulomb", chi2=1700.0), of(late, chi2=15_000.0), of("coulomb", late, chi2=1000.0)
     )
 
 
@@ -145,6 +153,7 @@ def a_form_of_one() -> Evidence:
 
 RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...]]] = {
     "needed": (not_needed(), {}, ("coulomb",), ("coulomb", "cubic")),
+    "normal offset": (a_normal_offset(), {}, ("coulomb",), ("coulomb", "time_skew")),
     "off zero": (a_zero(), {"zero": 1.0}, (), ("bias",)),
     "slow noise": (slow(), {"slow_noise": 18.0}, (), ("drift",)),
     "drift goes on": (a_drift(), {"drift": DriftRates(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
@@ -229,6 +238,23 @@ def test_a_form_of_the_other_law_is_refused_and_says_by_how_much() -> None:
     assert (ruling.names, ruling.part) == (("coulomb", "cubic"), "cubic")
     assert ruling.found == 60.0
     assert ruling.wanted == pytest.approx(POLICY.needed_share[1] * (20_000.0 - 1100.0))
+
+
+@pytest.mark.parametrize("second", ["cubic", "viscous"])
+def test_what_another_form_of_the_first_law_explains_is_no_second_effect(second: str) -> None:
+    """Two hundredths of the whole are far above the noise, and still the form of friction."""
+    seen = evidence(
+        of("coulomb", chi2=1400.0), of(second, chi2=15_000.0), of("coulomb", second, chi2=1000.0)
+    )
+    assert decided(seen).best.names == ("coulomb", second)
+    choice = decided(seen, beyond_forms=5.0)
+    assert choice.best.names == ("coulomb",)
+    ruling = next(r for r in choice.ledger if r.rule == "form")
+    assert (ruling.part, ruling.found, ruling.wanted) == (second, 5.0, 25.0)
+    large = replace(seen, sets=(of("coulomb", chi2=3000.0), *seen.sets[1:]))
+    assert decided(large, beyond_forms=5.0).best.names == ("coulomb", second)
+    moved = replace(seen, setting=replace(seen.setting, judged="motion"))
+    assert decided(moved, beyond_forms=5.0).best.names == decided(moved).best.names
 
 
 def test_an_effect_that_ends_at_the_noise_is_no_form() -> None:

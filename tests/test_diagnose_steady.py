@@ -143,6 +143,67 @@ def test_friction_of_which_some_readings_are_a_row_late_is_the_same_everywhere()
     assert grown[SECOND_HALF] > POLICY.changed_numbers
 
 
+def earned(force: Force, *names: str) -> tuple[float, float]:
+    """What the last effect earns beside the law before it: as that is, and in any form of it."""
+    problem, both = fitted(force, *names)
+    alone = refine(problem, fitted(force, *names[:-1])[1].members)
+    assert alone is not None
+    return alone.chi2 - both.chi2, steady.past_forms(problem, alone, both)
+
+
+def test_damping_beside_friction_with_another_exponent_of_its_peak_is_its_form() -> None:
+    """A peak that falls with the square root of velocity, of which the law has the first power."""
+
+    def peak(t: Floats, x: Floats, v: Floats) -> Floats:
+        return (150.0 + 300.0 * np.exp(-((np.abs(v) / 0.02) ** 0.5))) * np.sign(v)
+
+    as_it_is, in_any_form = earned(peak, "stribeck", "quad_damping")
+    assert as_it_is > 100.0
+    assert in_any_form < 0.4 * as_it_is
+
+
+def test_a_spring_that_is_there_beside_friction_is_no_form_of_it() -> None:
+    """Friction that changes with displacement does not change its sign with it."""
+    as_it_is, in_any_form = earned(
+        lambda t, x, v: 90.0 * np.sign(v) + 1e8 * x**3, "coulomb", "cubic"
+    )
+    assert as_it_is > 100.0
+    assert in_any_form > 0.8 * as_it_is
+
+
+def test_what_an_effect_earns_beside_any_form_is_that_of_least_squares_with_all_columns() -> None:
+    """A second formulation: the priors as rows of their own, solved by singular values."""
+    problem, both = fitted(lambda t, x, v: 90.0 * np.sign(v) + 300.0 * v, "coulomb", "viscous")
+    alone = refine(problem, both.members[:1])
+    assert alone is not None
+    force = (
+        alone.betas[0][0] * alone.members[0].effect.columns(problem.ctx, alone.members[0].trial)[0]
+    )
+    ctx, near = problem.ctx, []
+    for values, reach in ((ctx.x, ctx.x_range), (ctx.v, ctx.v_range)):
+        u = np.clip(values / reach, -1.0, 1.0)
+        near += [force * np.cos(k * np.arccos(u)) for k in range(1, 5)]
+    least = []
+    for fit in (alone, both):
+        own = [*fit.betas[0:1], *fit.betas[1:]]
+        blocks = [c for m in fit.members for c in m.effect.columns(ctx, m.trial)] + [
+            n.column for n in problem.nuisances
+        ]
+        design = np.column_stack([problem.seen(c) for c in (*blocks, *near)])
+        sigma = [np.inf] * len(np.concatenate(own)) + [n.sigma for n in problem.nuisances]
+        sigma += [POLICY.form_error] * len(near)
+        rows = np.diag([0.0 if not s else 1.0 / s for s in sigma])
+        # Friction's width is a shape, which both sets may change as well.
+        slope = steady.design_of(problem, fit)[:, : sum(len(m.trial.theta) for m in fit.members)]
+        design = np.vstack(
+            [np.column_stack([design, slope]), np.pad(rows, ((0, 0), (0, slope.shape[1])))]
+        )
+        y = np.r_[problem.y, np.zeros(len(sigma))]
+        left = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+        least.append(float(left @ left))
+    assert steady.past_forms(problem, alone, both) == pytest.approx(least[0] - least[1], rel=1e-3)
+
+
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 8])
 @pytest.mark.parametrize("deviations", [0.0, 1.0, 2.0, 3.5])
 def test_chance_is_that_of_chi_squared(count: int, deviations: float) -> None:

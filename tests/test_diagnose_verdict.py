@@ -90,6 +90,24 @@ def test_noise_of_any_colour_has_to_be_within_the_sheet() -> None:
     assert said(Seen(left), sheet=True).said == "explained"
 
 
+def test_noise_of_a_free_colour_hides_no_more_of_a_clear_finding_than_the_form_of_a_law() -> None:
+    """A crosstalk of 30 times the noise of its data sheet, of which a thousandth stays."""
+    left = replace(FRICTION, before=30.0, coloured=True, loud=True, of_force=1e-3)
+    assert said(Seen(left)).said == "explained"
+    assert said(Seen(replace(left, of_force=2e-3))).said == "unknown"
+    assert said(Seen(replace(left, bent_after=4.1))).said == "unknown"
+    assert said(Seen(replace(left, loud=False))).said == "unknown"
+
+
+def test_what_a_set_leaves_where_coloured_noise_is_weak_is_small_if_it_is_so_in_the_force() -> None:
+    """A stop met with a blow: 6 % of its misfit in units of the noise, .5 % of its force."""
+    left = replace(FRICTION, before=12.4, after=0.76, coloured=True, loud=True, of_force=0.005)
+    assert said(Seen(left)).said == "explained"
+    assert said(Seen(replace(left, of_force=POLICY.left_stated[0]))).said == "unknown"
+    assert said(Seen(replace(left, loud=False))).said == "unknown"
+    assert said(Seen(replace(left, coloured=False))).said == "unknown"
+
+
 def test_what_a_naive_model_leaves_is_measured_in_the_force_whatever_its_colour() -> None:
     """Noise of a free colour takes up the form of its laws, and shows less of it than there is."""
     left = replace(FRICTION, before=0.5, after=0.01, coloured=True, naive=True, of_force=0.2)

@@ -40,6 +40,7 @@ class SetMember:
         late: it begins in mid-recording.
         stated: it only changes a stated value.
         sensor, carries, dissipates: as declared by its law.
+        offset_s: by how much it shifts the load cell's rows in time.
     """
 
     name: str
@@ -51,6 +52,7 @@ class SetMember:
     sensor: bool = False
     carries: bool = False
     dissipates: bool = False
+    offset_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -196,8 +198,8 @@ class Need:
     Attributes:
         what: "part", the set of some of its effects, as they are in it (Hypothesis, None if it
             is not a physical law); "yielding", the set with yielding in place of its bristles
-            (likewise); "beyond forms", what an effect of the load cell earns if its other laws
-            may take any smooth form (chi-squared); "drift", its drift by halves (`DriftRates`);
+            (likewise); "beyond forms", what an effect earns if the other laws may take
+            other forms, for an effect of the load cell any smooth form (chi-squared); "drift", its drift by halves (`DriftRates`);
             "driven", what each effect earns by the motion that the test imposes (chi-squared, a
             number for each; empty if nothing moves); "driven together", what those of ``which``
             earn together (likewise, one number); "size", its force relative to the recorded
@@ -380,6 +382,8 @@ def needed(court: Court, of: Hypothesis) -> bool:
         by_force = part.stated and court.setting.judged == "force"
         stated = by_force or (not part.late and part.name in less.bent)
         if own >= least or stated or _no_form(court, of, i, less):
+            if not _past_forms(court, of, i, own):
+                return False
             continue
         # Except if an abnormal time offset would otherwise have to compensate. For a naive model
         # this is no evidence: there an offset absorbs errors in the form of a law.
@@ -396,6 +400,22 @@ def _no_form(court: Court, of: Hypothesis, which: int, less: Hypothesis) -> bool
         or _before_a_stated_value(court, of, which)
         or _beside_a_plainer(court, of, which)
     )
+
+
+def _past_forms(court: Court, of: Hypothesis, which: int, own: float) -> bool:
+    """Return whether an effect is large, or earns its price beside other forms of the other laws.
+
+    A small effect may stand for the error of such a form. Along a simulated motion no force is
+    compared; and the laws of a naive model are all approximate.
+    """
+    policy, setting = court.policy, court.setting
+    if setting.judged != "force" or setting.naive:
+        return True
+    if own >= policy.other_form * court.explained(of, which):
+        return True
+    part, found = of.parts[which], court.ask("beyond forms", of, (which,))
+    wanted = part.price * court.times(of)
+    return found > wanted or court.refuse("form", of, part=part.name, found=found, wanted=wanted)
 
 
 def _completes(court: Court, of: Hypothesis, less: Hypothesis) -> bool:
@@ -523,6 +543,19 @@ def off_zero(court: Court, of: Hypothesis) -> bool:
         return True
     own, wanted = alone.chi2 - of.chi2, times * of.price
     return own >= wanted or court.refuse("beside zero", of, found=own, wanted=wanted)
+
+
+def more_than_normal(court: Court, of: Hypothesis) -> bool:
+    """A time offset of the load cell must be larger than is normal between two channels.
+
+    Where friction jumps, a normal one shows clearly, and no stated value absorbs it there.
+    """
+    least = court.policy.offset_normal_s
+    for part in of.parts:
+        if 0.0 < abs(part.offset_s) < least:
+            found = abs(part.offset_s)
+            return court.refuse("normal offset", of, part=part.name, found=found, wanted=least)
+    return True
 
 
 def above_slow_noise(court: Court, of: Hypothesis) -> bool:
@@ -739,6 +772,7 @@ def each(rule: Callable[[Court, Hypothesis], bool]) -> Callable[[Court, Sets], S
 
 RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
     "needed": each(needed),
+    "normal offset": each(more_than_normal),
     "off zero": each(off_zero),
     "slow noise": each(above_slow_noise),
     "drift goes on": each(goes_on),

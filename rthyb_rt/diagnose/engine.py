@@ -14,7 +14,7 @@ from rthyb_rt.diagnose import (
     decay,
     effects,
     estimate,
-    evidence,
+    fitted,
     force,
     freebody,
     lateness,
@@ -420,7 +420,7 @@ def _in_its_noise(
         (
             found.begun(remainder.left_by(search, fit), case.fs_hz),
             found.motion.v,
-            evidence.cost(problem, fit),
+            fitted.cost(problem, fit),
         )
         for fit in sets.values()
     ]
@@ -705,7 +705,7 @@ def _errors(
         fit = search.best if search.best.members and verdict != "unknown" else search.null
         model = problem.ctx.total + leaning(problem, fit)
         for i in range(len(fit.members)):
-            model += evidence.contribution(problem, fit, i)
+            model += fitted.contribution(problem, fit, i)
         out["nrmse_before_force"] = float(np.std(before)) / spread
         out["nrmse_after_force"] = float(np.std((found.force - model)[rows])) / spread
     main = (
@@ -735,7 +735,7 @@ def _force_found(
     out: list[Found] = []
     equal = {f.names for f in search.equal}
     fits = [search.best, *search.equal, *[f for f in search.rivals if f.names not in equal]]
-    scores = np.array([f.chi2 + evidence.cost(problem, f) for f in fits])
+    scores = np.array([f.chi2 + fitted.cost(problem, f) for f in fits])
     weights = np.exp(-0.5 * np.clip(scores - scores.min(), 0, 700))
     weights /= weights.sum()
     seen: set[str] = set()
@@ -755,7 +755,7 @@ def _force_found(
                         {k: v for k, v in params.items() if k in wanted},
                         {k: v for k, v in ci.items() if k in wanted},
                         -2.0 * 0.5 * (search.null.chi2 - fit.chi2),
-                        evidence.contribution(problem, fit, i) if number == 0 else None,
+                        fitted.contribution(problem, fit, i) if number == 0 else None,
                         f"{m.trial.variant} {m.trial.theta}".strip(),
                         form,
                         float(ctx.t[0]) + m.trial.theta[-1] if m.effect.late else None,

@@ -17,24 +17,22 @@ from rthyb_rt.diagnose.decide import (
     Need,
     SetMember,
     Setting,
-    times_price,
 )
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
-from rthyb_rt.diagnose.effects.base import Floats
 from rthyb_rt.diagnose.feedback import Driven, inferred, returns
+from rthyb_rt.diagnose.fitted import bent, contribution, left, offset_sd, size
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
     Fit,
     Member,
     ResidualProblem,
-    columns_of,
     inflation,
-    leaning,
     price,
     solve,
 )
+from rthyb_rt.diagnose.steady import past_forms
 
 FOLD_S = 0.25
 SLOW_LINES = 8
@@ -135,6 +133,7 @@ class Gathered:
             effect.sensor,
             effect.carries,
             effect.dissipates,
+            effect.offset_s(member.trial),
         )
 
     def _setting(self) -> Setting:
@@ -168,7 +167,7 @@ class Gathered:
             twin = self._yielding(fit)
             return None if twin is None else self._refined(twin)
         if need.what == "beyond forms":
-            return beyond_forms(problem, fit, need.which[0])
+            return self._beyond_forms(fit, need.which[0])
         if need.what == "driven":
             return () if self.driven is None else self.driven.gains(fit)
         if need.what == "driven together":
@@ -191,6 +190,14 @@ class Gathered:
         found = self.fitter.fit(members)
         return None if found is None else self.of(found)
 
+    def _beyond_forms(self, fit: Fit, which: int) -> float:
+        """Return what an effect earns beside other forms of the laws of its set."""
+        effect = fit.members[which].effect
+        if effect.sensor and not effect.carries:
+            return beyond_forms(self.problem, fit, which)
+        less = self.fitter.fit([m for i, m in enumerate(fit.members) if i != which])
+        return np.inf if less is None else past_forms(self.problem, less, fit)
+
     def _yielding(self, fit: Fit) -> list[Member] | None:
         """Return a set with yielding in place of its bristles."""
         bristles = next(n for n in self.laws.also if n in fit.names)
@@ -202,67 +209,6 @@ class Gathered:
             Member(yielding, yielding.like(m.trial)) if m.name == bristles else m
             for m in fit.members
         ]
-
-
-def count(problem: ResidualProblem, fit: Fit) -> int:
-    """Return the number of parameters of a set."""
-    return sum(m.effect.settings(problem.ctx, m.trial)[1] for m in fit.members)
-
-
-def cost(problem: ResidualProblem, fit: Fit) -> float:
-    """Return the price of a set."""
-    return sum(
-        price(problem, m.effect, m.effect.settings(problem.ctx, m.trial)[1]) for m in fit.members
-    )
-
-
-def to_earn(problem: ResidualProblem, fit: Fit) -> float:
-    """Return what a set must earn to be named."""
-    return times_price(POLICY, len(fit.members)) * cost(problem, fit)
-
-
-def bent(problem: ResidualProblem, fit: Fit) -> set[str]:
-    """Return the effects that a fit replaces by moving a stated value out of its tolerance."""
-    return {
-        n.effect
-        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-        if n.effect and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
-    }
-
-
-def offset_sd(problem: ResidualProblem, fit: Fit) -> float:
-    """Return a fit's time offset between the channels, in standard deviations."""
-    pairs = zip(fit.nuisance, problem.nuisances, strict=True)
-    skews = (abs(float(b)) / n.sigma for b, n in pairs if n.name == "skew" and n.sigma is not None)
-    return max(skews, default=0.0)
-
-
-def contribution(problem: ResidualProblem, fit: Fit, member: int) -> Floats:
-    """Return the force of one effect of a fit along the recording, (n,), N."""
-    cells = [m for m in fit.members if m.effect.carries and m is not fit.members[member]]
-    columns = columns_of(problem.ctx, [fit.members[member], *cells])[0]
-    parts = [b * c for b, c in zip(fit.betas[member], columns, strict=True)]
-    return np.asarray(np.sum(parts, axis=0))
-
-
-def size(problem: ResidualProblem, fit: Fit) -> float:
-    """Return the size of a set relative to the recorded force."""
-    total = sum(contribution(problem, fit, i) for i in range(len(fit.members)))
-    rows = problem.rows
-    force = problem.estimate.force[rows]
-    return float(np.std(np.asarray(total)[rows]) + abs(np.mean(np.asarray(total)[rows]))) / max(
-        float(np.sqrt(np.mean(force**2))), 1e-300
-    )
-
-
-def left(problem: ResidualProblem, fit: Fit) -> float:
-    """Return the rms difference from the recorded force with a set, relative to that without it."""
-    rows = problem.estimate.rows
-    before = (problem.estimate.force - problem.ctx.total)[rows]
-    added = leaning(problem, fit) + sum(
-        contribution(problem, fit, i) for i in range(len(fit.members))
-    )
-    return float(np.std(before - added[rows])) / max(float(np.std(before)), 1e-300)
 
 
 def slow_power(problem: ResidualProblem, fit: Fit) -> float:

@@ -13,7 +13,8 @@ from rthyb_rt.diagnose import decay, modulation, noise, onset, redundant
 from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects import catalogue, having, of_number
 from rthyb_rt.diagnose.effects.base import Floats, Trial
-from rthyb_rt.diagnose.evidence import Gathered, bent, cost, held_out_gain
+from rthyb_rt.diagnose.evidence import Gathered, held_out_gain
+from rthyb_rt.diagnose.fitted import bent, cost
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
@@ -186,12 +187,14 @@ class _Fitter:
         """Give the best sets the effect that they replace by straining a stated value.
 
         As a nuisance parameter, the shift costs a few hundred at most, little beside a large
-        misfit.
+        misfit. Also the best single effects: sets that all contain the wrong one may come first.
         """
         by_name = {e.name: e for e in self.problem.effects}
         for _ in range(2):
-            ranked = sorted(self.by_names.values(), key=self.score)[:LEADING]
-            for fit in [f for f in ranked if len(f.members) < 3]:
+            ranked = sorted(self.by_names.values(), key=self.score)
+            alone = [f for f in ranked if len(f.members) == 1][:LEADING]
+            strained = {f.names: f for f in (*ranked[:LEADING], *alone) if len(f.members) < 3}
+            for fit in strained.values():
                 for name in bent(self.problem, fit) - set(fit.names):
                     if name not in by_name or tuple(sorted((*fit.names, name))) in self.by_names:
                         continue

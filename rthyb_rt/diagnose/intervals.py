@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import effects, evidence, force
+from rthyb_rt.diagnose import effects, fitted, force
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
@@ -68,7 +68,7 @@ class Sure:
         for i, member in enumerate(best.members):
             if member.effect.sensor:
                 continue
-            own = evidence.contribution(problem, best, i)
+            own = fitted.contribution(problem, best, i)
             near = np.column_stack([problem.seen(n) for n in neighbours(own, over)])
             out += of_form(slopes, best.residual, inverse, near)
         return out
@@ -119,7 +119,7 @@ class Sure:
         exact = search.problem.estimate.exact
         least = POLICY.interval_simulated if exact else POLICY.interval_estimated
         # A strained stated value that replaces an effect does not show how large the effect is.
-        stands = [f for f in search.forms if name not in evidence.bent(search.problem, f)]
+        stands = [f for f in search.forms if name not in fitted.bent(search.problem, f)]
         for fit in stands:
             for i, m in enumerate(fit.members):
                 if m.name == name:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import effects, evidence, force
+from rthyb_rt.diagnose import effects, fitted, force
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
@@ -87,7 +87,7 @@ def _refitted(search: force.Search, problem: ResidualProblem) -> force.Search | 
     best, null = again(search.best), solve(problem, [], [])
     if best is None or null is None or best.chi2 > search.best.chi2:
         return None
-    if null.chi2 - best.chi2 < evidence.to_earn(problem, best):
+    if null.chi2 - best.chi2 < fitted.to_earn(problem, best):
         rows = problem.y.size * problem.estimate.share
         left = search.scale * null.chi2 / rows - 1.0
         return replace(

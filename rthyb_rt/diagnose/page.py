@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import __version__
-from rthyb_rt.diagnose import evidence, why
+from rthyb_rt.diagnose import fitted, why
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.estimate import filled
@@ -409,7 +409,7 @@ def _signals(d: DiagnosisResult) -> _Signals | None:
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
     after = problem.ctx.total + leaning(problem, fit)
     for i in range(len(fit.members)):
-        after += evidence.contribution(problem, fit, i)
+        after += fitted.contribution(problem, fit, i)
     shown = (found.force, problem.ctx.total, after)
     factor, unit = force_unit(*shown)
     measured, before, after = (factor * force for force in shown)

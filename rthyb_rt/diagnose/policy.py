@@ -176,12 +176,14 @@ class Policy:
     )  # fmt: skip
     form_alone: float = _entry(
         1.5e-3, "fraction of what is explained", "judgement",
-        "Maximum difference between two sets that can be due to the form of a law alone.",
+        "Maximum difference between two sets that can be due to the form of a law alone; a set "
+        "that leaves less than this of the force is accepted whatever the colour of the rest.",
     )  # fmt: skip
     other_form: float = _entry(
         0.03, "fraction of what is explained", "judgement",
         "Maximum loss of fit with which another form of a law still widens the confidence "
-        "intervals.",
+        "intervals; an effect that contributes less must earn its price beside other forms of the "
+        "other laws.",
     )  # fmt: skip
     noise_reached: float = _entry(
         0.2, "fraction of the misfit", "judgement",
@@ -392,6 +394,11 @@ class Policy:
     offset_prior_s: float = _entry(
         5e-5, "s", "physics",
         "Standard deviation of the time offset between channels.",
+        "the interchange format: 0.1 ms is normal and not reported",
+    )  # fmt: skip
+    offset_normal_s: float = _entry(
+        1e-4, "s", "physics",
+        "Time offset of the load cell up to which it is not named.",
         "the interchange format: 0.1 ms is normal and not reported",
     )  # fmt: skip
     offset_reach_s: float = _entry(

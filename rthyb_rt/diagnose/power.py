@@ -19,7 +19,7 @@ from rthyb_rt.diagnose import effects, engine
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
 from rthyb_rt.diagnose.engine import DiagnosisResult
-from rthyb_rt.diagnose.evidence import contribution
+from rthyb_rt.diagnose.fitted import contribution
 from rthyb_rt.diagnose.select import leaning
 
 PROBES = ("coulomb", "viscous", "inertia", "cubic")

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from rthyb_rt.diagnose import evidence
+from rthyb_rt.diagnose import evidence, fitted
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
@@ -116,7 +116,7 @@ def _force(d: DiagnosisResult, search: forces.Search) -> list[Row]:
     equal = {f.names for f in search.equal}
     rivals = [f for f in search.rivals if f.names not in equal]
     fits = _distinct([search.best, *search.equal, *rivals])
-    scores = [f.chi2 + evidence.cost(problem, f) for f in fits]
+    scores = [f.chi2 + fitted.cost(problem, f) for f in fits]
     rows = []
     for i, (fit, score, weight) in enumerate(zip(fits, scores, _weights(scores), strict=True)):
         params, several = [], len(fit.names) > 1

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt.diagnose import estimate, evidence, noise, steady, stroke, varying, verdict
+from rthyb_rt.diagnose import estimate, fitted, noise, steady, stroke, varying, verdict
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search
@@ -24,7 +24,7 @@ def left_by(search: Search, fit: Fit) -> Floats:
     problem = search.problem
     rest = problem.estimate.force - problem.ctx.total - leaning(problem, fit)
     for i in range(len(fit.members)):
-        rest = rest - evidence.contribution(problem, fit, i)
+        rest = rest - fitted.contribution(problem, fit, i)
     return np.asarray(rest)
 
 
@@ -81,8 +81,9 @@ def left_of(search: Search) -> Left:
         part_before=0.0 if exact else max(before, _part_explained(search)),
         part_after=after,
         bent=bend(problem, search.null),
+        bent_after=bend(problem, best),
         stated=frozenset(n.name for n in problem.nuisances if n.sigma is not None),
-        price=evidence.cost(problem, best),
+        price=fitted.cost(problem, best),
         naive=problem.case.model.k_tol is None,
         exact=exact,
         coloured=found.coloured,
@@ -288,7 +289,7 @@ def within_rounding(search: Search, lsb_n: float) -> Search:
     for f in (search.best, *search.fits):
         fits.setdefault(f.names, f)
     sets = tuple(
-        verdict.Coarse(f.names, evidence.count(problem, f), f.chi2, beyond(search, f, lsb_n))
+        verdict.Coarse(f.names, fitted.count(problem, f), f.chi2, beyond(search, f, lsb_n))
         for f in fits.values()
     )
     own = tuple(f.names for f in search.equal)

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.diagnose import evidence
+from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
@@ -31,7 +31,7 @@ from rthyb_rt.diagnose.select import (
     unfiltered_slopes,
 )
 
-INSTANTS = 100
+INSTANTS = 200
 """Number of jumps of a force whose readings are separate, at most: the largest."""
 UNSEEN = 0.1
 """Size of a wrong reading, in standard deviations of the noise, that makes no difference."""
@@ -162,7 +162,40 @@ def standing(problem: ResidualProblem, fit: Fit) -> tuple[float, float] | None:
     if slopes is None:
         return None
     least, rest = left(*with_forms(problem, fit, slopes), fit.residual)
-    return least + evidence.cost(problem, fit), inflation(rest)
+    return least + fitted.cost(problem, fit), inflation(rest)
+
+
+def past_forms(problem: ResidualProblem, fit: Fit, more: Fit) -> float:
+    """Return what one more effect earns if the laws beside it may take other forms.
+
+    As a reduction of chi-squared. Those forms are the neighbours of the laws of the smaller set,
+    with and without the effect. Infinite if one of the sets has no slopes here.
+
+    Args:
+        problem: the problem.
+        fit: the set without the effect.
+        more: the set with it.
+    """
+    near = _near(problem, fit)
+    alone, both = (_least_beside(problem, f, near) for f in (fit, more))
+    return float("inf") if alone is None or both is None else alone - both
+
+
+def _least_beside(problem: ResidualProblem, fit: Fit, near: Floats) -> float | None:
+    """Return chi-squared of a set beside other forms of some laws; None without slopes.
+
+    The cost of its stated values is included: one more row for each of them.
+    """
+    slopes = _slopes(problem, fit)
+    if slopes is None:
+        return None
+    shapes, size = sum(len(m.trial.theta) for m in fit.members), slopes.shape[1]
+    weights = np.sqrt(priors_of(problem, fit.members, shapes, size).diagonal())
+    off = np.r_[np.zeros(shapes), *(b - 1.0 for b in fit.betas), fit.nuisance]
+    design = np.column_stack([slopes, near])
+    cost = np.pad(np.diag(weights), ((0, 0), (0, near.shape[1])))
+    held = np.diag(np.r_[np.zeros(size), np.full(near.shape[1], POLICY.form_error**-2)])
+    return left(np.vstack([design, cost]), held, np.r_[fit.residual, -off * weights])[0]
 
 
 def _slopes(problem: ResidualProblem, fit: Fit) -> Floats | None:
@@ -204,7 +237,7 @@ def _near(problem: ResidualProblem, fit: Fit) -> Floats:
         for i, member in enumerate(fit.members)
         if not member.effect.sensor
         for column in neighbours(
-            evidence.contribution(problem, fit, i), worn if member.effect.wears else over
+            fitted.contribution(problem, fit, i), worn if member.effect.wears else over
         )
     ]
     return np.column_stack(columns) if columns else np.zeros((fit.residual.size, 0))
@@ -221,7 +254,7 @@ def _with_instants(
     jump. Along an estimated motion, whose reversals are less exact, so may the rows beside them.
     """
     laws = (i for i, m in enumerate(fit.members) if not m.effect.sensor)
-    total = np.sum([evidence.contribution(problem, fit, i) for i in laws], axis=0)
+    total = np.sum([fitted.contribution(problem, fit, i) for i in laws], axis=0)
     if total.size <= 2 * ASIDE + 1:
         return design, prior
     change = np.diff(total)
@@ -232,7 +265,11 @@ def _with_instants(
     for at in np.argsort(jump)[: -INSTANTS - 1 : -1]:
         near = at + ASIDE + reach
         wrong[near] = np.maximum(wrong[near], 0.5 * jump[at])
-    known, places = design.shape[1], np.flatnonzero(wrong)
+    one = np.zeros(total.size)
+    one[problem.rows[problem.rows.size // 2]] = 1.0
+    # Readings too small to be seen are not filtered one by one: a filter is alike at every row.
+    heard = float(np.linalg.norm(problem.seen(one)))
+    known, places = design.shape[1], np.flatnonzero(wrong * heard > 0.5 * UNSEEN)
     # In one piece: a copy of it would be the largest array of a long recording.
     whole = np.empty((design.shape[0], known + places.size))
     whole[:, :known] = design

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rthyb_rt.diagnose import evidence
+from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
@@ -47,7 +47,7 @@ def gain(problem: ResidualProblem, fit: Fit) -> float:
         if not (_ends_at_noise(problem, rival, fit.chi2) and _no_form(problem, rival, fit.chi2)):
             return -np.inf
         # Neighbours of its law in the motion of the specimen are no part of its own stroke.
-        own = fit.chi2 + evidence.cost(problem, fit), own[1]
+        own = fit.chi2 + fitted.cost(problem, fit), own[1]
     # Mass, frequency, damping, and the change of the spring.
     return (own[0] - rival - penalty(problem.ln_n, 4)) / own[1]
 

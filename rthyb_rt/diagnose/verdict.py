@@ -270,13 +270,18 @@ def understood(left: Left, policy: Policy, sheet: Callable[[], bool]) -> bool:
         # absorbed what it could: the force itself shows how much is left.
         return left.of_force < allowed(left, policy)
     if left.coloured_noise(policy):
-        # Noise with a free colour has absorbed only what is within the data sheet.
-        return False
+        # Noise with a free colour has absorbed only what is within the data sheet, or what is so
+        # small beside a clear finding that the form of a law leaves more.
+        little = left.loud and left.of_force < policy.form_alone
+        return little and left.bent_after < policy.bent_number
     if (at_noise or above) and not left.coloured:
         # At the noise, or above it but white: the data sheet understates the noise. Noise with a
         # free colour must be within the data sheet, and without bursts.
         return True
-    return small(left, left.part_after, policy) or share < allowed(left, policy)
+    # Coloured noise weighs most what lies where it is weak; what a set leaves of the force as it is
+    # counts as well.
+    of_force = left.coloured and left.loud and left.of_force < allowed(left, policy)
+    return small(left, left.part_after, policy) or share < allowed(left, policy) or of_force
 
 
 def needs_nothing(left: Left, policy: Policy) -> bool:

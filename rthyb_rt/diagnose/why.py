@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.diagnose import effects, evidence, redundant
+from rthyb_rt.diagnose import effects, evidence, fitted, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
@@ -198,7 +198,7 @@ def _force(d: DiagnosisResult, search: forces.Search) -> list[Decision]:
         fate: Fate = "as good" if fit.names in equal else "lost"
         if fit is best and believed:
             fate = "as good" if equal else "named"
-        own = evidence.cost(problem, fit)
+        own = fitted.cost(problem, fit)
         why = _why_force(search, fit, fate, own)
         if fit is best and not believed:
             why = f"the best set, but not named; see the verdict above ({why})"
@@ -238,9 +238,9 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
         )
     if not best.members:
         return _not_enough(search, fit, gain)
-    named = (best.chi2, evidence.cost(problem, best), best.names)
+    named = (best.chi2, fitted.cost(problem, best), best.names)
     if fate == "as good":
-        more = evidence.count(problem, fit) - evidence.count(problem, best)
+        more = fitted.count(problem, fit) - fitted.count(problem, best)
         return (
             f"{_apart(fit.chi2 - best.chi2)} in chi-squared with {_parameters(more)}; a "
             f"difference of {POLICY.same_evidence:g} would separate them"
@@ -250,16 +250,16 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
 
 def _not_enough(search: forces.Search, fit: Fit, gain: float) -> str:
     """Return why a set is not named if none is."""
-    needs = evidence.to_earn(search.problem, fit)
+    needs = fitted.to_earn(search.problem, fit)
     if gain <= needs:
         return f"improves chi-squared by {_gain(gain)}, but must improve it by {count(needs)}"
-    size = evidence.size(search.problem, fit)
+    size = fitted.size(search.problem, fit)
     if size <= POLICY.least_force:
         return (
             f"improves chi-squared by {count(gain)}, but its force is only {_percent(size)} of "
             f"the whole; less than {_percent(POLICY.least_force)} is not reported"
         )
-    left = evidence.left(search.problem, fit)
+    left = fitted.left(search.problem, fit)
     if left > 1.0 and any(r.rule == "closer" and r.names == fit.names for r in search.ledger):
         return (
             f"improves chi-squared by {count(gain)}, but the model with it differs from the "
@@ -284,6 +284,9 @@ DROPPED = {
     "by {wanted}",
     "share": "{part}, added to the others, improves chi-squared by {found}; up to {wanted} may "
     "be due to the form of the laws",
+    "form": "{part}, added to the others in any form that their laws may have, improves "
+    "chi-squared by {found}, but must improve it by {wanted}",
+    "normal offset": "{part} is no larger than is normal between two channels",
     "off zero": "deflects the spring by no more than the possible zero error of the displacement "
     "sensor",
     "beside zero": "improves chi-squared by {found} more than the possible zero error of the "

@@ -332,6 +332,10 @@ class Effect:
         """Return the allowed range of each shape parameter."""
         return [(abs(value) / 30.0, abs(value) * 30.0) for value in trial.theta]
 
+    def offset_s(self, trial: Trial) -> float:
+        """Return by how much the effect shifts the load cell's rows in time, s; 0 for most."""
+        return 0.0
+
     def settling_s(self, trial: Trial) -> float:
         """Return the time of its own against which slow motion makes it act like `plainer`, s.
 

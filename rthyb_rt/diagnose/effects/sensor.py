@@ -301,6 +301,10 @@ class TimeSkew(Effect):
             slow = kept.slow(force)
         return force + shifted(slow, trial.theta[0] / ctx.dt) - slow
 
+    def offset_s(self, trial: Trial) -> float:
+        """Return the skew, s."""
+        return trial.theta[0]
+
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the skew."""
         return {"skew_s": trial.theta[0] * float(beta[0])}

@@ -1,0 +1,71 @@
+"""Quantities of a fitted set: its price, its forces, and what it does to stated values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.decide import times_price
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import Fit, ResidualProblem, columns_of, leaning, price
+
+
+def count(problem: ResidualProblem, fit: Fit) -> int:
+    """Return the number of parameters of a set."""
+    return sum(m.effect.settings(problem.ctx, m.trial)[1] for m in fit.members)
+
+
+def cost(problem: ResidualProblem, fit: Fit) -> float:
+    """Return the price of a set."""
+    return sum(
+        price(problem, m.effect, m.effect.settings(problem.ctx, m.trial)[1]) for m in fit.members
+    )
+
+
+def to_earn(problem: ResidualProblem, fit: Fit) -> float:
+    """Return what a set must earn to be named."""
+    return times_price(POLICY, len(fit.members)) * cost(problem, fit)
+
+
+def bent(problem: ResidualProblem, fit: Fit) -> set[str]:
+    """Return the effects that a fit replaces by moving a stated value out of its tolerance."""
+    return {
+        n.effect
+        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
+        if n.effect and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
+    }
+
+
+def offset_sd(problem: ResidualProblem, fit: Fit) -> float:
+    """Return a fit's time offset between the channels, in standard deviations."""
+    pairs = zip(fit.nuisance, problem.nuisances, strict=True)
+    skews = (abs(float(b)) / n.sigma for b, n in pairs if n.name == "skew" and n.sigma is not None)
+    return max(skews, default=0.0)
+
+
+def contribution(problem: ResidualProblem, fit: Fit, member: int) -> Floats:
+    """Return the force of one effect of a fit along the recording, (n,), N."""
+    cells = [m for m in fit.members if m.effect.carries and m is not fit.members[member]]
+    columns = columns_of(problem.ctx, [fit.members[member], *cells])[0]
+    parts = [b * c for b, c in zip(fit.betas[member], columns, strict=True)]
+    return np.asarray(np.sum(parts, axis=0))
+
+
+def size(problem: ResidualProblem, fit: Fit) -> float:
+    """Return the size of a set relative to the recorded force."""
+    total = sum(contribution(problem, fit, i) for i in range(len(fit.members)))
+    rows = problem.rows
+    force = problem.estimate.force[rows]
+    return float(np.std(np.asarray(total)[rows]) + abs(np.mean(np.asarray(total)[rows]))) / max(
+        float(np.sqrt(np.mean(force**2))), 1e-300
+    )
+
+
+def left(problem: ResidualProblem, fit: Fit) -> float:
+    """Return the rms difference from the recorded force with a set, relative to that without it."""
+    rows = problem.estimate.rows
+    before = (problem.estimate.force - problem.ctx.total)[rows]
+    added = leaning(problem, fit) + sum(
+        contribution(problem, fit, i) for i in range(len(fit.members))
+    )
+    return float(np.std(before - added[rows])) / max(float(np.std(before)), 1e-300)
