@@ -196,19 +196,19 @@ class Need:
     """Evidence that a rule requires and that is not yet known.
 
     Attributes:
-        what: "part", the set of some of its effects, as they are in it (Hypothesis, None if it
-            is not a physical law); "yielding", the set with yielding in place of its bristles
-            (likewise); "beyond forms", what an effect earns if the other laws may take
-            other forms, for an effect of the load cell any smooth form (chi-squared); "drift", its drift by halves (`DriftRates`);
-            "driven", what each effect earns by the motion that the test imposes (chi-squared, a
-            number for each; empty if nothing moves); "driven together", what those of ``which``
-            earn together (likewise, one number); "size", its force relative to the recorded
-            force; "left", the rms difference from the recorded force with the set, as a multiple
-            of that of the model as given; "held out", the fraction of its gain that is confirmed
-            on rows to which it was not fitted; "zero", how far a constant force or a drift
-            deflects the spring, in standard deviations of the displacement noise in its data sheet;
-            "slow noise", the power of the slowest lines of what it leaves, as a multiple of the
-            noise power.
+        what: "part", the set of some of its effects, as they are in it (Hypothesis, None if it is
+            not a physical law); "yielding", the set with yielding in place of its bristles
+            (likewise); "beyond forms", what an effect earns if the other laws may take other forms,
+            for an effect of the load cell any smooth form (chi-squared); "drift", its drift by
+            halves (`DriftRates`); "driven", what each effect earns by the motion that the test
+            imposes (chi-squared, a number for each; empty if nothing moves); "driven together",
+            what those of ``which`` earn together (likewise, one number); "size", its force relative
+            to the recorded force; "left", the rms difference from the recorded force with the set,
+            as a multiple of that of the model as given; "held out", the fraction of its gain that
+            is confirmed on rows to which it was not fitted; "zero", how far a constant force or a
+            drift deflects the spring, in standard deviations of the displacement noise in its data
+            sheet; "slow noise", the power of the slowest lines of what it leaves, as a multiple of
+            the noise power.
         of: the set.
         which: indices of the effects concerned.
     """
@@ -365,8 +365,14 @@ class Court:
 # ---- rules that reject a set --------------------------------------------------------------------
 
 
-def needed(court: Court, of: Hypothesis) -> bool:
-    """Each effect must earn its price in addition to the others, and not be a form of theirs."""
+def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
+    """Each effect must earn its price in addition to the others, and not be a form of theirs.
+
+    Args:
+        court: the evidence.
+        of: the set.
+        in_any_form: whether a small effect must also earn its price beside other forms of the laws.
+    """
     for i, part in enumerate(of.parts):
         less = court.less(of, i)
         if less is None:
@@ -382,7 +388,7 @@ def needed(court: Court, of: Hypothesis) -> bool:
         by_force = part.stated and court.setting.judged == "force"
         stated = by_force or (not part.late and part.name in less.bent)
         if own >= least or stated or _no_form(court, of, i, less):
-            if not _past_forms(court, of, i, own):
+            if in_any_form and not _past_forms(court, of, i, own):
                 return False
             continue
         # Except if an abnormal time offset would otherwise have to compensate. For a naive model
@@ -477,9 +483,9 @@ def _beside_a_plainer(court: Court, of: Hypothesis, which: int) -> bool:
 
 
 def _named_though_worse(court: Court, of: Hypothesis, other: Hypothesis) -> bool:
-    """Return whether another set fits clearly worse, and each of its effects is needed."""
+    """Return whether another set fits clearly worse, and each of its effects earns its share."""
     worse = of.score + court.policy.same_evidence <= other.score
-    return worse and needed(court, other)
+    return worse and needed(court, other, in_any_form=False)
 
 
 def goes_on(court: Court, of: Hypothesis) -> bool:

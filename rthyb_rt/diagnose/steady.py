@@ -269,7 +269,7 @@ def _with_instants(
     one[problem.rows[problem.rows.size // 2]] = 1.0
     # Readings too small to be seen are not filtered one by one: a filter is alike at every row.
     heard = float(np.linalg.norm(problem.seen(one)))
-    known, places = design.shape[1], np.flatnonzero(wrong * heard > 0.5 * UNSEEN)
+    known, places = design.shape[1], np.flatnonzero(wrong * heard > UNSEEN)
     # In one piece: a copy of it would be the largest array of a long recording.
     whole = np.empty((design.shape[0], known + places.size))
     whole[:, :known] = design
