@@ -28,7 +28,7 @@ from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
 from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record import recording
-from rthyb_rt.report import figures
+from rthyb_rt.report import figures, frequency
 from rthyb_rt.report import structure as structure_figures
 
 K_E = 4737410.0
@@ -187,6 +187,40 @@ def test_a_structure_that_this_computer_cannot_step_in_time_is_refused_in_real_t
     ):
         experiment.prepare(test, rig, real_time=True)
     assert experiment.prepare(test, rig).ticks > 0
+
+
+@pytest.mark.parametrize("recorded", [True, False], ids=["floor recorded", "drift alone"])
+def test_the_floor_of_an_upper_specimen_moves_with_all_storeys_below_it(
+    recorded: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = ["x_3", "x_2", "drift_3"] if recorded else ["drift_3"]
+    text = EXAMPLE.read_text(encoding="utf-8").replace("specimen = [1]", "specimen = [3]")
+    text = text.replace("\nstoreys = [2, 3]", "\nstoreys = [2]").replace("storey = 1", "storey = 3")
+    (tmp_path / "third.toml").write_text(text, encoding="utf-8")
+    settings = [f"numerical.record={wanted}", "ground_motion.duration_s=6"]
+    test, rig = config.load_both(
+        tmp_path / "third.toml", None, [*settings, "test.free_vibration_s=1"]
+    )
+    rec = virtual_time.run(experiment.prepare(test, rig))
+    asked: list[dict[str, Any]] = []
+    own = frequency.of_oscillators.pseudo_acceleration
+
+    def noted(fs_hz: float, **motion: Any) -> Any:
+        asked.append(motion)
+        return own(fs_hz, **motion)
+
+    monkeypatch.setattr(frequency.of_oscillators, "pseudo_acceleration", noted)
+    plate = frequency.response_spectrum(rec)
+    if not recorded:
+        assert plate.svg == ""
+        assert 'add "x_3" to record in [numerical]' in plate.note
+        return
+    run = rec.samples[rec.running()]
+    measured, commanded, ground = (one["displacement_m"] for one in asked)
+    assert ground is None
+    assert commanded == pytest.approx(run["x_3"], abs=1e-12)
+    assert measured == pytest.approx(run["x_2"] + run["x_meas_m"], abs=1e-9)
+    assert np.abs(commanded).max() > 1.5 * np.abs(run["x_num_m"]).max()
 
 
 # ---- matrices from a file -----------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 
 from rthyb_rt.analysis import response_spectrum as of_oscillators
 from rthyb_rt.analysis.spectra import SURE, FrequencyResponse, frequency_response
-from rthyb_rt.analysis.summary import Summary
+from rthyb_rt.analysis.summary import Summary, recorded_structure
+from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.numbers import number
 from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import drawing as draw
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from rthyb_rt.config.numerical_structure import Structure
 
 Floats = NDArray[np.float64]
 
@@ -111,6 +114,9 @@ def response_spectrum(rec: RecordedTest) -> draw.Plate:
     moved = draw.largest(run["x_num_m"]) > 0.0
     if len(run) < 16 or not moved or draw.largest(run["x_meas_m"]) > 1e3:
         return draw.Plate("response_spectrum", title, "", _TOO_LITTLE, True)
+    below, unknown = _below(run, recorded_structure(rec))
+    if unknown:
+        return draw.Plate("response_spectrum", title, "", unknown, True)
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         paper = draw.Paper(
             "response_spectrum", draw.HALF_WIDTH_IN, (1.9,), bottom_in=draw.LEGEND_IN
@@ -118,8 +124,8 @@ def response_spectrum(rec: RecordedTest) -> draw.Plate:
         (axes,) = paper.axes
         periods = of_oscillators.PERIODS_S
         shown = [
-            (ag, run["x_meas_m"], draw.BLUE, 1.4, "measured"),
-            (ag, run["x_num_m"], draw.BLACK, 0.6, "command"),
+            (ag, below + run["x_meas_m"], draw.BLUE, 1.4, "measured"),
+            (ag, below + run["x_num_m"], draw.BLACK, 0.6, "command"),
             (ag, None, draw.GREY, 0.8, "ground"),
         ]
         top = 0.0
@@ -142,6 +148,44 @@ def response_spectrum(rec: RecordedTest) -> draw.Plate:
             "floor that moves over it by the command, and on the floor as measured."
         )
         return paper.plate(title, note)
+
+
+def _below(run: NDArray[Any], structure: Structure | SparseStructure | None) -> tuple[Any, str]:
+    """Return what to add to the actuator's motion so that it is a floor's relative to the ground.
+
+    This is 0 if the interface moves as much as the ground when the structure moves with it as a
+    rigid body. The actuator of an upper storey moves a drift: the motion of the floor below is the
+    recorded one of the floor above less the command.
+
+    Args:
+        run: rows of the test proper.
+        structure: the numerical part; None: one degree of freedom.
+
+    Returns:
+        The displacement, m, 0 or (n,); and why it is not known, "" if it is.
+    """
+    if not isinstance(structure, SparseStructure):
+        return 0.0, ""
+    row, influence = structure.part.interface_rows()[0], structure.influence
+    if abs(row @ influence - 1.0) < 1e-9:
+        return 0.0, ""
+    # Displacements that contain the whole of the actuator's and move with the ground as a whole.
+    floors = [int(at) for at in np.flatnonzero((row == 1.0) & (influence == 1.0))]
+    for one in structure.part.responses:
+        if one.joints or one.interfaces or len(one.displacements) != 1:
+            continue
+        ((at, by),) = one.displacements
+        if at in floors and by == 1.0 and one.name in (run.dtype.names or ()):
+            return run[one.name] - run["x_num_m"], ""
+    why = "The actuator does not move a floor relative to the ground"
+    if not floors:
+        return 0.0, why + ", so that no floor's motion is known."
+    label = structure.labels[floors[0]]
+    name = f"x_{label}" if structure.heights_m else label
+    return 0.0, (
+        f'{why} but the difference between two, and the motion of the upper one, "{name}", was not '
+        f'recorded: add "{name}" to record in [numerical].'
+    )
 
 
 def _by_octave(f: Floats, y: Floats, per_octave: int = 24) -> tuple[Floats, Floats]:
