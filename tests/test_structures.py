@@ -16,9 +16,11 @@ import scipy.sparse
 from command_line import Rthyb
 from frames import beam_stiffness, shear_building, space_frame
 
+import rthyb_rt as rt
 from rthyb_rt import config
 from rthyb_rt.analysis import summary
 from rthyb_rt.analysis.linear_parts import LinearStep
+from rthyb_rt.analysis.summary import recorded_structure
 from rthyb_rt.config import deriving, matrixfile
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.structures import MatrixFile
@@ -154,6 +156,65 @@ def test_the_report_draws_modes_storeys_and_what_was_recorded(
     assert "storey 2." in plates["drifts"].note
     assert "drift_2" in plates["recorded-displacements"].svg
     assert "7 others, with smaller peaks" in plates["recorded-forces"].note
+
+
+@pytest.fixture(scope="module")
+def named() -> Any:
+    """Ten storeys of which seven quantities were chosen by name."""
+    wanted = ["x_10", "x_9", "x_8", "x_2", "x_1", "drift_3", "shear_4"]
+    settings = [f"numerical.record={wanted}", "ground_motion.duration_s=4"]
+    test, rig = config.load_both(EXAMPLE, None, [*settings, "test.free_vibration_s=1"])
+    return virtual_time.run(experiment.prepare(test, rig))
+
+
+def test_all_that_was_chosen_by_name_is_in_the_report(named: Any) -> None:
+    found = recorded_structure(named)
+    assert isinstance(found, SparseStructure)
+    plates = {plate.key: plate for plate in structure_figures.plates(named, found)}
+    first, second = (plates[f"recorded-displacements{end}"] for end in ("", "-2"))
+    assert (first.title, second.title) == (
+        "Recorded displacements, 1 of 2", "Recorded displacements, 2 of 2",
+    )  # fmt: skip
+    for name in ("x_10", "x_9", "x_8"):
+        assert name in first.svg
+    for name in ("x_2", "x_1", "drift_3"):
+        assert name in second.svg
+    assert "shear_4" in plates["recorded-forces"].svg
+    assert plates["recorded-forces"].title == "Recorded forces"
+    assert "not shown" not in "".join(plate.note for plate in plates.values())
+
+
+def test_recorded_quantities_are_plotted_by_name(named: Any, tmp_path: Path) -> None:
+    recording.write(tmp_path / "recording.h5", named)
+    rec = rt.open(tmp_path / "recording.h5")
+    plot = rec.plot.recorded("x_10", "shear_4", "x_1")
+    assert plot.figure is not None
+    upper, lower = plot.figure.axes
+    assert [line.get_label() for line in upper.lines if line.get_label()[0] != "_"] == [
+        "x_10", "x_1",
+    ]  # fmt: skip
+    peak = max(np.abs(line.get_ydata()).max() for line in upper.lines)
+    assert peak == pytest.approx(1e3 * np.nanmax(np.abs(rec["x_10"])), rel=1e-6)
+    assert [line.get_label() for line in lower.lines if line.get_label()[0] != "_"] == ["shear_4"]
+    every = rec.plot.recorded().figure
+    assert every is not None
+    assert {line.get_label() for axes in every.axes for line in axes.lines} >= {
+        "x_10", "x_9", "x_8", "x_2", "x_1", "drift_3", "shear_4",
+    }  # fmt: skip
+    with pytest.raises(InputError, match='no recorded quantity "x_7"'):
+        rec.plot.recorded("x_7")
+
+
+@pytest.mark.parametrize(
+    ("others", "said"),
+    [
+        (0, "."),
+        (1, "; 1 other, with a smaller peak, is not shown."),
+        (7, "; 7 others, with smaller peaks, are not shown."),
+    ],
+)
+def test_what_is_not_shown_is_said_in_a_sentence(others: int, said: str) -> None:
+    assert structure_figures._not_shown(others) == said
 
 
 @pytest.mark.long

@@ -286,6 +286,32 @@ class Plots:
         """Plot response spectra of the ground, and of the floor (commanded and measured)."""
         return self._drawn("response_spectrum")
 
+    def recorded(self, *names: str) -> Plot:
+        """Plot recorded quantities over time, such as ``x_3`` or ``drift_2``.
+
+        Args:
+            names: their names in the recording, which the test file gives in ``record``; none: all
+                additional channels of the recording.
+
+        Raises:
+            InputError: a name is not among them, or matplotlib is not installed.
+        """
+        from rthyb_rt.report.html import extra_needed
+
+        channels = {one.name: one for one in self._of.raw.channels}
+        for name in names:
+            if name not in channels:
+                raise _absent(name, list(channels), "recorded quantity", where="plot.recorded")
+        shown = [channels[name] for name in dict.fromkeys(names)] or list(channels.values())
+        if not shown:
+            return Plot("recorded", "Recorded quantities", "None were recorded.", "", None)
+        with extra_needed("a figure"):
+            from matplotlib import rc_context
+
+            from rthyb_rt.report import drawing, structure
+        with rc_context(drawing.STYLE), np.errstate(over="ignore", invalid="ignore"):
+            return plot_of(structure.chosen(self._of.raw, shown))
+
     def delay(self) -> Plot:
         """Plot the delay estimate with its bounds."""
         return self._drawn("delay")

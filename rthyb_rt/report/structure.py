@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from rthyb_rt import documents
 from rthyb_rt.config.numerical_structure import Structure
 from rthyb_rt.config.own_structure import OwnStructure
 from rthyb_rt.config.sparse_structure import ROTATIONS, SparseStructure
 from rthyb_rt.core.own_library import Recorded
+from rthyb_rt.core.rows import Channel
 from rthyb_rt.core.sparse import Response
 from rthyb_rt.numbers import number, percent
 from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import drawing as draw
 from rthyb_rt.report.decimate import robust_limit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 Floats = NDArray[np.float64]
 
@@ -40,7 +46,7 @@ def plates(
     if isinstance(structure, SparseStructure):
         responses = structure.part.responses
         found += storeys(rec, responses)
-        found += curves(rec, responses)
+        found += curves(rec, responses, every=_chosen_by_name(rec))
     return found
 
 
@@ -102,6 +108,12 @@ def _moving(structure: Structure | SparseStructure, shape: Floats) -> tuple[NDAr
     return ways[way], way
 
 
+def _chosen_by_name(rec: RecordedTest) -> bool:
+    """Return whether the test file names what to record, so that nobody asked for less."""
+    numerical = documents.toml_if_valid(rec.test_toml).get("numerical")
+    return isinstance(numerical, dict) and numerical.get("record") is not None
+
+
 def _share(mass: float) -> str:
     """Return a share of the mass in words; very small ones as a bound."""
     return percent(mass, 2) if mass >= 1e-4 else "< 0.01 %"
@@ -140,33 +152,90 @@ def storeys(rec: RecordedTest, responses: Sequence[Response]) -> list[draw.Plate
     return found
 
 
-def curves(rec: RecordedTest, responses: Sequence[Response | Recorded]) -> list[draw.Plate]:
-    """Return recorded quantities over time: those with the largest motion for each unit."""
+def curves(
+    rec: RecordedTest, responses: Sequence[Response | Recorded], *, every: bool = True
+) -> list[draw.Plate]:
+    """Return recorded quantities over time, the largest first, `SHOWN_CURVES` in a figure.
+
+    Args:
+        rec: the recording.
+        responses: the quantities; those that it does not contain are left out.
+        every: draw all; otherwise only the first figure of each unit.
+    """
     found = []
-    t, running = rec.time_s(), rec.running()
-    for unit, (shown_unit, factor) in _UNITS.items():
-        own = [one for one in responses if one.unit == unit and _has(rec, one)]
-        if not own:
-            continue
-        peaks = [
-            float(np.abs(_finite(rec.samples[one.name][running])).max(initial=0.0)) for one in own
-        ]
-        most = [own[i] for i in np.argsort(peaks)[::-1][:SHOWN_CURVES]]
-        paper = draw.Paper(f"recorded-{_WORDS[unit]}", draw.FULL_WIDTH_IN, (1.4,))
-        (axes,) = paper.axes
-        signals = [rec.samples[one.name] * factor for one in most]
-        for signal, one, colour in zip(signals, most, _COLOURS, strict=False):
-            draw.curve(axes, t, signal, colour, 0.8, one.name)
-        draw.symmetric(axes, max(robust_limit(*signals), 1e-9))
-        draw.head(axes, f"{_WORDS[unit]}, {shown_unit}")
-        if t.size:
-            axes.set_xlim(*draw.span(t[0], t[-1] + 1.0 / rec.fs_hz))
-        draw.x_label(axes, "time, s")
-        others = len(own) - len(most)
-        note = "Recorded quantities of the structure"
-        note += f"; {others} others, with smaller peaks, are not shown." if others else "."
-        found.append(paper.plate(f"Recorded {_WORDS[unit]}", note))
+    for unit, word in _WORDS.items():
+        own = _by_peak(rec, [one for one in responses if one.unit == unit and _has(rec, one)])
+        groups = [own[i : i + SHOWN_CURVES] for i in range(0, len(own), SHOWN_CURVES)]
+        for n, group in enumerate(groups if every else groups[:1], start=1):
+            paper = draw.Paper(
+                f"recorded-{word}" + (f"-{n}" if n > 1 else ""), draw.FULL_WIDTH_IN, (1.4,)
+            )
+            (axes,) = paper.axes
+            _draw_curves(rec, axes, group, unit)
+            draw.x_label(axes, "time, s")
+            title = f"Recorded {word}"
+            note = "Recorded quantities of the structure"
+            if every and len(groups) > 1:
+                title += f", {n} of {len(groups)}"
+                note += ", the largest peaks first."
+            else:
+                note += _not_shown(len(own) - len(group))
+            found.append(paper.plate(title, note))
     return found
+
+
+def _not_shown(others: int) -> str:
+    """Return the end of the sentence on quantities that are not drawn."""
+    if not others:
+        return "."
+    if others == 1:
+        return "; 1 other, with a smaller peak, is not shown."
+    return f"; {others} others, with smaller peaks, are not shown."
+
+
+def chosen(rec: RecordedTest, channels: Sequence[Channel]) -> draw.Plate:
+    """Return recorded channels over time in one figure, `SHOWN_CURVES` of one unit in each axes.
+
+    Args:
+        rec: the recording.
+        channels: of its channels, at least one.
+    """
+    units = list(dict.fromkeys(one.unit for one in channels))
+    panels: list[list[Channel]] = []
+    for unit in units:
+        own = [one for one in channels if one.unit == unit]
+        panels += [own[i : i + SHOWN_CURVES] for i in range(0, len(own), SHOWN_CURVES)]
+    paper = draw.Paper("recorded", draw.FULL_WIDTH_IN, (1.4,) * len(panels))
+    for axes, group in zip(paper.axes, panels, strict=True):
+        _draw_curves(rec, axes, group, group[0].unit)
+    draw.x_label(paper.axes[-1], "time, s")
+    return paper.plate("Recorded quantities", "As recorded, over time.")
+
+
+def _by_peak(
+    rec: RecordedTest, responses: Sequence[Response | Recorded]
+) -> list[Response | Recorded]:
+    running = rec.running()
+    peaks = [
+        float(np.abs(_finite(rec.samples[one.name][running])).max(initial=0.0)) for one in responses
+    ]
+    return [responses[i] for i in np.argsort(peaks)[::-1]]
+
+
+def _draw_curves(
+    rec: RecordedTest, axes: Axes, group: Sequence[Response | Recorded | Channel], unit: str
+) -> None:
+    """Draw signals of one unit over time, each with its own name."""
+    t = rec.time_s()
+    shown_unit, factor = _UNITS.get(unit, (unit, 1.0))
+    signals = [rec.samples[one.name] * factor for one in group]
+    for signal, one, colour in zip(signals, group, _COLOURS, strict=False):
+        draw.curve(axes, t, signal, colour, 0.8, one.name)
+    draw.symmetric(axes, max(robust_limit(*signals), 1e-9))
+    word = _WORDS.get(unit, "recorded")
+    draw.head(axes, f"{word}, {shown_unit}" if shown_unit else word)
+    if t.size:
+        axes.set_xlim(*draw.span(t[0], t[-1] + 1.0 / rec.fs_hz))
 
 
 def _finite(values: Floats) -> Floats:
