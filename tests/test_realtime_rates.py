@@ -207,9 +207,10 @@ def test_a_pc_that_does_not_wake_up_for_the_rate_is_refused_before_anything_move
         run(short_test(2048), skip=1)
 
 
-def test_at_1024_hz_it_begins_as_ever_and_is_ramped_out() -> None:
+def test_at_1024_hz_a_pc_that_was_late_at_rest_begins_as_ever_and_completes() -> None:
+    """Ticks skipped before START are not counted against the test."""
     rec = run(short_test(1024), skip=1)
-    assert rec.meta["end_reason"] == "ramped out: too many skipped ticks"
+    assert rec.meta["end_reason"] == "completed"
 
 
 # ---- small motions and commissioning ------------------------------------------------------------
