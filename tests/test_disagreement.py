@@ -204,6 +204,14 @@ def named(one: Altered) -> Place:
     return kind, one.station.cause_axis
 
 
+def replayed(one: Altered, excitation: Floats) -> core.Station:
+    """Return a station that has replayed the run, with the same rows to the last bit."""
+    again = core.Station(one.settings, excitation)
+    made = again.replay(one.rows(), sensors=np.array(one.inputs))
+    assert made.tobytes() == np.ascontiguousarray(core.rows.as_records(one.rows())).tobytes()
+    return again
+
+
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("fault", WRONG)
 def test_a_sensor_that_goes_wrong_in_a_running_test_trips_by_its_name(
@@ -234,9 +242,7 @@ def test_a_sensor_that_goes_wrong_in_a_running_test_trips_by_its_name(
         None,
         station.cause_sensor,
     )
-    again = core.Station(one.settings, shaking(4.0))
-    made = again.replay(one.rows(), sensors=np.array(one.inputs))
-    assert made.tobytes() == np.ascontiguousarray(core.rows.as_records(one.rows())).tobytes()
+    again = replayed(one, shaking(4.0))
     assert (again.cause_value, again.cause_limit) == (station.cause_value, station.cause_limit)
 
 

@@ -271,7 +271,7 @@ def test_the_floor_of_an_upper_specimen_moves_with_all_storeys_below_it(
         return own(fs_hz, **motion)
 
     monkeypatch.setattr(frequency.of_oscillators, "pseudo_acceleration", noted)
-    plate = frequency.response_spectrum(rec)
+    plate = frequency.response_spectrum(rec, recorded_structure(rec))
     if not recorded:
         assert plate.svg == ""
         assert 'add "x_3" to record in [numerical]' in plate.note

@@ -306,11 +306,8 @@ class Plots:
         if not shown:
             return Plot("recorded", "Recorded quantities", "None were recorded.", "", None)
         with extra_needed("a figure"):
-            from matplotlib import rc_context
-
-            from rthyb_rt.report import drawing, structure
-        with rc_context(drawing.STYLE), np.errstate(over="ignore", invalid="ignore"):
-            return plot_of(structure.chosen(self._of.raw, shown))
+            from rthyb_rt.report.figures import draw_recorded
+        return plot_of(draw_recorded(self._of.raw, shown))
 
     def delay(self) -> Plot:
         """Plot the delay estimate with its bounds."""

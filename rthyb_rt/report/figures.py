@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +18,11 @@ from rthyb_rt.analysis.summary import (
     reference_pair,
     stiffness_shares,
 )
+from rthyb_rt.config.numerical_structure import Structure
+from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.core.laws import law_value
+from rthyb_rt.core.rows import Channel
 from rthyb_rt.numbers import delay, number, quantity
 from rthyb_rt.record.recording import RecordedTest
 from rthyb_rt.report import cyclic, extra_figures, frequency
@@ -56,9 +61,8 @@ def draw_all(rec: RecordedTest, summary: Summary) -> list[draw.Plate]:
         ]
         plates += cyclic.plates(rec, summary.loops)
         plates += extra_figures.plates(rec)
-        structure = recorded_structure(rec)
-        if structure is not None:
-            plates += of_structure.plates(rec, structure)
+        if figures.structure is not None:
+            plates += of_structure.plates(rec, figures.structure)
     return [plate for plate in plates if plate is not None]
 
 
@@ -67,6 +71,12 @@ def draw_one(rec: RecordedTest, summary: Summary, key: str) -> draw.Plate | None
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
         plate: draw.Plate | None = getattr(_Figures(rec, summary), _METHODS.get(key, key))()
     return plate
+
+
+def draw_recorded(rec: RecordedTest, channels: Sequence[Channel]) -> draw.Plate:
+    """Return recorded channels over time in one figure."""
+    with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore"):
+        return of_structure.chosen(rec, channels)
 
 
 _METHODS = {"tracking": "tracking_error", "accumulated": "accumulated_error"}
@@ -108,6 +118,11 @@ class _Figures:
             robust_limit(self.x_num, self.x_meas, self.x_ref, anchor=self.x_anchor), 1e-3
         )
         self.window = peak_window(summary, self.t)
+
+    @cached_property
+    def structure(self) -> Structure | SparseStructure | None:
+        """The numerical part if it has many degrees of freedom; reading it prepares all of it."""
+        return recorded_structure(self.rec)
 
     # --- figures ------------------------------------------------------------------------------
 
@@ -247,7 +262,7 @@ class _Figures:
         return frequency.spectra(self.rec)
 
     def response_spectrum(self) -> draw.Plate:
-        return frequency.response_spectrum(self.rec)
+        return frequency.response_spectrum(self.rec, self.structure)
 
     def balance(self) -> draw.Plate:
         return of_energy.balance(self.rec, self.s)

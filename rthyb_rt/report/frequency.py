@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.analysis import response_spectrum as of_oscillators
 from rthyb_rt.analysis.spectra import SURE, FrequencyResponse, frequency_response
-from rthyb_rt.analysis.summary import Summary, recorded_structure
+from rthyb_rt.analysis.summary import Summary
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.numbers import number
 from rthyb_rt.record.recording import RecordedTest
@@ -106,15 +106,22 @@ def spectra(rec: RecordedTest) -> draw.Plate:
         return paper.plate(title, note)
 
 
-def response_spectrum(rec: RecordedTest) -> draw.Plate:
-    """Draw the response spectra of the ground, and of the floor, commanded and measured."""
+def response_spectrum(
+    rec: RecordedTest, structure: Structure | SparseStructure | None
+) -> draw.Plate:
+    """Draw the response spectra of the ground, and of the floor, commanded and measured.
+
+    Args:
+        rec: the recording.
+        structure: its numerical part; None: one degree of freedom.
+    """
     title = "Response spectra"
     run = rec.samples[rec.running()]
     ag = run["ag_mps2"]
     moved = draw.largest(run["x_num_m"]) > 0.0
     if len(run) < 16 or not moved or draw.largest(run["x_meas_m"]) > 1e3:
         return draw.Plate("response_spectrum", title, "", _TOO_LITTLE, True)
-    below, unknown = _below(run, recorded_structure(rec))
+    below, unknown = _below(run, structure)
     if unknown:
         return draw.Plate("response_spectrum", title, "", unknown, True)
     with rc_context(draw.STYLE), np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from matplotlib.ticker import MaxNLocator
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Floats = NDArray[np.float64]
+AnyQuantity = TypeVar("AnyQuantity", bound=Response | Recorded | Channel)
 
 SHOWN_MODES = 5
 SHOWN_CURVES = 3
@@ -165,7 +166,7 @@ def curves(
     found = []
     for unit, word in _WORDS.items():
         own = _by_peak(rec, [one for one in responses if one.unit == unit and _has(rec, one)])
-        groups = [own[i : i + SHOWN_CURVES] for i in range(0, len(own), SHOWN_CURVES)]
+        groups = _in_figures(own)
         for n, group in enumerate(groups if every else groups[:1], start=1):
             paper = draw.Paper(
                 f"recorded-{word}" + (f"-{n}" if n > 1 else ""), draw.FULL_WIDTH_IN, (1.4,)
@@ -182,6 +183,11 @@ def curves(
                 note += _not_shown(len(own) - len(group))
             found.append(paper.plate(title, note))
     return found
+
+
+def _in_figures(own: Sequence[AnyQuantity]) -> list[Sequence[AnyQuantity]]:
+    """Return quantities in groups of as many as are drawn together."""
+    return [own[i : i + SHOWN_CURVES] for i in range(0, len(own), SHOWN_CURVES)]
 
 
 def _not_shown(others: int) -> str:
@@ -201,10 +207,9 @@ def chosen(rec: RecordedTest, channels: Sequence[Channel]) -> draw.Plate:
         channels: of its channels, at least one.
     """
     units = list(dict.fromkeys(one.unit for one in channels))
-    panels: list[list[Channel]] = []
+    panels: list[Sequence[Channel]] = []
     for unit in units:
-        own = [one for one in channels if one.unit == unit]
-        panels += [own[i : i + SHOWN_CURVES] for i in range(0, len(own), SHOWN_CURVES)]
+        panels += _in_figures([one for one in channels if one.unit == unit])
     paper = draw.Paper("recorded", draw.FULL_WIDTH_IN, (1.4,) * len(panels))
     for axes, group in zip(paper.axes, panels, strict=True):
         _draw_curves(rec, axes, group, group[0].unit)

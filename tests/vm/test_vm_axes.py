@@ -203,6 +203,24 @@ class OnBuses(Lab):
         assert_whole(rec)
         return status, rec
 
+    def pulled(self, out: str, bus: str) -> RecordedTest:
+        """Return the recording of a long test in which a bus goes down; the test trips in motion.
+
+        Raises:
+            TooEarly: it had ended before.
+        """
+        begun_s = time.monotonic()
+        with ip_at_hand() as ip, self.at_work(out, *LONG) as controller:
+            if self.await_state(controller, "RUNNING", 300):
+                ip(f"link set {bus} down")
+            status, rec = self.ended(out, controller, begun_s)
+            ip(f"link set {bus} up")
+        require_calm(rec)
+        if not tripped_in_motion(rec):
+            raise TooEarly
+        assert status == 6
+        return rec
+
 
 @BOTH
 def test_example_runs_in_real_time_on_a_bus_for_each_axis(
@@ -266,16 +284,7 @@ def test_a_pulled_bus_for_both_axes_trips_the_test_and_stops_both_drives(
     tmp_path: Path, memory: Path
 ) -> None:
     def attempt(out: str) -> None:
-        begun_s = time.monotonic()
-        with ip_at_hand() as ip, lab.at_work(out, *LONG) as controller:
-            if lab.await_state(controller, "RUNNING", 300):
-                ip(f"link set {TOGETHER.buses[0]} down")
-            status, rec = lab.ended(out, controller, begun_s)
-            ip(f"link set {TOGETHER.buses[0]} up")
-        require_calm(rec)
-        if not tripped_in_motion(rec):
-            raise TooEarly
-        assert status == 6
+        rec = lab.pulled(out, TOGETHER.buses[0])
         assert rec.meta["end_reason"] == f"tripped: link down of axis {TOGETHER.axes[0]}"
         assert_sound(rec, TOGETHER)
         for log in log_of(tmp_path / f"{out}.npy", TOGETHER):
@@ -292,16 +301,7 @@ def test_pulled_bus_of_either_axis_trips_both_and_names_it(
     tmp_path: Path, memory: Path, axis: str
 ) -> None:
     def attempt(out: str) -> None:
-        begun_s = time.monotonic()
-        with ip_at_hand() as ip, lab.at_work(out, *LONG) as controller:
-            if lab.await_state(controller, "RUNNING", 300):
-                ip(f"link set {bus} down")
-            status, rec = lab.ended(out, controller, begun_s)
-            ip(f"link set {bus} up")
-        require_calm(rec)
-        if not tripped_in_motion(rec):
-            raise TooEarly
-        assert status == 6
+        rec = lab.pulled(out, bus)
         assert_tripped_by(rec, log_of(tmp_path / f"{out}.npy", FRAME), axis)
 
     bus = FRAME.buses[FRAME.axes.index(axis)]
