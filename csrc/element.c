@@ -117,6 +117,20 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
     return 0;
 }
 
+int rthyb_is_dry_friction(const rthyb_element *element)
+{
+    switch (element->kind) {
+    case RTHYB_COULOMB:
+    case RTHYB_STRIBECK:
+    case RTHYB_COULOMB_UNEVEN:
+        return 1;
+    case RTHYB_POWER_DAMPING:
+        return element->params[0] >= 0.0 && element->params[2] < 1.0;
+    default:
+        return 0;
+    }
+}
+
 /* A spring in each direction, behind a gap of its own. */
 static double beyond(double x, double k_up, double up, double k_down, double down)
 {

@@ -2,6 +2,9 @@
 #include "laws.h"
 #include "numeric.h"
 
+#define NEWTON_MAX 30
+#define SOLVED 1e-13 /* of the velocity without friction */
+
 double rthyb_stribeck_level(const double *p, double v)
 {
     const double r = v / p[2];
@@ -65,4 +68,64 @@ double rthyb_friction_pendulum(const double *p, double *s, double x, double v)
         s[1] = contact(s[1], x - s[0], p[5]);
     s[0] = x;
     return weight / p[1] * x + mu * weight * s[1];
+}
+
+/* Force of a law that depends on the velocity alone, as in element.c, and its slope. */
+static double velocity_law(const rthyb_element *e, double v, double *slope)
+{
+    const double *p = e->params;
+    if (e->kind == RTHYB_POWER_DAMPING) {
+        const double r = v / p[1], width = p[3] / p[1], square = r * r + width * width;
+        const double by = p[0] * pow(square, 0.5 * (p[2] - 1.0));
+        *slope = by / p[1] * (p[2] * r * r + width * width) / square;
+        return by * r;
+    }
+    const double width = p[e->kind == RTHYB_COULOMB ? 1 : e->kind == RTHYB_STRIBECK ? 3 : 2];
+    const double sign = smooth_sign(v / width);
+    double level = e->kind == RTHYB_COULOMB_UNEVEN && v < 0.0 ? p[1] : p[0], falls = 0.0;
+    if (e->kind == RTHYB_STRIBECK) {
+        level = rthyb_stribeck_level(p, v);
+        falls = -2.0 * v / (p[2] * p[2]) * (level - p[0]);
+    }
+    *slope = falls * sign + level / width * (1.0 - sign * sign);
+    return level * sign;
+}
+
+/* Largest force of a law that depends on the velocity alone, in the direction of r. */
+static double most_of(const rthyb_element *e, double r)
+{
+    const double *p = e->params;
+    switch (e->kind) {
+    case RTHYB_COULOMB_UNEVEN:
+        return r < 0.0 ? p[1] : p[0];
+    case RTHYB_STRIBECK:
+        return fmax(p[0], p[1]);
+    case RTHYB_POWER_DAMPING:
+        return INFINITY;
+    default:
+        return p[0];
+    }
+}
+
+/* The force opposes the velocity, so u is between 0 and r. Newton's method begins with what the slope at 0 and the
+ * largest force give: both come from the side of 0, from which it converges without a detour where the law is steepest
+ * at 0. */
+double rthyb_friction_for(const rthyb_element *e, double r, double g)
+{
+    double slope, force = velocity_law(e, 0.0, &slope);
+    const double straight = fabs(r) / (1.0 + g * slope), slides = fabs(r) - g * most_of(e, r);
+    double near = 0.0, far = r, u = copysign(greater_of(straight, slides), r);
+    for (int i = 0; i < NEWTON_MAX; i++) {
+        force = velocity_law(e, u, &slope);
+        const double excess = u + g * force - r;
+        if (!(fabs(excess) > SOLVED * fabs(r)))
+            break;
+        if ((excess > 0.0) == (r > 0.0))
+            far = u;
+        else
+            near = u;
+        const double next = u - excess / (1.0 + g * slope);
+        u = (next - near) * (far - next) > 0.0 ? next : 0.5 * (near + far);
+    }
+    return force;
 }

@@ -17,6 +17,7 @@
 #include "factored.h"
 #include "numeric.h"
 #include "numerical.h"
+#include "sliders.h"
 
 #define VELOCITY_MAX 1e9
 #define ACCELERATION_MAX 1e15
@@ -26,13 +27,14 @@ typedef const rthyb_sparse_config config;
 
 /* ---- the state's vectors ----------------------------------------------------------------------- */
 
-enum { VECTORS = 6 };
+enum { VECTORS = 6, SWEEPS_AHEAD = 20, SWEEPS_IN_TICK = 3 };
 
 typedef struct {
     double *x, *v, *q;   /* at t_n; q: of the next step, without its force and excitation */
     double *last;        /* q' */
     double *to_k, *to_c; /* vectors to be multiplied with K and C */
     double *joint_force; /* of each element, at t_n */
+    double *sliding;     /* velocity of each slider at t_n, without force and excitation */
     rthyb_element *element;
 } vectors;
 
@@ -49,7 +51,8 @@ static vectors vectors_of(config *c, rthyb_sparse *s)
         .to_k = first + 4 * n,
         .to_c = first + 5 * n,
         .joint_force = forces,
-        .element = (rthyb_element *)(void *)(forces + c->joints),
+        .sliding = forces + c->joints,
+        .element = (rthyb_element *)(void *)(forces + c->joints + c->sliders),
     };
 }
 
@@ -59,14 +62,15 @@ static int sizes_ok(config *c)
            c->interfaces <= RTHYB_INTERFACES_MAX && c->joints >= 0 &&
            c->joints <= RTHYB_SPARSE_ELEMENTS_MAX && c->modes >= 0 &&
            c->modes <= RTHYB_SPARSE_MODES_MAX && c->responses >= 0 &&
-           c->responses <= RTHYB_RESPONSES_MAX;
+           c->responses <= RTHYB_RESPONSES_MAX && c->sliders >= 0 &&
+           c->sliders <= RTHYB_SLIDERS_MAX;
 }
 
 size_t rthyb_sparse_bytes(config *cfg)
 {
     if (!sizes_ok(cfg))
         return 0;
-    const size_t numbers = VECTORS * (size_t)cfg->size + (size_t)cfg->joints;
+    const size_t numbers = VECTORS * (size_t)cfg->size + (size_t)cfg->joints + (size_t)cfg->sliders;
     return sizeof(rthyb_sparse) + numbers * sizeof(double) +
            (size_t)cfg->joints * sizeof(rthyb_element);
 }
@@ -168,7 +172,7 @@ static int config_error(config *c)
                            numbers_ok(c->by_excitation, n) && numbers_ok(c->first_by_excitation, n);
     const int rest_ok = fabs(c->by_mass_per_s) <= 1e9 && fabs(c->by_stiffness_s) <= 1e9 &&
                         rows_ok(&c->interface, c->interfaces, c->size) && joints_ok(c) &&
-                        start_ok(c) &&
+                        sliders_ok(c) && start_ok(c) &&
                         rows_ok(&c->response, c->responses, c->size + c->joints + c->interfaces);
     return matrices_ok && vectors_ok && rest_ok ? 0 : RTHYB_E_MOTION;
 }
@@ -252,13 +256,20 @@ static void push_apart(const rthyb_joint *joint, double force, double *out)
 }
 
 /* Evaluates the elements at the new x; adds to `out` the part of the old and the new force that K
- * does not include. Velocity and acceleration are those used with C and M. */
+ * does not include. Velocity and acceleration are those used with C and M. The new force of a
+ * slider is not known yet. */
 static void add_joints(config *c, vectors *s, double *restrict out)
 {
     const double h = c->period_s, af = c->alpha_f, gamma_h = c->gamma * h;
     const double of_q = af * c->beta * h * h;
+    int32_t slider = 0;
     for (int32_t i = 0; i < c->joints; i++) {
         const rthyb_joint *joint = &c->joint[i];
+        if (slider < c->sliders && c->slider[slider] == i) {
+            push_apart(joint, af * s->joint_force[i], out);
+            slider++;
+            continue;
+        }
         const double a = across(joint, s->last);
         const double v = across(joint, s->v) + gamma_h * a;
         const double now = rthyb_element_force(&s->element[i], across(joint, s->x), v, a, h);
@@ -322,6 +333,45 @@ static void damp(config *c, const double *restrict to_c, double *restrict out)
     }
 }
 
+/* Velocities of the sliders without their friction, in the step that the present force and
+ * excitation begin. */
+static void sliding_now(config *c, const rthyb_sparse *s, const double *sliding, double *now)
+{
+    const double gamma_h = c->gamma * c->period_s;
+    for (int32_t j = 0; j < c->sliders; j++) {
+        const rthyb_joint *joint = &c->joint[c->slider[j]];
+        double q = s->excitation * across(joint, c->by_excitation);
+        for (int32_t i = 0; i < c->interfaces; i++)
+            q += s->force[i] * across(joint, c->by_force + (size_t)i * (size_t)c->size);
+        now[j] = sliding[j] + gamma_h * q;
+    }
+}
+
+/* Most of the work on the sliders' forces, with the last force and excitation as a prediction. */
+static void predict_friction(config *c, const rthyb_sparse *s, vectors *all)
+{
+    const double gamma_h = c->gamma * c->period_s;
+    double now[RTHYB_SLIDERS_MAX];
+    for (int32_t j = 0; j < c->sliders; j++) {
+        const rthyb_joint *joint = &c->joint[c->slider[j]];
+        all->sliding[j] = across(joint, all->v) + gamma_h * across(joint, all->q);
+    }
+    sliding_now(c, s, all->sliding, now);
+    sliders_settle(c, now, SWEEPS_AHEAD, all->joint_force);
+}
+
+/* The sliders' forces, now that force and excitation are known, and their part of x[n+1]. */
+static void add_friction(config *c, rthyb_sparse *s, double *x_next)
+{
+    const vectors all = vectors_of(c, s);
+    double now[RTHYB_SLIDERS_MAX];
+    sliding_now(c, s, all.sliding, now);
+    sliders_settle(c, now, SWEEPS_IN_TICK, all.joint_force);
+    for (int32_t i = 0; i < c->interfaces; i++)
+        for (int32_t j = 0; j < c->sliders; j++)
+            x_next[i] -= c->slider_x[i * c->sliders + j] * all.joint_force[c->slider[j]];
+}
+
 /* q of the next step, without its force and excitation. */
 static void look_ahead(config *c, rthyb_sparse *s, vectors *all)
 {
@@ -347,6 +397,8 @@ static void look_ahead(config *c, rthyb_sparse *s, vectors *all)
     subtract_product(&c->stiffness_n_per_m, n, to_k, q);
     subtract_product(&c->mass_kg, n, to_c, q);
     rthyb_sparse_solve(c, q);
+    if (c->sliders > 0)
+        predict_friction(c, s, all);
 }
 
 static void note_base(config *c, rthyb_sparse *s, const vectors *all)
@@ -372,6 +424,10 @@ static int advance(const rthyb_numerical *part)
     for (int32_t j = 0; j < c->interfaces; j++)
         for (int32_t i = 0; i < n; i++)
             last[i] += s->force[j] * by_force[(size_t)j * (size_t)n + (size_t)i];
+    for (int32_t j = 0; j < (first ? 0 : c->sliders); j++)
+        for (int32_t i = 0; i < n; i++)
+            last[i] -=
+                all.joint_force[c->slider[j]] * c->slider_w[(size_t)j * (size_t)n + (size_t)i];
     int code = s->ran_off ? RTHYB_S_OUT_OF_RANGE : RTHYB_OK;
     s->stepped = 1;
     for (int32_t i = 0; i < c->interfaces; i++)
@@ -390,13 +446,18 @@ static int answer(const rthyb_numerical *part, double excitation, const double *
     const int m = s->interfaces;
     const double *gain = s->gain[s->stepped], *pull = s->pull[s->stepped];
     int code = RTHYB_OK, bad = RTHYB_OK;
+    double friction[RTHYB_INTERFACES_MAX] = {0};
     s->excitation = accept(excitation, 1e4, s->excitation, &code);
     for (int j = 0; j < m; j++)
         s->force[j] = accept(force_n[j], RTHYB_FORCE_MAX_N, s->force[j], &code);
+    config *c = part->cfg;
+    if (c->sliders > 0 && s->stepped)
+        add_friction(c, s, friction);
     for (int i = 0; i < m; i++) {
         double next = s->base[i] + pull[i] * s->excitation;
         for (int j = 0; j < m; j++)
             next += gain[i * m + j] * s->force[j];
+        next += friction[i];
         s->x2[i] = s->x1[i];
         s->x1[i] = s->x[i];
         s->x[i] = confine(next, RTHYB_DISPLACEMENT_MAX_M, &bad);

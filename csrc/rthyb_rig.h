@@ -63,6 +63,8 @@ typedef struct {
 
 /* Number of parameters of a kind; -1 for an unknown kind. */
 int rthyb_element_param_count(int32_t kind);
+/* Whether its force depends on the velocity alone, opposes it, and may be steep where the velocity changes its sign. */
+int rthyb_is_dry_friction(const rthyb_element *element);
 int rthyb_element_init(rthyb_element *element, int32_t kind, const double *params, size_t n);
 double rthyb_element_force(rthyb_element *element, double x_m, double v_m_per_s, double a_m_per_s2,
                            double dt_s);

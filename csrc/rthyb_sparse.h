@@ -16,7 +16,8 @@ enum rthyb_sparse_size {
     RTHYB_INTERFACES_SQUARE = 64, /* its square */
     RTHYB_SPARSE_ELEMENTS_MAX = 20000,
     RTHYB_SPARSE_MODES_MAX = 64,
-    RTHYB_RESPONSES_MAX = 32
+    RTHYB_RESPONSES_MAX = 32,
+    RTHYB_SLIDERS_MAX = 32
 };
 
 /* A symmetric matrix: its diagonal, and the entries above it, row by row. For the factor L: the entries below the
@@ -79,6 +80,15 @@ typedef struct {
     /* Named responses: terms 0 to size - 1 are degrees of freedom, followed by the forces of the elements, then
      * those at the interfaces. */
     rthyb_rows response;
+    /* Joints with dry friction whose force is solved for with the step: their indices, ascending; 0: none. With
+     * B_k across joint k, W_k = (1 - a_f) S^-1 B_k, the response q to minus a unit force, and the velocity u of joint j
+     * per unit of such a force, G_jk = gamma h B_j' W_k (sliders x sliders). */
+    int32_t sliders;
+    const int32_t *slider;
+    const double *slider_w; /* sliders x size */
+    const double *slider_g;
+    const double
+        *slider_x; /* x[n+1] at the interfaces per unit of such a force, interfaces x sliders */
 } rthyb_sparse_config;
 
 /* Beginning of the state; vectors and elements follow. */

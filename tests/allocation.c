@@ -116,12 +116,14 @@ static rthyb_numerical sparse_part(void)
     static double d[STOREYS], l[STOREYS - 1], by_force[STOREYS], by_ag[STOREYS], z[STOREYS],
         inner[1];
     static double state[SPARSE_STATE];
-    static rthyb_joint joint;
+    static rthyb_joint joint[2];
+    static const int32_t slider[] = {1};
+    static double slider_w[STOREYS] = {0.0, 0.0, -1.0, 1.0}, slider_g[1], slider_x[1];
     static rthyb_sparse_config cfg;
     cfg = (rthyb_sparse_config){
         .size = STOREYS,
         .interfaces = 1,
-        .joints = 1,
+        .joints = 2,
         .modes = 0,
         .responses = 1,
         .damped = 1,
@@ -137,7 +139,7 @@ static rthyb_numerical sparse_part(void)
         .load_kg = mass,
         .interface = {.start = one_row, .at = first, .weight = unit},
         .k_e_n_per_m = k_e,
-        .joint = &joint,
+        .joint = joint,
         .response = {.start = one_row, .at = roof, .weight = unit},
         .factor = {.diagonal = d, .start = start, .at = next, .value = l},
         .modal = modal,
@@ -147,9 +149,18 @@ static rthyb_numerical sparse_part(void)
         .first_by_force = by_force,
         .by_excitation = by_ag,
         .first_by_excitation = by_ag,
+        .sliders = 1,
+        .slider = slider,
+        .slider_w = slider_w,
+        .slider_g = slider_g,
+        .slider_x = slider_x,
     };
-    joint = (rthyb_joint){.below = 1, .above = 2, .stiffness_n_per_m = 0.0};
-    (void)rthyb_element_init(&joint.element, ELEMENTS[0].kind, ELEMENTS[0].params, ELEMENTS[0].n);
+    joint[0] = (rthyb_joint){.below = 1, .above = 2, .stiffness_n_per_m = 0.0};
+    (void)rthyb_element_init(&joint[0].element, ELEMENTS[0].kind, ELEMENTS[0].params,
+                             ELEMENTS[0].n);
+    joint[1] = (rthyb_joint){.below = 2, .above = 3};
+    static const double dry[] = {2e3, 1e-6};
+    (void)rthyb_element_init(&joint[1].element, RTHYB_COULOMB, dry, 2);
     const double h = PERIOD_S, of_k = 0.125 * h * h, of_m = 0.5 + 0.25 * h * 1.3;
     double pivot = of_m * mass[0] + of_k * k[0];
     for (int i = 0; i < STOREYS; i++) {
@@ -172,6 +183,9 @@ static rthyb_numerical sparse_part(void)
     cfg.modes = 1;
     rthyb_sparse_solve(&cfg, by_force);
     rthyb_sparse_solve(&cfg, by_ag);
+    rthyb_sparse_solve(&cfg, slider_w);
+    slider_g[0] = 0.5 * h * (slider_w[3] - slider_w[2]);
+    slider_x[0] = h * h * slider_w[0];
     return (rthyb_numerical){.kind = RTHYB_NUMERICAL_SPARSE, .cfg = &cfg, .state = state};
 }
 

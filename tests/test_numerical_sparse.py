@@ -291,6 +291,7 @@ def test_two_modes_swing_freely_as_they_should() -> None:
 BOUC_WEN = core.element(
     "hysteresis", k_n_per_m=K_E, post_yield_ratio=0.05, a=1.0, b=100.0, c=100.0, eta=1.0
 )
+DRY = core.element("coulomb", fc_n=2e4, width_m_per_s=1e-4)
 
 
 def test_an_element_in_the_part_does_what_the_same_one_does_at_the_actuator() -> None:
@@ -362,11 +363,138 @@ def test_a_yielding_storey_of_ten_is_what_scipy_says() -> None:
     assert np.abs(drift[:, 1] - shear).max() < 0.003 * np.abs(shear).max()
 
 
+# ---- dry friction -------------------------------------------------------------------------------
+
+FLOORS = 4
+LIGHT, SHEARS = shear_building(np.full(FLOORS, 2700.0), np.full(FLOORS, 4.7e6))
+PULSE = (3.0, 8.0, 0.3)
+
+
+def pulse(t: Floats | float) -> Any:
+    size, omega, decay = PULSE
+    return size * np.sin(omega * t) * np.exp(-decay * t)
+
+
+Law = Callable[[float], float]
+FRICTION: dict[str, tuple[core.ElementConfig, Law]] = {
+    "coulomb": (
+        core.element("coulomb", fc_n=2000.0, width_m_per_s=5e-4),
+        lambda v: 2000.0 * np.tanh(v / 5e-4),
+    ),
+    "coulomb, almost a step": (
+        core.element("coulomb", fc_n=2000.0, width_m_per_s=1e-5),
+        lambda v: 2000.0 * np.tanh(v / 1e-5),
+    ),
+    "coulomb_uneven": (
+        core.element("coulomb_uneven", fc_up_n=3000.0, fc_down_n=1000.0, width_m_per_s=5e-4),
+        lambda v: (1000.0 if v < 0.0 else 3000.0) * np.tanh(v / 5e-4),
+    ),
+    "stribeck": (
+        core.element("stribeck", fc_n=1500.0, fs_n=2500.0, vs_m_per_s=0.05, width_m_per_s=5e-4),
+        lambda v: (1500.0 + 1000.0 * np.exp(-((v / 0.05) ** 2))) * np.tanh(v / 5e-4),
+    ),
+    "power_damping": (
+        core.element(
+            "power_damping", force_n=2000.0, at_m_per_s=0.1, exponent=0.2, width_m_per_s=2e-4
+        ),
+        lambda v: 2000.0 * (v / 0.1) * ((v / 0.1) ** 2 + (2e-4 / 0.1) ** 2) ** -0.4,
+    ),
+}  # fmt: skip
+
+
+def with_friction(element: core.ElementConfig, **settings: Any) -> SparseConfig:
+    """Four light storeys, the lower three with friction, where an explicit force would chatter."""
+    given: dict[str, Any] = {
+        "k_e_n_per_m": (0.0,),
+        "by_mass_per_s": 0.5,
+        "rho_inf": 0.8,
+        "joints": tuple(Joint(i - 1, i, element) for i in range(3)),
+        "responses": (Response("force", "N", joints=((1, 1.0),)),),
+    }
+    return building(LIGHT, SHEARS, **(given | settings))
+
+
+def of_radau(law: Law, t: Floats) -> Floats:
+    """Displacements of the floors of `with_friction`, (n, floors)."""
+    m = np.diag(LIGHT)
+
+    def rate(now: float, s: Floats) -> Floats:
+        x, v = s[:FLOORS], s[FLOORS:]
+        force = -m * pulse(now) - SHEARS @ x - 0.5 * m * v
+        slip = np.diff(v, prepend=0.0)[:3]
+        friction = np.array([law(u) for u in slip])
+        force[:3] -= friction
+        force[:2] += friction[1:]
+        return np.concatenate([v, force / m])
+
+    solved = scipy.integrate.solve_ivp(
+        rate, (0.0, t[-1]), np.zeros(2 * FLOORS), "Radau", t, rtol=1e-7, atol=1e-10, max_step=0.004
+    )
+    return np.asarray(solved.y[:FLOORS].T)
+
+
+@pytest.mark.parametrize("kind", FRICTION)
+def test_storeys_with_dry_friction_move_as_scipy_says(kind: str) -> None:
+    element, law = FRICTION[kind]
+    t = np.arange(2048) * H
+    config, still = with_friction(element), lambda i, at: np.zeros(1)
+    expected = of_radau(law, t)
+    found = run(config, pulse(t), still)
+    explicit = tuple(replace(joint, solved=False) for joint in config.joints)
+    before = run(replace(config, joints=explicit), pulse(t), still)
+    assert worst(found, expected) < 0.001
+    assert worst(before, expected) > 5.0 * worst(found, expected)
+
+
+def test_friction_that_holds_a_storey_does_not_change_its_sign_at_every_sample() -> None:
+    """Held by more than can move it, a storey stands, and the force is what it has to carry."""
+    t = np.arange(2048) * H
+    part = SparsePart(with_friction(core.element("coulomb", fc_n=1e6, width_m_per_s=1e-6)))
+    force, x = [], []
+    for ag in pulse(t):
+        part.answer(float(ag), 0.0)
+        force.append(float(part.responses()[0]))
+        part.advance()
+        x.append(part.displacements())
+    moved = np.array(x)
+    assert np.abs(moved[:, 1]).max() < 1e-3 * np.abs(moved[:, 3]).max()
+    carried = 4.7e6 * (moved[:, 3] - moved[:, 2]) - 2.0 * 2700.0 * pulse(t)
+    late = slice(300, None)
+    scale = np.abs(carried).max()
+    assert np.abs(np.diff(force)[late]).max() < 0.02 * scale
+    assert np.abs(np.array(force) - carried)[late].max() < 0.02 * scale
+
+
+def test_a_recording_made_before_friction_was_solved_for_is_replayed_as_it_was() -> None:
+    config = with_friction(FRICTION["coulomb"][0])
+    plain = json.loads(json.dumps(config.plain()))
+    again = SparseConfig.of_plain(plain)
+    old = dict(plain, joints=[joint[:5] for joint in plain["joints"]])
+    explicit = replace(config, joints=tuple(replace(j, solved=False) for j in config.joints))
+    ag, still = pulse(np.arange(500) * H), lambda i, at: np.zeros(1)
+    assert np.array_equal(run(again, ag, still), run(config, ag, still))
+    assert np.array_equal(run(SparseConfig.of_plain(old), ag, still), run(explicit, ag, still))
+    assert not np.array_equal(run(explicit, ag, still), run(config, ag, still))
+
+
+def test_more_friction_than_is_solved_for_is_evaluated_at_the_previous_velocity() -> None:
+    n = lib.RTHYB_SLIDERS_MAX + 1
+    m, k = shear_building(np.full(n, 2700.0), np.full(n, 4.7e6))
+    element = FRICTION["coulomb"][0]
+    many = building(m, k, joints=tuple(Joint(i - 1, i, element) for i in range(n)))
+    few = replace(many, joints=many.joints[1:])
+    assert (many.struct()[0].sliders, few.struct()[0].sliders) == (0, n - 1)
+    at, steep = many.steepest_friction()
+    # From the ground, one mass moves with a spring on either side of it; between floors two do.
+    assert at > 0
+    assert steep == pytest.approx(2.0 * 2000.0 * H / (5e-4 * 2700.0), rel=0.05)
+
+
 # ---- as a part of a test ------------------------------------------------------------------------
 
 
 def test_a_saved_part_goes_on_as_if_nothing_had_been() -> None:
-    config = building(joints=(Joint(2, 3, BOUC_WEN, K_E),), **RAYLEIGH)
+    config = building(joints=(Joint(2, 3, BOUC_WEN, K_E), Joint(3, 4, DRY)), **RAYLEIGH)
     one, other = SparsePart(config), SparsePart(config)
     for i in range(500):
         one.step(float(AG[i]), 1e4)
@@ -451,8 +579,11 @@ def test_more_than_one_interface_is_not_for_a_controller_of_one_actuator() -> No
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300, 1e13])
 @pytest.mark.parametrize("what", ["force", "excitation"])
-def test_a_senseless_value_is_told_and_not_taken(value: float, what: str) -> None:
-    part = SparsePart(building(**RAYLEIGH))
+@pytest.mark.parametrize("joints", [(), (Joint(2, 3, DRY), Joint(3, 4, DRY))])
+def test_a_senseless_value_is_told_and_not_taken(
+    value: float, what: str, joints: tuple[Joint, ...]
+) -> None:
+    part = SparsePart(building(joints=joints, **RAYLEIGH))
     good, x = (2e4, 0.3), 0.0
     for i in range(300):
         force, ag = good
@@ -461,13 +592,16 @@ def test_a_senseless_value_is_told_and_not_taken(value: float, what: str) -> Non
         x, code = part.step(ag, force)
         assert (code != 0) == (i % 7 == 3)
         assert np.isfinite(x)
-    expected = SparsePart(building(**RAYLEIGH))
+    expected = SparsePart(building(joints=joints, **RAYLEIGH))
     for _ in range(300):
         last = expected.step(good[1], good[0])[0]
     assert x == last  # the last good value stood in
 
 
-@pytest.mark.parametrize("joints", [(), (Joint(2, 3, BOUC_WEN, K_E),)])
+@pytest.mark.parametrize(
+    "joints",
+    [(), (Joint(2, 3, BOUC_WEN, K_E),), (Joint(2, 3, DRY), Joint(4, 5, BOUC_WEN, K_E))],
+)
 def test_a_part_that_runs_off_comes_to_rest_at_the_edge(joints: tuple[Joint, ...]) -> None:
     k = K.copy()
     k[5, 5] -= 2e9
@@ -519,7 +653,7 @@ SENSELESS: dict[str, Callable[[Any], object]] = {
     "k_e": lambda c: c.k_e_n_per_m.__setitem__(0, np.inf),
     "interface beyond": lambda c: c.interface.at.__setitem__(0, N),
     "interface below": lambda c: c.interface.at.__setitem__(0, -1),
-    "response beyond": lambda c: c.response.at.__setitem__(0, N + 2),
+    "response beyond": lambda c: c.response.at.__setitem__(0, N + 3),
     "element on itself": lambda c: setattr(c.joint[0], "below", c.joint[0].above),
     "element beyond": lambda c: setattr(c.joint[0], "above", N),
     "element unknown": lambda c: setattr(c.joint[0].element, "kind", 99),
@@ -529,13 +663,22 @@ SENSELESS: dict[str, Callable[[Any], object]] = {
     "half a start": lambda c: setattr(c, "first_v", ffi.NULL),
     "runs off at once": lambda c: c.first_v.__setitem__(0, 1e12),
     "modal": lambda c: c.modal.__setitem__(0, np.nan),
+    "too many sliders": lambda c: setattr(c, "sliders", lib.RTHYB_SLIDERS_MAX + 1),
+    "fewer than no sliders": lambda c: setattr(c, "sliders", -1),
+    "sliders nowhere": lambda c: setattr(c, "slider", ffi.NULL),
+    "slider beyond": lambda c: c.slider.__setitem__(0, 2),
+    "slider that is no friction": lambda c: c.slider.__setitem__(0, 0),
+    "slider response": lambda c: c.slider_w.__setitem__(N - 1, np.inf),
+    "slider velocity": lambda c: c.slider_g.__setitem__(0, np.nan),
+    "slider velocity negative": lambda c: c.slider_g.__setitem__(0, -1.0),
+    "slider interface": lambda c: setattr(c, "slider_x", ffi.NULL),
 }
 
 
 @pytest.mark.parametrize("fault", SENSELESS)
 def test_senseless_settings_are_refused_before_anything_runs(fault: str) -> None:
     config = building(
-        joints=(Joint(1, 2, BOUC_WEN, K_E),),
+        joints=(Joint(1, 2, BOUC_WEN, K_E), Joint(3, 4, DRY)),
         responses=(Response("roof", "m", ((N - 1, 1.0),)),),
         modal=modal_shapes(M, K, [0.02]),
         first_x_m=np.zeros(N),
@@ -562,7 +705,8 @@ def _writable(settings: Any) -> None:
         ("stiffness_n_per_m.at", N), ("factor.start", N + 1), ("factor.at", N),
         ("factor.diagonal", N), ("load_kg", N), ("by_force", N), ("k_e_n_per_m", 1),
         ("interface.at", 1), ("response.at", 1), ("panel", settings.panels + 1),
-        ("first_x", N), ("first_v", N), ("modal", N),
+        ("first_x", N), ("first_v", N), ("modal", N), ("slider", 1), ("slider_w", N),
+        ("slider_g", 1),
     ):  # fmt: skip
         *above, name = path.split(".")
         owner = settings

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.integrate
 import scipy.io
 import scipy.linalg
 import scipy.sparse
@@ -135,6 +136,59 @@ def test_drifts_and_shears_are_recorded_by_name(ten: tuple[experiment.Setup, Any
     count = min(len(rows), len(values))
     apart = [np.abs(rows[n][:count] - values[:count, i]).max() for i, n in enumerate(names[:20])]
     assert np.all(np.array(apart) < 0.05 * peak)
+
+
+DAMPER = """
+[[numerical.nonlinear]]
+storeys = [2]
+beside = true
+law = { element = "coulomb", fc_n = "2 kN", width_m_per_s = "0.5 mm/s" }
+"""
+
+
+def test_a_friction_damper_in_the_next_storey_does_not_shake_the_actuator(tmp_path: Path) -> None:
+    """Ten samples late: a force that changes its sign at every sample would be amplified."""
+    file = tmp_path / "damper.toml"
+    file.write_text(EXAMPLE.read_text() + DAMPER)
+    setup = experiment.prepare(*config.load_both(file, None, ["test.free_vibration_s=1"]))
+    rec = virtual_time.run(setup)
+    count = 4 * 1024
+    rows = rec.samples[rec.samples["state"] == 4][:count]
+    drift = _with_damper(setup, count)
+    assert np.abs(drift).max() > 0.004
+    assert np.abs(rows["x_num_m"] - drift).max() < 0.015 * np.abs(drift).max()
+    joints = setup.derived.structure.reference(
+        experiment.specimen_elements(setup.rig), setup.ag_mps2[:count]
+    )
+    assert np.abs(joints[0] - drift).max() < 0.002 * np.abs(drift).max()
+
+
+def _with_damper(setup: experiment.Setup, count: int) -> Any:
+    """Drift of the first storey by SciPy: Bouc-Wen in storeys 1 to 3, friction in the second."""
+    structure = setup.derived.structure
+    part, n = structure.part, structure.part.size
+    m, ag = part.mass_kg.matrix().diagonal(), setup.ag_mps2
+    stiffness, damping = part.stiffness_n_per_m.matrix().toarray(), part.damping_times(np.eye(n))
+    yielding = [(0.02, 300.0, 200.0, 1.5)] + 2 * [(0.1, 0.5 / 0.006**2, 0.5 / 0.006**2, 2.0)]
+    a, b, c, eta = np.array(yielding).T
+
+    def rate(now: float, s: Any) -> Any:
+        x, v, z = s[:n], s[n : 2 * n], s[2 * n :]
+        drift, slip = np.diff(x[:3], prepend=0.0), np.diff(v[:3], prepend=0.0)
+        shear = K_E * (a * drift + (1.0 - a) * z)
+        shear[1] += 2000.0 * np.tanh(slip[1] / 5e-4)
+        force = -m * np.interp(now * 1024.0, np.arange(ag.size), ag)
+        force = force - stiffness @ x - damping @ v
+        force[:3] -= shear
+        force[:2] += shear[1:]
+        dz = slip - b * np.abs(slip) * np.abs(z) ** (eta - 1.0) * z - c * slip * np.abs(z) ** eta
+        return np.concatenate([v, force / m, dz])
+
+    t = np.arange(count) / 1024.0
+    solved = scipy.integrate.solve_ivp(
+        rate, (0.0, t[-1]), np.zeros(2 * n + 3), "Radau", t, rtol=1e-6, atol=1e-9, max_step=0.01
+    )
+    return solved.y[0]
 
 
 def test_a_recording_of_ten_storeys_replays_bit_for_bit(

@@ -307,6 +307,8 @@ def _of_many(
                 "masses and stiffnesses",
             )
         )
+    if (note := structure.friction_note()) is not None:
+        notes.append(note)
     return structure, oscillator(first)
 
 

@@ -113,6 +113,8 @@ def _structure(
             structure = structure_of_test(test, rig.k_e, rate.period_s)
         except CoreError as error:
             raise InputError(str(error), "numerical") from error
+        if (note := structure.friction_note()) is not None:
+            notes.append(note)
         return structure, structure.first()
     from rthyb_rt.config.own_deriving import structure_of
 

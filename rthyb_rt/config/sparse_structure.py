@@ -29,6 +29,7 @@ from rthyb_rt.core.library import LibraryMissing
 from rthyb_rt.core.numerical_parts import SparsePart
 from rthyb_rt.core.sparse import (
     GROUND,
+    SLIDERS_MAX,
     Joint,
     Response,
     SparseConfig,
@@ -114,6 +115,31 @@ class SparseStructure:
         mass = share * (time_scale**2 - 1.0) * self.specimen_mass_kg
         # Rayleigh damping still refers to the same mass.
         return replace(self, part=_with(self.part, mass, -self.part.by_mass_per_s * mass, 0.0))
+
+    def friction_note(self) -> str | None:
+        """Return the note on dry friction that is too steep and cannot be solved with the step."""
+        count = len(self.part.with_dry_friction())
+        if count <= SLIDERS_MAX:
+            return None
+        at, steep = self.part.steepest_friction()
+        if steep <= 1.0:
+            return None
+        return (
+            f"found {count} elements of numerical.nonlinear with dry friction; up to {SLIDERS_MAX} "
+            "are solved for together with the step, more are evaluated at the previous velocity. "
+            f"Between {self._ends(at)}, the friction is then {steep:.2g} times too steep (force / "
+            "width x step / mass): it changes its sign at every sample, which a control law for a "
+            f"late actuator amplifies. Use at most {SLIDERS_MAX} of them, or a width_m_per_s that "
+            f"is {steep:.2g} times as large"
+        )
+
+    def _ends(self, joint: int) -> str:
+        found = self.part.joints[joint]
+        below, above = (
+            "the ground" if at == GROUND else written(self.labels[at])
+            for at in (found.below, found.above)
+        )
+        return f"{below} and {above}"
 
     @functools.cached_property
     def joined(self) -> SparseConfig:

@@ -32,6 +32,7 @@ SPARSE_MAX: Final[int] = lib.RTHYB_SPARSE_MAX
 INTERFACES_MAX: Final[int] = lib.RTHYB_INTERFACES_MAX
 RESPONSES_MAX: Final[int] = lib.RTHYB_RESPONSES_MAX
 MODES_MAX: Final[int] = lib.RTHYB_SPARSE_MODES_MAX
+SLIDERS_MAX: Final[int] = lib.RTHYB_SLIDERS_MAX
 GROUND: Final = -1
 
 
@@ -89,13 +90,15 @@ class Joint:
     """An element of the catalogue between two degrees of freedom, or a degree and the `GROUND`.
 
     Its deformation is x[above] - x[below]. ``stiffness_n_per_m`` is its initial stiffness, which
-    the integrator needs.
+    the integrator needs. Dry friction is ``solved`` for with the step, at the velocity of the same
+    instant; otherwise, it is evaluated at an extrapolated velocity, as all other elements are.
     """
 
     below: int
     above: int
     element: ElementConfig
     stiffness_n_per_m: float = 0.0
+    solved: bool = True
 
 
 @dataclass(frozen=True)
@@ -201,6 +204,29 @@ class SparseConfig:
     def _between(below: int, above: int) -> tuple[Term, ...]:
         return tuple((at, by) for at, by in ((below, -1.0), (above, 1.0)) if at != GROUND)
 
+    def with_dry_friction(self) -> list[int]:
+        """Return the numbers of the joints whose friction is to be solved for with the step."""
+        found, slot = [], ffi.new("rthyb_element *")
+        for i, joint in enumerate(self.joints):
+            init_element(slot, joint.element)
+            if joint.solved and lib.rthyb_is_dry_friction(slot):
+                found.append(i)
+        return found
+
+    def steepest_friction(self) -> tuple[int, float]:
+        """Return the joint whose friction is steepest for an explicit step, and how steep.
+
+        That is its slope at rest times h B' S^-1 B: above 1, an explicit friction force changes its
+        sign at every sample. -1 and 0.0 if no joint has dry friction.
+        """
+        at = self.with_dry_friction()
+        if not at:
+            return -1, 0.0
+        rows, response = self.struct()[1].across(at)
+        slopes = [initial_damping(self.joints[i].element) for i in at]
+        steep = self.period_s * np.einsum("ij,ij->i", rows, response) * np.array(slopes)
+        return at[int(np.argmax(steep))], float(steep.max())
+
     def interface_rows(self) -> Floats:
         """Return B', (m, n)."""
         return np.asarray(_terms_matrix(self.interfaces, self.size).toarray())
@@ -250,7 +276,14 @@ class SparseConfig:
             elif one.init and one.name not in ("joints", "responses"):
                 values[one.name] = value
         values["joints"] = [
-            [j.below, j.above, j.element.kind, list(j.element.params), j.stiffness_n_per_m]
+            [
+                j.below,
+                j.above,
+                j.element.kind,
+                list(j.element.params),
+                j.stiffness_n_per_m,
+                j.solved,
+            ]
             for j in self.joints
         ]
         values["responses"] = [
@@ -276,8 +309,9 @@ class SparseConfig:
         values["k_e_n_per_m"] = tuple(values["k_e_n_per_m"])
         values["k_e_between"] = tuple(tuple(row) for row in values.get("k_e_between", ()))
         values["joints"] = tuple(
-            Joint(below, above, ElementConfig(kind, tuple(params)), k)
-            for below, above, kind, params, k in values["joints"]
+            # Recordings made before friction was solved for have no sixth value.
+            Joint(below, above, ElementConfig(kind, tuple(params)), k, *(solved or (False,)))
+            for below, above, kind, params, k, *solved in values["joints"]
         )
         values["responses"] = tuple(
             Response(name, unit, *(_as_terms(terms) for terms in rest))
@@ -630,6 +664,30 @@ class Layout:
             init_element(ffi.addressof(slot, "element"), joint.element)
         self.kept.append(array)
         cfg.joint = array
+        self._sliders(cfg)
+
+    def _sliders(self, cfg: Any) -> None:
+        """Lay out the joints whose friction is solved for with the step, if they are not too many.
+
+        See sliders.c: each has its response of all degrees of freedom, and they act on each other.
+        """
+        at = self.config.with_dry_friction()
+        if not 0 < len(at) <= SLIDERS_MAX:
+            return
+        config, w, h = self.config, self.weights, self.config.period_s
+        across, response = self.across(at)
+        cfg.sliders, cfg.slider = len(at), self._whole(at)
+        cfg.slider_w = self._doubles(response[:, self.order])
+        cfg.slider_g = self._doubles(w.gamma * h * across @ response.T)
+        gain = (0.5 + w.gamma) * h * h
+        cfg.slider_x = self._doubles(gain * config.interface_rows() @ response.T)
+
+    def across(self, joints: Sequence[int]) -> tuple[Floats, Floats]:
+        """Return B_k of joints, and (1 - alpha_f) S^-1 B_k, (joints, n) each."""
+        found = (self.config.joints[i] for i in joints)
+        ends = [self.config._between(joint.below, joint.above) for joint in found]
+        rows = np.asarray(_terms_matrix(ends, self.config.size).toarray())
+        return rows, (1.0 - self.weights.alpha_f) * np.array([self.solve(row) for row in rows])
 
     def _responses(self, cfg: Any) -> None:
         n, joints = self.config.size, len(self.config.joints)
@@ -655,3 +713,10 @@ def initial_stiffness(element: ElementConfig) -> float:
     force = lib.rthyb_element_force(slot, 1e-9, 0.0, 0.0, PERIOD_S)
     slope = force / 1e-9
     return slope if math.isfinite(slope) else 0.0
+
+
+def initial_damping(element: ElementConfig) -> float:
+    """Return the slope of an element's force at rest over the velocity, N s/m."""
+    slot = ffi.new("rthyb_element *")
+    init_element(slot, element)
+    return float(lib.rthyb_element_force(slot, 0.0, 1e-9, 0.0, PERIOD_S) / 1e-9)
