@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 from rthyb_rt import config
 from rthyb_rt.config import AxesRig, RigFile
@@ -402,6 +403,52 @@ def test_a_plant_of_other_axes_and_one_that_is_not_there(tmp_path: Path) -> None
         load_any_rig(tmp_path / "rig.toml")
     (found, *_) = faults(with_plant(""))
     assert "missing; give exactly one of file, a" in found
+
+
+def _plant_of(a: list[list[float]]) -> str:
+    n = len(a)
+    return with_plant(f"a = {a}\nb = {np.ones((n, 2)).tolist()}\nc = {np.ones((2, n)).tolist()}")
+
+
+def _oscillating(frequency_hz: float, damping_ratio: float) -> list[list[float]]:
+    omega = 2.0 * np.pi * frequency_hz
+    return [[0.0, 1.0], [-(omega**2), -2.0 * damping_ratio * omega]]
+
+
+@pytest.mark.parametrize(
+    ("a", "said"),
+    [
+        (_oscillating(3.5, -0.02), "a pole at 3.5 Hz with a damping ratio of -0.02, whose motion "
+         "grows by a factor of e every 2.27 s"),
+        ([[-30.0, 0.0], [0.0, 0.4]], "a pole at 0.4 per second, whose motion grows by a factor of e every "
+         "2.5 s"),
+        # The same oscillator per sample of 1/1024 s, as identification programs often write it.
+        (scipy.linalg.expm(np.array(_oscillating(3.5, 0.02)) / 1024.0).tolist(),
+         "convert the matrices of a model in discrete time"),
+    ],
+)  # fmt: skip
+def test_a_plant_that_runs_off_by_itself_is_refused_with_its_pole(
+    a: list[list[float]], said: str, tmp_path: Path
+) -> None:
+    (found,) = faults(_plant_of(a))
+    assert said in found
+    np.savez(tmp_path / "plant.npz", a=np.array(a), b=np.ones((2, 2)), c=np.ones((2, 2)))
+    (tmp_path / "rig.toml").write_text(with_plant('file = "plant.npz"'), encoding="utf-8")
+    with pytest.raises(InputError, match=r"plant\.npz: a: found a pole at"):
+        load_any_rig(tmp_path / "rig.toml")
+
+
+def test_a_plant_that_integrates_is_accepted_with_a_note() -> None:
+    # With the rounding of an eigenvalue beside a fast pole.
+    accepted = rig(_plant_of([[-2e4, 0.0], [0.0, 1e-7]]))
+    assert accepted.notes == [
+        "[plant] has poles that neither decay nor grow (0 Hz): a constant command can move an axis "
+        "without end"
+    ]
+    (ringing,) = rig(_plant_of(_oscillating(3.5, 0.0))).notes
+    assert "motions at this frequency do not die out" in ringing
+    assert "3.5 Hz" in ringing
+    assert rig(_plant_of(_oscillating(3.5, 0.02))).notes == []
 
 
 def test_the_schema_knows_both_kinds_of_rigs() -> None:

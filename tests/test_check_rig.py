@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from command_line import Rthyb
+from test_axes_files import with_plant
 from test_config_link import CAN, RIG
 from test_sensors_in_real_time import DEFAULTS as WITH_SENSORS
 
@@ -47,6 +48,26 @@ def test_a_shipped_rig_says_what_its_file_says(rthyb: Rthyb, name: str) -> None:
         short = max(view.identified.frequency_hz) < 80
         where = f"axis {axis}: the response is known up to" if axis else "the response is known up"
         assert any(note.startswith(where) for note in found["notes"]) == short
+
+
+def test_a_rig_whose_axes_share_a_linear_plant_is_not_called_a_delay(
+    rthyb: Rthyb, tmp_path: Path
+) -> None:
+    path = tmp_path / "plant.toml"
+    path.write_text(
+        with_plant("a = [[0, 0], [0, -40]]\nb = [[1, 0], [0, 1]]\nc = [[1, 0], [0, 1]]")
+    )
+    answer = rthyb("check", "--rig", str(path))
+    assert answer.code == 0, answer.err
+    assert answer.out.count("[plant]: one linear model of 2 states for all axes") == 2
+    assert "pure-delay" not in answer.out
+    assert "poles that neither decay nor grow (0 Hz)" in answer.out
+    path.write_text(
+        with_plant("a = [[1, 0], [0, -40]]\nb = [[1, 0], [0, 1]]\nc = [[1, 0], [0, 1]]")
+    )
+    refused = rthyb("check", "--rig", str(path))
+    assert refused.code == 3
+    assert "found a pole at 1 per second" in refused.err
 
 
 def test_a_rig_that_nobody_has_measured_is_told_what_comes_next(rthyb: Rthyb, new: Path) -> None:

@@ -30,6 +30,7 @@ class ExaminedAxis:
     Attributes:
         name: of the axis; "" for a rig of one axis.
         rig: the axis as a rig of its own.
+        actuator: its kind, or what the plant of all axes is.
         k_e_n_per_m: stiffness that it moves against; None if the rig file does not state it.
         limits: those that the rig file states.
         link, commissioning: None without a link.
@@ -38,6 +39,7 @@ class ExaminedAxis:
 
     name: str
     rig: RigFile
+    actuator: str
     k_e_n_per_m: float | None
     limits: list[dict[str, Any]]
     link: dict[str, Any] | None
@@ -49,7 +51,7 @@ class ExaminedAxis:
         where = "with the other axes at rest" if self.name else "k_e of the specimen"
         k_e = quantity(self.k_e_n_per_m, "kN/m", 1e-3, 4)
         return [
-            (f"Axis {self.name}" if self.name else "Actuator", self.rig.actuator.kind, ""),
+            (f"Axis {self.name}" if self.name else "Actuator", self.actuator, ""),
             ("Elastic stiffness", k_e, where if self.k_e_n_per_m else "not identified"),
             *_identified_rows(self.rig.identified),
             *check_tables.link_rows(self.link),
@@ -62,7 +64,7 @@ class ExaminedAxis:
         """Return the same as plain values."""
         found = self.rig.identified
         return {
-            "actuator": self.rig.actuator.kind,
+            "actuator": self.actuator,
             "elastic_stiffness_n_per_m": self.k_e_n_per_m,
             "identified": None if found is None else found.model_dump(),
             "limits": self.limits,
@@ -155,19 +157,28 @@ def examine_rig(
     _try_out(rig)
     if isinstance(rig, RigFile):
         k_e = rig.rig.elastic_stiffness_n_per_m if stiffness_stated else None
-        axes = [_axis("", rig, k_e, path)]
+        axes = [_axis("", rig, rig.actuator.kind, k_e, path)]
     else:
         k_along = np.diag(rig.along_axes())
         views = [rig.of_axis(name) for name in rig.names]
         axes = [
-            _axis(name, view, float(k), path, [views[j] for j in on_one_bus(rig, i)])
+            _axis(
+                name,
+                view,
+                rig.actuator_of(name),
+                float(k),
+                path,
+                [views[j] for j in on_one_bus(rig, i)],
+            )
             for i, (name, view, k) in enumerate(zip(rig.names, views, k_along, strict=True))
         ]
     return ExaminedRig(
         rig.rig.name,
         tuple(axes),
         _sensor_rows(rig) if isinstance(rig, AxesRig) else [],
-        config.omitted(rig) + [_of(axis, text) for axis in axes for text in axis.notes()],
+        config.omitted(rig)
+        + (rig.notes if isinstance(rig, AxesRig) else [])
+        + [_of(axis, text) for axis in axes for text in axis.notes()],
         [_of(axis, text) for axis in axes for text in axis.warnings()]
         + (cell_corrections.warnings(rig) if isinstance(rig, AxesRig) else []),
     )
@@ -176,6 +187,7 @@ def examine_rig(
 def _axis(
     name: str,
     rig: RigFile,
+    actuator: str,
     k_e_n_per_m: float | None,
     path: Path | None,
     on_bus: Sequence[RigFile] = (),
@@ -183,6 +195,7 @@ def _axis(
     return ExaminedAxis(
         name,
         rig,
+        actuator,
         k_e_n_per_m,
         facts.limits_of_rig(rig.limits),
         facts.link_of(rig, on_bus),

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 from pydantic import Field, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, ErrorDetails
 
+from rthyb_rt.config import plantpoles
 from rthyb_rt.config.fields import (
     SLUG,
     SOME_TEXT,
@@ -724,6 +725,7 @@ class Plant(Table):
                 else "found a without b or c; give all three, or give file"
             ),
         ),
+        Condition("a", ("a",), lambda a: None if a is None else plantpoles.fault(a)),
     )
 
     file: Annotated[str, SOME_TEXT] | None = None
@@ -1177,6 +1179,22 @@ class AxesRig(WholeFile):
             lone = [each for each in self.lone_sensors if each.kind == one.kind]
             return np.asarray(self.core_kinematics().reads()[lone.index(one)])
         return np.array([one.along.get(name, 0.0) for name in self.directions])
+
+    def actuator_of(self, name: str) -> str:
+        """Return what moves an axis: the kind of its actuator, or what the plant of all axes is."""
+        actuator = self._axis(name).actuator
+        if actuator is not None:
+            return actuator.kind
+        states = "" if self.plant is None or self.plant.a is None else f" of {len(self.plant.a)}"
+        return f"[plant]: one linear model{states} states for all axes"
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on the values of the file."""
+        found = (
+            None if self.plant is None or self.plant.a is None else plantpoles.note(self.plant.a)
+        )
+        return [] if found is None else [found]
 
     def of_axis(self, name: str) -> RigFile:
         """Return one axis as a rig with one axis, with the other axes at rest.

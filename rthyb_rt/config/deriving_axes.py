@@ -73,7 +73,7 @@ def derive_axes(test: TestFile, rig: AxesRig) -> AxesDerived:
     rate = Rate(test.test.sample_rate_hz)
     if problems:
         raise InputError(problems)
-    found, notes = list[Derived](), _deprecated(test, rig)
+    found, notes = list[Derived](), _deprecated(test, rig) + rig.notes
     structure, first = _structure(test, rig, rate, notes)
     if first.frequency_hz > 0.25 * rate.hz:
         raise InputError(
