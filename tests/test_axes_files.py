@@ -420,8 +420,8 @@ def _oscillating(frequency_hz: float, damping_ratio: float) -> list[list[float]]
     [
         (_oscillating(3.5, -0.02), "a pole at 3.5 Hz with a damping ratio of -0.02, whose motion "
          "grows by a factor of e every 2.27 s"),
-        ([[-30.0, 0.0], [0.0, 0.4]], "a pole at 0.4 per second, whose motion grows by a factor of e every "
-         "2.5 s"),
+        ([[-30.0, 0.0], [0.0, 0.4]], "a pole at 0.4 per second, whose motion grows by a "
+         "factor of e every 2.5 s"),
         # The same oscillator per sample of 1/1024 s, as identification programs often write it.
         (scipy.linalg.expm(np.array(_oscillating(3.5, 0.02)) / 1024.0).tolist(),
          "convert the matrices of a model in discrete time"),

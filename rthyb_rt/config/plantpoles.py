@@ -52,9 +52,9 @@ def fault(a: Rows) -> str | None:
     others = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
     return (
         f"found a pole at {in_words(first)}{others}, whose motion grows by a factor of e every "
-        f"{1.0 / first.real:.3g} s, whatever the command; the motion of every pole must decay. a is "
-        "in continuous time, s' = a s + b u with time in s: convert the matrices of a model in "
-        "discrete time. If a was identified, fit it with stable poles or with fewer states"
+        f"{1.0 / first.real:.3g} s, whatever the command; the motion of every pole must decay. "
+        "a is in continuous time, s' = a s + b u with time in s: convert the matrices of a model "
+        "in discrete time. If a was identified, fit it with stable poles or with fewer states"
     )
 
 
