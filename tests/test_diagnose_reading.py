@@ -587,6 +587,12 @@ def test_a_shipped_rig_is_a_model_by_its_name():
     # A test is a model as well: its rig and its numerical part.
     with pytest.raises(InputError, match=r"no rig or test of that name.*section5-T0\.5"):
         reading.find_model("nonsense")
+    for misspelt, meant in (
+        ("ten-storey", "ten-storeys"),
+        ("delay-10-elastik", "delay-10-elastic"),
+    ):
+        with pytest.raises(InputError, match=rf'of that name \(did you mean "{meant}"\?\); give'):
+            reading.find_model(misspelt)
 
 
 # ---- from the command line ----------------------------------------------------------------------

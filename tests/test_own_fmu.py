@@ -284,7 +284,15 @@ def test_what_is_no_fmu_is_refused(tmp_path: Path) -> None:
     assert "is not an FMU (File is not a zip file)" in refused(of_test(str(text))).message
     with zipfile.ZipFile(text, "w") as archive:
         archive.writestr("readme.txt", "nothing")
-    assert "that contains modelDescription.xml" in refused(of_test(str(text))).message
+    said = refused(of_test(str(text))).message
+    assert "text.fmu is not an FMU: it has no modelDescription.xml, but readme.txt" in said
+    assert "rthyb-fmu-" not in said  # where it was unpacked is no concern of the user's
+    with zipfile.ZipFile(text, "w") as archive:
+        archive.writestr("building/modelDescription.xml", "<fmiModelDescription/>")
+    assert "zip what is in building, not the folder" in refused(of_test(str(text))).message
+    with zipfile.ZipFile(text, "w") as archive:
+        archive.writestr("modelDescription.xml", "<fmi")
+    assert "its modelDescription.xml is no valid XML" in refused(of_test(str(text))).message
     with zipfile.ZipFile(text, "w") as archive:
         archive.writestr("modelDescription.xml", '<fmiModelDescription fmiVersion="1.0"/>')
     assert "is for FMI 1.0; FMI 2.0 and 3.0 are supported" in refused(of_test(str(text))).message

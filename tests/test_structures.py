@@ -551,6 +551,88 @@ def test_a_file_that_is_no_structure_is_refused(
     assert "a.npz" in str(caught.value)
 
 
+TRIANGLE = {
+    "size": 2, "M_row": [0, 1], "M_column": [0, 1], "M_value": [2e3, 2e3],
+    "K_row": [0, 0, 1], "K_column": [0, 1, 1], "K_value": [8e6, -4e6, 4e6],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"K_column": [0, 9, 1]}, "K: found K_column = 9 for entry 2; must be 0 to 1: rows and"),
+        ({"K_row": [-1, 0, 1]}, "K: found K_row = -1 for entry 1; must be 0 to 1"),
+        ({"K_row": [0.5, 0, 1]}, "K: found K_row of float64; must be whole numbers"),
+        ({"K_row": [0, 0]}, "K: found 2 rows, 3 columns and 3 values"),
+        (
+            {"K_row": [0, 1, 1], "K_column": [0, 0, 1]},
+            "K: found row 1, column 0 for entry 2, below",
+        ),
+        ({"K_value": ["a", "b", "c"]}, "K: found K_value of <U1; must be real numbers"),
+        ({"size": 10**12}, "M: found size = 1000000000000; must be 1 to 20000"),
+        ({"size": None}, "M: has M_value but no size; a sparse matrix is stored as M_row"),
+        ({"K_value": [8e6, 1e300, 4e6]}, "K: found 1e+300 in row 1, column 2; must be from -1e+18"),
+    ],
+)
+def test_a_sparse_matrix_whose_entries_are_not_in_it_is_refused(
+    changed: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    arrays = {key: value for key, value in (TRIANGLE | changed).items() if value is not None}
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(InputError) as caught:
+        from_file(tmp_path, 'file = "a.npz"')
+    assert f"a.npz: {said}" in str(caught.value)
+
+
+@pytest.mark.parametrize(("row", "said"), [(77, "row 78"), (-3, "row -2")])
+def test_a_damaged_matlab_file_is_refused_with_the_entry(
+    row: int, said: str, tmp_path: Path
+) -> None:
+    path, k = tmp_path / "a.mat", scipy.sparse.csc_matrix(K4)
+    scipy.io.savemat(path, {"M": scipy.sparse.csc_matrix(M4), "K": k})
+    content = path.read_bytes()
+    places = k.indices.astype("<i4").tobytes()
+    assert content.count(places) == 1
+    damaged = np.append(row, k.indices[1:]).astype("<i4").tobytes()
+    path.write_bytes(content.replace(places, damaged))
+    with pytest.raises(InputError, match=rf"a\.mat: K: found an entry in {said} of column 1; the"):
+        from_file(tmp_path, 'file = "a.mat"')
+
+
+@pytest.mark.parametrize("in_front", [b"", b"MATLAB 7.3 MAT-file".ljust(512, b"\0")])
+def test_a_matlab_file_of_version_7_3_is_refused_with_what_to_do(
+    in_front: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "a.mat").write_bytes(in_front + b"\x89HDF\r\n\x1a\n" + bytes(2000))
+    with pytest.raises(InputError, match=r"a\.mat: is an HDF5 file, as MATLAB writes"):
+        from_file(tmp_path, 'file = "a.mat"')
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("k.csv", "2,1\n1,stiff\n", 'found "stiff" in line 2, column 2; must be a number'),
+        ("k.csv", "u1,u2\n2,1\n1,2\n", 'found "u1" in line 1, column 1; must be a number'),
+        ("k.csv", "2;1\n1;2\n", 'found "2;1" in line 1, column 1; must be a number'),
+        ("k.csv", "# N/m\n2,1\n\n1\n", "found 1 numbers in line 4 and 2 in line 2"),
+        ("k.csv", "", "has no numbers"),
+        ("k.mtx", "%%MatrixMarket matrix coordinate real symmetric\n2 2 2\n1 1 2.0\n7 1 1.0\n",
+         'out of bounds: "7 1 1.0"); in coordinate form each line holds row, column and value'),
+        ("k.mtx", "%%MatrixMarket matrix coordinate real symmetric\n2 2 2\n1 1 2.0\n",
+         "cannot be read as Matrix Market"),
+    ],
+)  # fmt: skip
+def test_a_text_file_that_is_no_matrix_is_refused_with_its_line(
+    name: str, content: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text(content)
+    np.savetxt(tmp_path / "m.csv", np.eye(2), delimiter=",")
+    with pytest.raises(InputError) as caught:
+        from_file(tmp_path, f'files = {{ mass = "m.csv", stiffness = "{name}" }}')
+    assert said in str(caught.value)
+    assert name in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [

@@ -300,8 +300,8 @@ MEANINGS: dict[str, str] = {
     "times",
     "CyclesHistory.file": "instead: CSV file of amplitudes and cycles; a relative path is relative "
     "to the folder of the test file",
-    "ExtraSensor.signal": "CAN: the signal in the DBC file, `Signal` or `FRAME.Signal`; absent: "
-    "its name",
+    "ExtraSensor.signal": "CAN with `link.dbc`: the signal in the DBC file, `Signal` or "
+    "`FRAME.Signal`; absent: its name",
     "ExtraSensor.measures": "virtual rig: what it measures at the specimen",
     "TestFile.rig": "name of a shipped rig, or path of a rig file; a relative path is relative to "
     "the folder of the test file",

@@ -10,6 +10,9 @@ from __future__ import annotations
 
 import base64
 import io
+import itertools
+import re
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
@@ -30,6 +33,8 @@ Floats = NDArray[np.float64]
 SYMMETRY: Final = 1e-6
 """Relative to the largest entry of two rows: rounding in finite-element output."""
 MAX_BYTES: Final = 500 * 10**6
+MOST_ENTRY: Final = 1e18
+"""Largest entry that the core accepts: no quantity in SI units comes near it."""
 MOST_INFLUENCE: Final = 1e6
 """Far beyond a lever arm in any unit: a larger number is another quantity, or a mistake."""
 _NAMES: Final = {"mass": "M", "stiffness": "K", "damping": "C"}
@@ -169,13 +174,29 @@ def _mat(path: Path) -> dict[str, Any]:
         ) from None
     try:
         return {k: v for k, v in loadmat(path).items() if not k.startswith("__")}
-    except NotImplementedError:
+    except (
+        NotImplementedError, ValueError, OSError, TypeError, MatReadError, KeyError, IndexError
+    ) as error:  # fmt: skip
+        if _is_hdf5(path):
+            raise InputError(
+                "is an HDF5 file, as MATLAB writes it with '-v7.3'; files up to version 7 can be "
+                "read: save it with save(name, 'M', 'K', '-v7')",
+                str(path),
+            ) from None
         raise InputError(
-            "is a MATLAB 7.3 file, which is not supported; save it with save(name, ..., '-v7')",
+            f"cannot be read as a MATLAB file ({error}); save it with save(name, 'M', 'K', '-v7')",
             str(path),
-        ) from None
-    except (ValueError, OSError, TypeError, MatReadError, KeyError, IndexError) as error:
-        raise InputError(f"cannot be read as a MATLAB file ({error})", str(path)) from error
+        ) from error
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Return whether a file is HDF5; MATLAB writes 512 bytes of its own in front of it."""
+    with path.open("rb") as file:
+        begin = file.read(520)
+    return _HDF5 in (begin[:8], begin[512:520]) or begin.startswith(b"MATLAB 7.3")
+
+
+_HDF5: Final = b"\x89HDF\r\n\x1a\n"
 
 
 def _of_parts(files: MatrixFiles, folder: Path) -> MatrixData:
@@ -190,7 +211,13 @@ def _of_parts(files: MatrixFiles, folder: Path) -> MatrixData:
     if files.labels is not None:
         path = folder / files.labels
         _check_there(path)
-        lines = path.read_text(encoding="utf-8").replace(",", "\n").splitlines()
+        try:
+            lines = path.read_text(encoding="utf-8").replace(",", "\n").splitlines()
+        except UnicodeDecodeError as error:
+            raise InputError(
+                f"is not text in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8",
+                str(path),
+            ) from error
         arrays["labels"] = np.array([line.strip() for line in lines if line.strip()])
         places["labels"] = str(path)
     if files.influence is not None:
@@ -203,7 +230,7 @@ def _one_matrix(path: Path) -> Any:
     _check_there(path)
     try:
         if path.suffix.lower() == ".csv":
-            return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
+            return _csv(path)
         if path.suffix.lower() in (".mtx", ".gz"):
             from scipy.io import mmread
 
@@ -212,12 +239,72 @@ def _one_matrix(path: Path) -> Any:
         raise InputError(
             'SciPy is needed to read Matrix Market: pip install "rthyb-rt[structures]"', str(path)
         ) from None
-    except (ValueError, OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as a matrix ({error})", str(path)) from error
+    except (ValueError, OverflowError, OSError, EOFError, zlib.error) as error:
+        raise InputError(
+            f"cannot be read as Matrix Market ({error}{_quoted_line(path, str(error))}); in "
+            "coordinate form each line holds row, column and value, both counted from 1",
+            str(path),
+        ) from error
     raise InputError(
         f"found a file of type {written(path.suffix)}; a single matrix is read from .mtx or .csv",
         str(path),
     )
+
+
+def _quoted_line(path: Path, message: str) -> str:
+    """Return the line of a text file that a message of its reader names, in words."""
+    match = re.search(r"line (\d+)", message.lower())
+    if match is None or path.suffix.lower() == ".gz":
+        return ""
+    with path.open(encoding="utf-8", errors="replace") as file:
+        line = next(itertools.islice(file, int(match[1]) - 1, None), "").strip()
+    return f": {written(line[:60])}"
+
+
+def _csv(path: Path) -> Floats:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is refused below
+            found = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
+    except ValueError as error:
+        raise InputError(
+            _csv_fault(path) or f"cannot be read as CSV ({error})", str(path)
+        ) from None
+    if not found.size:
+        raise InputError("has no numbers; a row of the matrix per line is needed", str(path))
+    return found
+
+
+def _csv_fault(path: Path) -> str | None:
+    """Return what makes a CSV file no matrix: line, column and text; None if nothing is found."""
+    width, first = 0, 0
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for number, line in enumerate(text.splitlines(), 1):
+        cells = line.partition("#")[0].split(",")
+        if cells == [""] or not "".join(cells).strip():
+            continue
+        for column, cell in enumerate(cells, 1):
+            if not _is_number(cell):
+                return (
+                    f"found {written(cell.strip()[:40])} in line {number}, column {column}; must "
+                    "be a number. A CSV file holds the numbers only, without headings: a row of "
+                    "the matrix per line, commas between the numbers, a point as the decimal sign"
+                )
+        width, first = (len(cells), number) if width == 0 else (width, first)
+        if len(cells) != width:
+            return (
+                f"found {len(cells)} numbers in line {number} and {width} in line {first}; every "
+                "row must have the same number"
+            )
+    return None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 # ---- what the arrays mean -----------------------------------------------------------------------
@@ -274,17 +361,14 @@ def _matrix(arrays: Mapping[str, Any], name: str, where: str) -> Any:
     import scipy.sparse
 
     if f"{name}_value" in arrays:
-        try:
-            n = int(arrays["size"])
-            row, column, value = (arrays[f"{name}_{part}"] for part in ("row", "column", "value"))
-            upper = scipy.sparse.coo_matrix((value, (row, column)), shape=(n, n))
-            return upper + scipy.sparse.triu(upper, 1).T
-        except (KeyError, ValueError, TypeError) as error:
-            raise InputError(f"is not a sparse matrix ({error})", where) from error
+        n, (row, column, value) = _entries(arrays, name, where)
+        upper = scipy.sparse.coo_matrix((value, (row, column)), shape=(n, n))
+        return upper + scipy.sparse.triu(upper, 1).T
     if name not in arrays:
         return None
     value = arrays[name]
     if scipy.sparse.issparse(value):
+        _check_places(value, where)
         return value
     array = np.asarray(value)
     if array.dtype.kind not in "fiub" or array.ndim != 2:
@@ -293,6 +377,84 @@ def _matrix(arrays: Mapping[str, Any], name: str, where: str) -> Any:
             "real numbers", where,
         )  # fmt: skip
     return scipy.sparse.coo_matrix(array.astype(np.float64))
+
+
+def _entries(
+    arrays: Mapping[str, Any], name: str, where: str
+) -> tuple[int, tuple[NDArray[Any], ...]]:
+    """Return the size of a sparse matrix in an .npz file, and row, column and value of its entries.
+
+    Raises:
+        InputError: an array is missing or of another kind, or an index is not one of the matrix.
+    """
+    keys = ["size", *(f"{name}_{part}" for part in ("row", "column", "value"))]
+    missing = [key for key in keys if key not in arrays]
+    if missing:
+        raise InputError(
+            f"has {name}_value but no {' and no '.join(missing)}; a sparse matrix is stored as "
+            f"{', '.join(keys[1:])}, with size", where,
+        )  # fmt: skip
+    size, row, column = (_whole_numbers(np.asarray(arrays[key]), key, where) for key in keys[:3])
+    value = np.asarray(arrays[keys[3]]).ravel()
+    if value.dtype.kind not in "fiub" or size.size != 1:
+        what = f"{keys[3]} of {value.dtype}" if size.size == 1 else f"size with {size.size} numbers"
+        raise InputError(f"found {what}; must be real numbers, and size a single one", where)
+    n = int(size[0])
+    if not 1 <= n <= SPARSE_MAX:
+        raise InputError(f"found size = {n}; must be 1 to {SPARSE_MAX}", where)
+    if not row.size == column.size == value.size:
+        raise InputError(
+            f"found {row.size} rows, {column.size} columns and {value.size} values; there must be "
+            "one of each for every entry", where,
+        )  # fmt: skip
+    for key, places in ((keys[1], row), (keys[2], column)):
+        bad = np.flatnonzero((places < 0) | (places >= n))
+        if bad.size:
+            raise InputError(
+                f"found {key} = {places[bad[0]]} for entry {bad[0] + 1}; must be 0 to {n - 1}: "
+                "rows and columns are counted from 0",
+                where,
+            )
+    below = np.flatnonzero(row > column)
+    if below.size:
+        i, j = row[below[0]], column[below[0]]
+        raise InputError(
+            f"found row {i}, column {j} for entry {below[0] + 1}, below the diagonal; store the "
+            "upper triangle only (row <= column), the rest follows from symmetry", where,
+        )  # fmt: skip
+    return n, (row, column, value)
+
+
+def _whole_numbers(given: NDArray[Any], key: str, where: str) -> NDArray[np.int64]:
+    whole = given.dtype.kind in "iu" or (
+        given.dtype.kind == "f" and bool(np.all(np.abs(given) < 2**53) and np.all(given % 1 == 0))
+    )
+    if not whole:
+        raise InputError(f"found {key} of {given.dtype}; must be whole numbers", where)
+    return given.astype(np.int64).ravel()
+
+
+def _check_places(matrix: Any, where: str) -> None:
+    """Reject a sparse matrix of a MATLAB file whose places are not all in it, as in a damaged one.
+
+    SciPy does not look at them before it computes.
+    """
+    n, columns = matrix.shape
+    if matrix.format == "csc":
+        bad = np.flatnonzero((matrix.indices < 0) | (matrix.indices >= n))
+        if bad.size:
+            column = int(np.searchsorted(matrix.indptr, bad[0], side="right"))
+            raise InputError(
+                f"found an entry in row {matrix.indices[bad[0]] + 1} of column {column}; the "
+                f"matrix has {n} rows and {columns} columns. The file is damaged: save it again",
+                where,
+            )
+    try:
+        matrix.tocoo()
+    except ValueError as error:
+        raise InputError(
+            f"is not a sparse matrix ({error}). The file is damaged: save it again", where
+        ) from error
 
 
 def _checked(matrix: Any, where: str) -> Symmetric:
@@ -304,12 +466,16 @@ def _checked(matrix: Any, where: str) -> Symmetric:
     coo = scipy.sparse.coo_matrix(matrix)
     if coo.data.dtype.kind == "c":
         raise InputError("has complex numbers; must be real", where)
-    bad = np.flatnonzero(~np.isfinite(coo.data))
+    bad = np.flatnonzero(~(np.abs(coo.data) <= MOST_ENTRY))
     if bad.size:
         i, j, value = coo.row[bad[0]], coo.col[bad[0]], coo.data[bad[0]]
-        raise InputError(
-            f"found {value} in row {i + 1}, column {j + 1}; every number must be finite", where
+        what = (
+            f"must be from {-MOST_ENTRY:g} to {MOST_ENTRY:g}, in kg, N/m or N s/m: check the units "
+            "and the exponent"
+            if np.isfinite(value)
+            else "every number must be finite"
         )
+        raise InputError(f"found {value} in row {i + 1}, column {j + 1}; {what}", where)
     csr = coo.tocsr().astype(np.float64)
     apart = abs(csr - csr.T).tocoo()
     largest = abs(csr).max(axis=1).toarray().ravel()

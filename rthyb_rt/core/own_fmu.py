@@ -62,6 +62,7 @@ _FUNCTIONS: Final[dict[int, dict[str, str]]] = {
         "terminate": "fmi3Terminate",
     },
 }
+DESCRIPTION: Final = "modelDescription.xml"
 MOST_BYTES: Final = 500 * 10**6
 """Maximum size of the files in an FMU when unpacked."""
 
@@ -145,14 +146,36 @@ def unpacked(path: str, sha256: str) -> Fmu:
                 raise CoreError(
                     f"{path} has {whole / 1e6:.0f} MB when unpacked; at most 500 MB are accepted"
                 )
+            _check_description(path, archive.namelist())
             archive.extractall(folder)
-        tree = ElementTree.parse(folder / "modelDescription.xml").getroot()
-    except (zipfile.BadZipFile, OSError, ElementTree.ParseError, RuntimeError) as error:
+        tree = ElementTree.parse(folder / DESCRIPTION).getroot()
+    except ElementTree.ParseError as error:
         raise CoreError(
-            f"{path} is not an FMU ({error}); an FMU is a zip archive that contains "
-            "modelDescription.xml"
+            f"{path} is not an FMU: its {DESCRIPTION} is no valid XML ({error}); export it again"
+        ) from error
+    except (zipfile.BadZipFile, OSError, RuntimeError) as error:
+        raise CoreError(
+            f"{path} is not an FMU ({error}); an FMU is a zip archive that contains {DESCRIPTION}: "
+            "export it again, as an FMU for co-simulation"
         ) from error
     return _described(path, folder, tree)
+
+
+def _check_description(path: str, names: list[str]) -> None:
+    """Reject an archive without a description at the place where an FMU has it."""
+    if DESCRIPTION in names:
+        return
+    inside = next((name for name in names if name.endswith(f"/{DESCRIPTION}")), None)
+    if inside is not None:
+        folder = inside.rpartition("/")[0]
+        raise CoreError(
+            f"{path} is not an FMU: it has {DESCRIPTION} in the folder {folder}, not at the top; "
+            f"zip what is in {folder}, not the folder itself"
+        )
+    raise CoreError(
+        f"{path} is not an FMU: it has no {DESCRIPTION}, but {_some(names)}; export it as an FMU "
+        "for co-simulation, and do not change the archive"
+    )
 
 
 def _described(path: str, folder: Path, tree: ElementTree.Element) -> Fmu:

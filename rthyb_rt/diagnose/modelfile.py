@@ -25,6 +25,7 @@ def find_model(name_or_path: str) -> Path:
         InputError: neither exists; the message lists the names.
     """
     from rthyb_rt import config
+    from rthyb_rt.config.fields import nearest
 
     path = Path(name_or_path)
     if path.is_dir():
@@ -43,8 +44,13 @@ def find_model(name_or_path: str) -> Path:
             )
             .replace("no rig of that name", "no rig or test of that name")
         )
-        tests = ", ".join(config.shipped("test")) or "none"
-        raise InputError(f"{message}; the tests are {tests}", "--model") from None
+        tests = list(config.shipped("test"))
+        if "did you mean" not in message:
+            close = nearest(name_or_path, tests)
+            message = message.replace("of that name;", f"of that name{close};")
+        raise InputError(
+            f"{message}; the tests are {', '.join(tests) or 'none'}", "--model"
+        ) from None
 
 
 def read_model(path: Path) -> Model:
