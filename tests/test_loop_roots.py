@@ -14,7 +14,7 @@ import scipy.signal
 from kernels import H
 
 from rthyb_rt import config, core
-from rthyb_rt.analysis import loop_roots, loop_stability, margins
+from rthyb_rt.analysis import linear_parts, loop_roots, loop_stability, margins
 from rthyb_rt.analysis.loop_roots import Block, LoopVerdict, judge
 from rthyb_rt.benchmark import plants as rths_benchmark
 from rthyb_rt.checking import check_tables, examined
@@ -77,6 +77,24 @@ def test_blocks_in_a_row_beside_and_summed_are_products_and_sums() -> None:
     np.testing.assert_allclose(both.response(z)[:, 0], 2 * first - 3 * second)
     np.testing.assert_allclose(both.response(z)[:, 1], second)
     np.testing.assert_allclose(loop_roots.gain(0.3).then(two).response(z)[:, 0], 0.3 * second)
+
+
+@pytest.mark.parametrize("kind", ["building", "chain of delays"])
+def test_a_block_of_many_states_answers_as_solved_directly(kind: str) -> None:
+    """The roots of the chain all coincide, so that no sum of partial fractions exists."""
+    n, rng = 150, np.random.default_rng(3)
+    if kind == "building":
+        turned, _ = np.linalg.qr(rng.standard_normal((n, n)))
+        a = turned @ np.diag(np.linspace(-0.9, 0.999, n)) @ turned.T
+    else:
+        a = np.eye(n, k=-1) + 0.5 * np.eye(n)
+    b, c = rng.standard_normal(n), rng.standard_normal((2, n))
+    z = np.exp(1j * np.geomspace(1e-4, np.pi, 700))
+    block = Block(a, b, c, np.array([0.25, -1.0]))
+    expected = linear_parts.solved_response(a, b[:, None], c, z)[:, :, 0] + block.d
+    scale = np.abs(expected).max(axis=1, keepdims=True)
+    assert np.abs(block.response(z) - expected).max() < 1e-9 * scale.max()
+    assert (np.abs(block.response(z) - expected) < 1e-7 * scale).all()
 
 
 def test_low_pass_is_scipys() -> None:

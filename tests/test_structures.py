@@ -22,6 +22,7 @@ from rthyb_rt import config
 from rthyb_rt.analysis import summary
 from rthyb_rt.analysis.linear_parts import LinearStep
 from rthyb_rt.analysis.summary import recorded_structure
+from rthyb_rt.checking.examined import examine
 from rthyb_rt.config import deriving, matrixfile
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.structures import MatrixFile
@@ -281,6 +282,26 @@ def test_the_report_bears_rows_of_which_the_channels_are_not_known(
         rec.samples[name][: rows // 2 + 1] = np.nan
     keys = {plate.key for plate in figures.draw_all(rec, summary.summarize(rec))}
     assert {"modes", "drifts", "shears"} <= keys
+
+
+@pytest.mark.parametrize(("rig", "needed"), [("delay-10-elastic", 1), ("delay-10-bouc-wen", 2)])
+def test_a_check_simulates_a_large_structure_no_more_than_it_must(
+    rig: str, needed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a specimen that does not yield, the elastic reference is the reference."""
+    runs = []
+    simulate = SparsePart.joined
+
+    def counted(part: SparsePart, *given: Any) -> Any:
+        runs.append(given)
+        return simulate(part, *given)
+
+    monkeypatch.setattr(SparsePart, "joined", counted)
+    settings = ["test.free_vibration_s=1", "numerical.nonlinear=[]"]
+    test, rig_file = config.load_both(EXAMPLE, rig, settings)
+    found = examine(test, rig_file, rig)
+    assert len(runs) == needed
+    assert found.figures.reference_peak_m > 0.001
 
 
 def test_check_shows_the_modes_and_how_much_of_the_mass_moves_in_each(rthyb: Rthyb) -> None:

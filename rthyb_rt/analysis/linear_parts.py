@@ -6,6 +6,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ MOST_MODES: Final = 80
 """Modes of a part that its loop includes; the flexibility of all others acts at once."""
 _DIRECT: Final = 16
 """Number of states up to which a response is solved directly at each frequency."""
+MANY_STATES: Final = 100
+"""Number of states above which a loop brings a system into triangular form first."""
 _SOLVED_TOGETHER: Final = 2**18
 """Entries of the matrices that are solved together, 4 MB: the service computes this, too."""
 
@@ -42,6 +45,48 @@ def solved_response(a: Floats, b: Floats, c: Floats, z: Complexes) -> Complexes:
 
 
 @dataclass(frozen=True)
+class Triangular:
+    """A linear system with many states in its Schur form, for its response at many points.
+
+    a = Q t Q^H with t upper triangular, so that (z - a)^-1 b takes a back substitution at each
+    point instead of an elimination. Unlike partial fractions this needs no separate eigenvalues.
+
+    Attributes:
+        t, b, c: t, Q^H b and c Q: (n, n), (n, inputs), (outputs, n).
+    """
+
+    t: Complexes
+    b: Complexes
+    c: Complexes
+
+    @classmethod
+    def of(cls, a: Floats, b: Floats, c: Floats) -> Triangular:
+        """Return the form of a system; arguments as of `solved_response`."""
+        from scipy.linalg import schur
+
+        t, q = schur(a, "complex")
+        return cls(t, q.conj().T @ b, c @ q)
+
+    def response(self, z: Complexes) -> Complexes:
+        """Return what `solved_response` does, (count, outputs, inputs)."""
+        n, inputs = self.b.shape
+        found = np.empty((z.size, len(self.c), inputs), np.complex128)
+        count = max(1, _SOLVED_TOGETHER // (n * inputs))
+        for first in range(0, z.size, count):
+            some = z[first : first + count]
+            x = np.zeros((n, inputs, some.size), np.complex128)
+            flat = x.reshape(n, -1)
+            for i in range(n - 1, -1, -1):
+                known = self.b[i][:, None] + (self.t[i, i + 1 :] @ flat[i + 1 :]).reshape(
+                    inputs, -1
+                )
+                x[i] = known / (some - self.t[i, i])
+            moved = np.tensordot(self.c, x, axes=1)
+            found[first : first + count] = np.moveaxis(moved, 2, 0)
+        return found
+
+
+@dataclass(frozen=True, eq=False)
 class LinearPart:
     """s[n+1] = a s[n] + b force[n]; the displacement of the interface is c s[n].
 
@@ -69,7 +114,10 @@ class LinearPart:
             c = np.zeros(len(a))
             c[config.at] = 1.0
             return cls(a, b, c, config.k_e_n_per_m, config.force_delay)
-        return condensed(config) if config.size > MOST_MODES else of_sparse(config)
+        if config not in _CONDENSED:
+            large = config.size > MOST_MODES
+            _CONDENSED[config] = condensed(config) if large else of_sparse(config)
+        return _CONDENSED[config]
 
     def response(self, z: Complexes) -> Complexes:
         """Return c (z - a)^-1 b at points z, (count,): displacement over force."""
@@ -127,6 +175,10 @@ class LinearStep:
         roots, shapes = np.linalg.eig(self.a.astype(np.complex128))
         into = np.linalg.solve(shapes, self.b.astype(np.complex128))
         return roots, np.einsum("in,nj->nij", self.c @ shapes, into)
+
+
+_CONDENSED: Final = WeakKeyDictionary[SparseConfig, LinearPart]()
+"""A check examines the same part with several laws; condensing a large one takes a second."""
 
 
 def of_sparse(config: SparseConfig) -> LinearPart:

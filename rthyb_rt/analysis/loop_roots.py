@@ -13,16 +13,24 @@ delay of the force compensation and k its tangent stiffness, here k_e.
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, ClassVar, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.analysis import margins
-from rthyb_rt.analysis.linear_parts import LinearPart, solved_response
+from rthyb_rt.analysis.linear_parts import (
+    MANY_STATES,
+    LinearPart,
+    Triangular,
+    solved_response,
+)
 from rthyb_rt.config import response, rigsettings
 from rthyb_rt.config.rate import STANDARD_HZ, Rate
 from rthyb_rt.core import ControllerConfig, DenseConfig, LawConfig
@@ -66,7 +74,16 @@ class Block:
         """Return the transfer function at z (k,) as (k, m)."""
         if not len(self.a):
             return np.broadcast_to(self.d.astype(complex), (z.size, self.d.size))
+        if self._triangular is not None:
+            return self._triangular.response(z)[:, :, 0] + self.d
         return solved_response(self.a, self.b[:, None], self.c, z)[:, :, 0] + self.d
+
+    @functools.cached_property
+    def _triangular(self) -> Triangular | None:
+        """The system in triangular form if it has many states; None without SciPy."""
+        if len(self.a) <= MANY_STATES or importlib.util.find_spec("scipy") is None:
+            return None
+        return Triangular.of(self.a, self.b[:, None], self.c)
 
     def then(self, other: Block) -> Block:
         """Return the series connection: the other system fed by the first output of this one."""
@@ -122,9 +139,15 @@ def numerical(config: ControllerConfig) -> Block:
         whole = np.asarray(np.polyadd(bottom, config.motion.stiffness_n_per_m * top), np.float64)
         return rational(-top, whole)
     part = LinearPart.of(config.numerical)
-    late = rational(np.array([1.0]), np.array([1.0, 0.0]))
-    whole_part = Block(part.a, part.b, part.c[None, :], np.zeros(1))
-    return late.then(whole_part) if part.force_delay else whole_part
+    if part not in _BLOCKS:
+        late = rational(np.array([1.0]), np.array([1.0, 0.0]))
+        whole_part = Block(part.a, part.b, part.c[None, :], np.zeros(1))
+        _BLOCKS[part] = late.then(whole_part) if part.force_delay else whole_part
+    return _BLOCKS[part]
+
+
+_BLOCKS: Final = WeakKeyDictionary[LinearPart, Block]()
+"""The triangular form of a block with many states takes a second."""
 
 
 def backward_velocity(h: float) -> Block:

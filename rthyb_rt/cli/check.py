@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
 
@@ -57,6 +58,9 @@ def check(
       rthyb check my-test.toml --plot check.html
       rthyb check --rig my-rig.toml
     """
+    # The matrices of a loop are small: on several cores their roots take longer, above all if these
+    # are busy.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from rthyb_rt.checking.checked_axes import examine_axes
     from rthyb_rt.checking.examined import examine
     from rthyb_rt.config import AxesRig
