@@ -81,11 +81,15 @@ ANYWHERE := not alone and not long
 CLOCKED := alone and not long
 AGAIN := echo 'Once more, what has failed:'; $(BIN)/python -m pytest --last-failed --last-failed-no-failures none
 COMPARED := tests/test_speed.py
+# All three parts run, also after a failure in one.
 test: $(TEST_READY)
-	@$(BIN)/python -m pytest -m '$(ANYWHERE)' -n 2 --dist loadfile || { $(AGAIN) -m '$(ANYWHERE)'; }
-	@$(BIN)/python -m pytest -m '$(CLOCKED)' -n 4 --dist loadfile $(filter-out $(COMPARED),$(call with_mark,alone)) \
-	    || { $(AGAIN) -m '$(CLOCKED)'; }
-	@$(BIN)/python -m pytest $(COMPARED) || { $(AGAIN) $(COMPARED); }
+	@failed=; trap 'exit 130' INT; \
+	$(BIN)/python -m pytest -m '$(ANYWHERE)' -n 2 --dist loadfile || { $(AGAIN) -m '$(ANYWHERE)'; } \
+	    || failed="$$failed, scenarios in virtual time"; \
+	$(BIN)/python -m pytest -m '$(CLOCKED)' -n 4 --dist loadfile $(filter-out $(COMPARED),$(call with_mark,alone)) \
+	    || { $(AGAIN) -m '$(CLOCKED)'; } || failed="$$failed, scenarios on the clock"; \
+	$(BIN)/python -m pytest $(COMPARED) || { $(AGAIN) $(COMPARED); } || failed="$$failed, computing times"; \
+	test -z "$$failed" || { echo "Failed:$${failed#,}"; exit 1; }
 
 # Scenarios of a second to a minute, which share next to nothing: whoever is done takes half of what the
 # other one has before it. One worker leaves a processor to something else.
