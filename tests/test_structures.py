@@ -164,6 +164,25 @@ def test_a_friction_damper_in_the_next_storey_does_not_shake_the_actuator(tmp_pa
     assert np.abs(joints[0] - drift).max() < 0.002 * np.abs(drift).max()
 
 
+@pytest.mark.parametrize(("count", "width", "noted"), [(32, 5e-4, 0), (33, 5e-4, 1), (33, 5e-2, 0)])
+def test_more_friction_dampers_than_can_be_solved_for_are_noted_if_they_are_steep(
+    count: int, width: float, noted: int
+) -> None:
+    text = STOREYS.replace("count = 5", "count = 40").replace(
+        "[3000, 2800, 2600, 2400, 2200]", "3e3"
+    )
+    text += (
+        f"[[numerical.nonlinear]]\nstoreys = {list(range(2, count + 2))}\nbeside = true\n"
+        f'law = {{ element = "coulomb", fc_n = 2000, width_m_per_s = {width} }}\n'
+    )
+    test, rig = config.parse_test(HEAD + text), config.load_rig(config.find_rig("delay-10-elastic"))
+    notes = [note for note in deriving.derive(test, rig).notes if "dry friction" in note]
+    assert len(notes) == noted
+    for note in notes:
+        assert "found 33 elements of numerical.nonlinear with dry friction; up to 32 are" in note
+        assert "the friction is then 2.1 times too steep" in note
+
+
 def _with_damper(setup: experiment.Setup, count: int) -> Any:
     """Drift of the first storey by SciPy: Bouc-Wen in storeys 1 to 3, friction in the second."""
     structure = setup.derived.structure

@@ -216,8 +216,9 @@ class SparseConfig:
     def steepest_friction(self) -> tuple[int, float]:
         """Return the joint whose friction is steepest for an explicit step, and how steep.
 
-        That is its slope at rest times h B' S^-1 B: above 1, an explicit friction force changes its
-        sign at every sample. -1 and 0.0 if no joint has dry friction.
+        That is its slope at rest times (1 - alpha_f) h B' S^-1 B: above 1 (rho_inf from 0.7 to 1;
+        0.75 to 1.25 below), an explicit friction force changes its sign at every sample. -1 and 0.0
+        if no joint has dry friction.
         """
         at = self.with_dry_friction()
         if not at:
