@@ -101,60 +101,69 @@ int rthyb_controller_init(rthyb_controller *c, const rthyb_controller_config *cf
 
 /* ---- what joins the axes ----------------------------------------------------------------------- */
 
-/* joined: a kinematics or a matrix may act on all axes together. A single axis without any of them
- * is by far the most frequent controller: its sample is compiled for joined = 0. */
-PER_COUNT int has_kinematics(int joined, const rthyb_controller *c)
+/* What a sample is compiled for: n axes, m interfaces, and whether a kinematics or a matrix may act
+ * on all axes together. A single axis without any of them is by far the most frequent controller; if
+ * the compiler knows that it has one, no loops remain. */
+typedef struct {
+    int n, m, joined;
+} shape;
+
+static shape shape_of(const rthyb_controller *c)
 {
-    return joined && c->cfg.kinematics.size > 0;
+    return (shape){c->cfg.axis_count, c->cfg.interface_count, 1};
 }
 
-PER_COUNT int has_matrix_lead(int joined, const rthyb_controller *c)
+PER_COUNT int has_kinematics(shape s, const rthyb_controller *c)
 {
-    return joined && c->cfg.matrix_lead.size > 0;
+    return s.joined && c->cfg.kinematics.size > 0;
 }
 
-PER_COUNT int has_matrix_rfc(int joined, const rthyb_controller *c)
+PER_COUNT int has_matrix_lead(shape s, const rthyb_controller *c)
 {
-    return joined && c->cfg.matrix_rfc.size > 0;
+    return s.joined && c->cfg.matrix_lead.size > 0;
+}
+
+PER_COUNT int has_matrix_rfc(shape s, const rthyb_controller *c)
+{
+    return s.joined && c->cfg.matrix_rfc.size > 0;
 }
 
 /* ---- between axes and interfaces --------------------------------------------------------------- */
 
 /* Without a pose, each axis keeps its target: no pose corresponds to the present positions. */
-PER_COUNT int targets_of(int n, int m, int joined, rthyb_controller *c, const double *x_num,
-                         double *target)
+PER_COUNT int targets_of(shape s, rthyb_controller *c, const double *x_num, double *target)
 {
-    if (has_kinematics(joined, c) && c->posed) {
+    if (has_kinematics(s, c) && c->posed) {
         const int code = rthyb_kinematics_axes(&c->kinematics, x_num, target);
-        for (int i = 0; m < n && i < n; i++)
+        for (int i = 0; s.m < s.n && i < s.n; i++)
             target[i] += c->axis[i].apart;
         return code;
     }
-    for (int i = 0; i < n; i++)
-        target[i] = has_kinematics(joined, c) ? c->axis[i].target : x_num[i];
+    for (int i = 0; i < s.n; i++)
+        target[i] = has_kinematics(s, c) ? c->axis[i].target : x_num[i];
     return RTHYB_OK;
 }
 
 /* Whether no pose of the specimen corresponds to the axes' displacements. Checked from ZERO on, and
  * only while there is a pose from which the search can start. */
-PER_COUNT int is_no_pose(int joined, rthyb_controller *c, const double *x)
+PER_COUNT int is_no_pose(shape s, rthyb_controller *c, const double *x)
 {
     double pose[MOST];
-    return has_kinematics(joined, c) && c->posed && c->state != RTHYB_IDLE &&
+    return has_kinematics(s, c) && c->posed && c->state != RTHYB_IDLE &&
            rthyb_kinematics_pose(&c->kinematics, x, pose) != RTHYB_OK;
 }
 
 /* Pose and forces in interface coordinates, from the readings of the axes and further sensors. */
-PER_COUNT int meet(int m, int joined, rthyb_controller *c, const double *x, const double *f,
-                   double *pose, double *force)
+PER_COUNT int meet(shape s, rthyb_controller *c, const double *x, const double *f, double *pose,
+                   double *force)
 {
-    if (has_kinematics(joined, c)) {
+    if (has_kinematics(s, c)) {
         int code = RTHYB_OK;
         if (c->posed)
             code = rthyb_kinematics_measured_pose(&c->kinematics, x, c->sensor, pose);
         return code | rthyb_kinematics_measured_forces(&c->kinematics, f, c->sensor, force);
     }
-    for (int j = 0; j < m; j++) {
+    for (int j = 0; j < s.m; j++) {
         pose[j] = x[j];
         force[j] = f[j];
     }
@@ -180,26 +189,26 @@ static void move_sensors(rthyb_controller *c, const double *force)
 /* Expected change of the axes' readings if the specimen follows its command: displacements by the
  * change of the targets, forces by the tangent stiffness times the change of the commands. The
  * readings of further sensors are changed at once. */
-PER_COUNT void ahead_of(int n, int m, int joined, rthyb_controller *c, double *x, double *f)
+PER_COUNT void ahead_of(shape s, rthyb_controller *c, double *x, double *f)
 {
     double way[MOST], force[MOST] = {0.0};
-    for (int i = 0; i < n; i++)
+    for (int i = 0; i < s.n; i++)
         x[i] = c->axis[i].target - c->axis[i].target1;
-    for (int j = 0; j < m; j++) {
+    for (int j = 0; j < s.m; j++) {
         way[j] = c->interface[j].x_num - c->interface[j].x_num1;
         force[j] = c->interface[j].rfc.k_n_per_m * way[j];
     }
-    for (int j = 0; j < m && has_matrix_rfc(joined, c); j++) {
+    for (int j = 0; j < s.m && has_matrix_rfc(s, c); j++) {
         force[j] = 0.0;
-        for (int k = 0; k < m; k++)
+        for (int k = 0; k < s.m; k++)
             force[j] += c->matrix_rfc.k[j][k] * way[k];
     }
-    if (has_kinematics(joined, c))
+    if (has_kinematics(s, c))
         move_sensors(c, force);
-    if (has_kinematics(joined, c))
+    if (has_kinematics(s, c))
         (void)rthyb_kinematics_pushes(&c->kinematics, force, f);
     else
-        memcpy(f, force, (size_t)n * sizeof *f);
+        memcpy(f, force, (size_t)s.n * sizeof *f);
 }
 
 /* ---- readings ---------------------------------------------------------------------------------- */
@@ -254,11 +263,11 @@ static void take_sensors(rthyb_controller *c, const rthyb_input *in)
  * they are predicted. Pairs that are valid individually but correspond to no pose together are
  * rejected. Two measured samples are not extrapolated: over twenty ticks their noise would grow
  * larger than the motion. */
-PER_COUNT int gate(int n, int m, int joined, rthyb_controller *c, const rthyb_input *in, double *x,
-                   double *f, int *code)
+PER_COUNT int gate(shape s, rthyb_controller *c, const rthyb_input *in, double *x, double *f,
+                   int *code)
 {
     int made_up = 0;
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < s.n; i++) {
         rthyb_controller_axis *a = &c->axis[i];
         const int own = is_pair(&c->cfg.axis[i], &in->axis[i], code);
         a->missing = own ? 0 : a->missing + (a->missing < UINT32_MAX);
@@ -266,18 +275,18 @@ PER_COUNT int gate(int n, int m, int joined, rthyb_controller *c, const rthyb_in
         x[i] = in->axis[i].x_meas_m;
         f[i] = in->axis[i].f_meas_n;
     }
-    if (has_kinematics(joined, c))
+    if (has_kinematics(s, c))
         made_up |= gate_sensors(c, in, code);
-    if (!made_up && !is_no_pose(joined, c, x)) {
-        if (has_kinematics(joined, c))
+    if (!made_up && !is_no_pose(s, c, x)) {
+        if (has_kinematics(s, c))
             take_sensors(c, in);
         return 0;
     }
     *code |= made_up ? RTHYB_OK : RTHYB_S_OUT_OF_RANGE;
     double dx[MOST] = {0.0}, df[MOST] = {0.0};
     if (c->missing < c->extrapolate_until)
-        ahead_of(n, m, joined, c, dx, df);
-    for (int i = 0; i < n; i++) {
+        ahead_of(s, c, dx, df);
+    for (int i = 0; i < s.n; i++) {
         const rthyb_controller_axis *a = &c->axis[i];
         x[i] = clamp(a->x_m1 + dx[i], -RTHYB_DISPLACEMENT_MAX_M, RTHYB_DISPLACEMENT_MAX_M);
         f[i] = clamp(a->f1 + df[i], -RTHYB_FORCE_MAX_N, RTHYB_FORCE_MAX_N);
@@ -303,28 +312,28 @@ PER_COUNT void monitor(int n, rthyb_controller *c, const double *x, const double
 
 /* ---- record ------------------------------------------------------------------------------------ */
 
-PER_COUNT double lead_at(int joined, const rthyb_controller *c, int axis, int term)
+PER_COUNT double lead_at(shape s, const rthyb_controller *c, int axis, int term)
 {
-    if (has_matrix_lead(joined, c))
+    if (has_matrix_lead(s, c))
         return c->matrix_lead.used[term][axis][axis];
     const rthyb_law *law = &c->axis[axis].law;
     return rthyb_law_value_at(law, term == 1 ? law->alpha_at : law->beta_at);
 }
 
-PER_COUNT double stiffness_at(int joined, const rthyb_controller *c, int interface)
+PER_COUNT double stiffness_at(shape s, const rthyb_controller *c, int interface)
 {
-    return has_matrix_rfc(joined, c) ? c->matrix_rfc.k[interface][interface]
-                                     : c->interface[interface].rfc.k_n_per_m;
+    return has_matrix_rfc(s, c) ? c->matrix_rfc.k[interface][interface]
+                                : c->interface[interface].rfc.k_n_per_m;
 }
 
 double rthyb_controller_lead(const rthyb_controller *c, int axis, int term)
 {
-    return lead_at(1, c, axis, term);
+    return lead_at(shape_of(c), c, axis, term);
 }
 
 double rthyb_controller_stiffness(const rthyb_controller *c, int interface)
 {
-    return stiffness_at(1, c, interface);
+    return stiffness_at(shape_of(c), c, interface);
 }
 
 PER_COUNT void write_axes(int n, const rthyb_controller *c, const rthyb_input *in, const double *x,
@@ -341,7 +350,7 @@ PER_COUNT void write_axes(int n, const rthyb_controller *c, const rthyb_input *i
     }
 }
 
-PER_COUNT void write_record(int n, int joined, const rthyb_controller *c, const rthyb_input *in,
+PER_COUNT void write_record(shape s, const rthyb_controller *c, const rthyb_input *in,
                             const double *x, const double *f, uint32_t flags, int code,
                             rthyb_record *record)
 {
@@ -355,13 +364,13 @@ PER_COUNT void write_record(int n, int joined, const rthyb_controller *c, const 
     record->ag_mps2 = c->cfg.motion.integrator == RTHYB_PRESCRIBED ? 0.0 : in->excitation;
     record->x_num_m = c->interface[0].x_num;
     record->x_plc_m = c->axis[0].x_plc;
-    record->alpha = lead_at(joined, c, 0, 1);
-    record->beta = lead_at(joined, c, 0, 2);
-    record->k_t_n_per_m = stiffness_at(joined, c, 0);
+    record->alpha = lead_at(s, c, 0, 1);
+    record->beta = lead_at(s, c, 0, 2);
+    record->k_t_n_per_m = stiffness_at(s, c, 0);
     record->energy_error_j = c->energy_error;
     record->tracking_indicator_m2 = c->tracking_indicator;
     record->wake_late_ns = record->sent_late_ns = 0;
-    write_axes(n, c, in, x, f, record);
+    write_axes(s.n, c, in, x, f, record);
 }
 
 /* ---- motion ------------------------------------------------------------------------------------ */
@@ -376,65 +385,65 @@ static int answer(rthyb_controller *c, double excitation, const double *force, d
     return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
 }
 
-PER_COUNT int asks_velocity(int m, int joined, const rthyb_controller *c)
+PER_COUNT int asks_velocity(shape s, const rthyb_controller *c)
 {
-    int asks = has_matrix_rfc(joined, c) && c->cfg.matrix_rfc.lateness_s != 0.0;
-    for (int j = 0; j < m; j++)
+    int asks = has_matrix_rfc(s, c) && c->cfg.matrix_rfc.lateness_s != 0.0;
+    for (int j = 0; j < s.m; j++)
         asks = asks || c->cfg.rfc[j].lateness_s != 0.0;
     return asks;
 }
 
 /* Velocities of the interfaces at t_n; computed only if needed, to compensate for a late force. */
-PER_COUNT void velocities(int m, int joined, rthyb_controller *c, double *v)
+PER_COUNT void velocities(shape s, rthyb_controller *c, double *v)
 {
     rthyb_interface at[MOST];
     memset(v, 0, MOST * sizeof *v);
-    if (!asks_velocity(m, joined, c))
+    if (!asks_velocity(s, c))
         return;
     const rthyb_numerical part = part_of(c);
     rthyb_numerical_look(&part, at);
-    for (int j = 0; j < m; j++)
+    for (int j = 0; j < s.m; j++)
         v[j] = at[j].v;
 }
 
-PER_COUNT int observe(int n, int joined, rthyb_controller *c, const double *x, int held)
+PER_COUNT int observe(shape s, rthyb_controller *c, const double *x, int held)
 {
     double sent[MOST];
     int code = RTHYB_OK;
-    if (has_matrix_lead(joined, c)) {
-        for (int i = 0; i < n; i++)
+    if (has_matrix_lead(s, c)) {
+        for (int i = 0; i < s.n; i++)
             sent[i] = c->axis[i].x_cmd;
         return rthyb_matrix_lead_observe(&c->matrix_lead, sent, x, held);
     }
-    for (int i = 0; i < n; i++)
+    for (int i = 0; i < s.n; i++)
         code |= rthyb_law_observe(&c->axis[i].law, c->axis[i].x_cmd, x[i], held);
     return code;
 }
 
 /* Forces after compensation, as used in the equation of motion. */
-PER_COUNT int compensate(int m, int joined, rthyb_controller *c, const double *pose,
-                         const double *f, int frozen, double *force)
+PER_COUNT int compensate(shape s, rthyb_controller *c, const double *pose, const double *f,
+                         int frozen, double *force)
 {
     double v[MOST], x_num[MOST] = {0.0};
     int code = RTHYB_OK;
-    velocities(m, joined, c, v);
-    if (has_matrix_rfc(joined, c)) {
-        for (int j = 0; j < m; j++)
+    velocities(s, c, v);
+    if (has_matrix_rfc(s, c)) {
+        for (int j = 0; j < s.m; j++)
             x_num[j] = c->interface[j].x_num;
         return rthyb_matrix_rfc_step(&c->matrix_rfc, x_num, v, pose, f, frozen, force);
     }
-    for (int j = 0; j < m; j++) {
+    for (int j = 0; j < s.m; j++) {
         rthyb_controller_interface *at = &c->interface[j];
         code |= rthyb_rfc_step(&at->rfc, at->x_num, v[j], pose[j], f[j], frozen, &force[j]);
     }
     return code;
 }
 
-PER_COUNT int meet_and_note(int m, int joined, rthyb_controller *c, const double *x,
-                            const double *f, double *pose, double *force)
+PER_COUNT int meet_and_note(shape s, rthyb_controller *c, const double *x, const double *f,
+                            double *pose, double *force)
 {
-    const int code = meet(m, joined, c, x, f, pose, force);
-    for (int j = 0; j < m; j++) {
+    const int code = meet(s, c, x, f, pose, force);
+    for (int j = 0; j < s.m; j++) {
         c->interface[j].x_m = pose[j];
         c->interface[j].f = force[j];
     }
@@ -442,31 +451,31 @@ PER_COUNT int meet_and_note(int m, int joined, rthyb_controller *c, const double
 }
 
 /* Next displacements from the equation of motion; the laws adapt, and RFC and monitors run. */
-PER_COUNT int compute_motion(int n, int m, int joined, rthyb_controller *c, const rthyb_input *in,
-                             const double *x, const double *f, int frozen, double *x_num)
+PER_COUNT int compute_motion(shape s, rthyb_controller *c, const rthyb_input *in, const double *x,
+                             const double *f, int frozen, double *x_num)
 {
     double pose[MOST] = {0.0}, met[MOST] = {0.0}, force[MOST] = {0.0};
-    monitor(n, c, x, f);
-    int code = observe(n, joined, c, x, frozen || c->cfg.estimate_held);
-    code |= meet_and_note(m, joined, c, x, f, pose, met);
-    code |= compensate(m, joined, c, pose, met, frozen, force);
+    monitor(s.n, c, x, f);
+    int code = observe(s, c, x, frozen || c->cfg.estimate_held);
+    code |= meet_and_note(s, c, x, f, pose, met);
+    code |= compensate(s, c, pose, met, frozen, force);
     code |= answer(c, in->excitation, force, x_num);
     return code;
 }
 
 /* Next displacements from a path: laws and RFC follow the motion but do not adapt. */
-PER_COUNT int follow_path(int n, int m, int joined, rthyb_controller *c, const double *x,
-                          const double *f, const double *path_m, double *x_num)
+PER_COUNT int follow_path(shape s, rthyb_controller *c, const double *x, const double *f,
+                          const double *path_m, double *x_num)
 {
     double pose[MOST] = {0.0}, met[MOST] = {0.0}, at[MOST] = {0.0};
-    int code = observe(n, joined, c, x, 1);
-    code |= meet_and_note(m, joined, c, x, f, pose, met);
-    for (int j = 0; j < m; j++) {
+    int code = observe(s, c, x, 1);
+    code |= meet_and_note(s, c, x, f, pose, met);
+    for (int j = 0; j < s.m; j++) {
         at[j] = c->interface[j].x_num;
         rthyb_rfc_follow(&c->interface[j].rfc, at[j], pose[j], met[j]);
         x_num[j] = accept(path_m[j], RTHYB_DISPLACEMENT_MAX_M, at[j], &code);
     }
-    if (has_matrix_rfc(joined, c))
+    if (has_matrix_rfc(s, c))
         rthyb_matrix_rfc_follow(&c->matrix_rfc, at, pose, met);
     if (!has_own_part(c))
         rthyb_numerical_freeze(&c->cfg.numerical, met);
@@ -483,29 +492,29 @@ static double allowed_move(const rthyb_controller *c, int axis, const double *pa
     return most > 0.0 ? most : (double)INFINITY;
 }
 
-PER_COUNT int lead_all(int n, int joined, rthyb_controller *c, const double *target,
-                       const double *path_m, double *led)
+PER_COUNT int lead_all(shape s, rthyb_controller *c, const double *target, const double *path_m,
+                       double *led)
 {
     double least = HUGE_VAL;
     int code = RTHYB_OK;
-    for (int i = 0; i < n; i++) {
+    for (int i = 0; i < s.n; i++) {
         const double allowed = allowed_move(c, i, path_m);
         least = less_of(least, allowed);
-        if (!has_matrix_lead(joined, c))
+        if (!has_matrix_lead(s, c))
             code |= rthyb_law_lead(&c->axis[i].law, target[i], allowed, &led[i]);
     }
-    if (has_matrix_lead(joined, c))
+    if (has_matrix_lead(s, c))
         code = rthyb_matrix_lead_lead(&c->matrix_lead, target, least, led);
     return code;
 }
 
 /* Compensated commands x_p for the next instant. They stay finite, whatever a law computes. */
-PER_COUNT int lead(int n, int joined, rthyb_controller *c, const double *target,
-                   const double *path_m, double *x_plc)
+PER_COUNT int lead(shape s, rthyb_controller *c, const double *target, const double *path_m,
+                   double *x_plc)
 {
     double led[MOST] = {0.0};
-    int code = lead_all(n, joined, c, target, path_m, led);
-    for (int i = 0; i < n; i++)
+    int code = lead_all(s, c, target, path_m, led);
+    for (int i = 0; i < s.n; i++)
         x_plc[i] = c->cfg.lead_enabled ? accept(led[i], 1e300, c->axis[i].x_plc, &code) : target[i];
     return code;
 }
@@ -561,37 +570,36 @@ PER_COUNT void shift(int n, rthyb_controller *c, const double *x, const double *
     }
 }
 
-/* For n axes and m interfaces. If the compiler knows that there is only one, no loops remain. */
-PER_COUNT int sample(int n, int m, int joined, rthyb_controller *c, const rthyb_input *in,
-                     const double *path_m, int blind, rthyb_record *record)
+PER_COUNT int sample(shape s, rthyb_controller *c, const rthyb_input *in, const double *path_m,
+                     int blind, rthyb_record *record)
 {
     double x[MOST] = {0.0}, f[MOST] = {0.0}, x_num[MOST] = {0.0};
     double target[MOST] = {0.0}, x_plc[MOST] = {0.0}, x_cmd[MOST] = {0.0};
     int code = RTHYB_OK;
-    const int made_up = gate(n, m, joined, c, in, x, f, &code);
+    const int made_up = gate(s, c, in, x, f, &code);
     rthyb_controller_advance(c);
     c->missing = made_up ? c->missing + (c->missing < UINT32_MAX) : 0;
     const int frozen = blind || c->missing >= c->freeze_after;
     if (path_m)
-        code |= follow_path(n, m, joined, c, x, f, path_m, x_num);
+        code |= follow_path(s, c, x, f, path_m, x_num);
     else
-        code |= compute_motion(n, m, joined, c, in, x, f, frozen, x_num);
+        code |= compute_motion(s, c, in, x, f, frozen, x_num);
     code |= c->late_code;
     c->late_code = RTHYB_OK;
-    code |= targets_of(n, m, joined, c, x_num, target);
-    code |= lead(n, joined, c, target, path_m, x_plc);
-    if (command(n, c, x_plc, blind, x_cmd))
+    code |= targets_of(s, c, x_num, target);
+    code |= lead(s, c, target, path_m, x_plc);
+    if (command(s.n, c, x_plc, blind, x_cmd))
         code |= RTHYB_S_LIMITED;
     const uint32_t flags = (made_up ? RTHYB_F_PREDICTED : RTHYB_F_FRESH) |
                            (frozen || path_m ? RTHYB_F_FROZEN : 0u) |
                            (blind ? RTHYB_F_BLIND | RTHYB_F_NOT_SENT : 0u) |
                            (code & RTHYB_S_LIMITED ? RTHYB_F_LIMITED : 0u);
-    write_record(n, joined, c, in, x, f, flags, code, record);
-    for (int j = 0; j < m; j++) {
+    write_record(s, c, in, x, f, flags, code, record);
+    for (int j = 0; j < s.m; j++) {
         c->interface[j].x_num1 = c->interface[j].x_num;
         c->interface[j].x_num = x_num[j];
     }
-    shift(n, c, x, f, target, x_plc, x_cmd, blind);
+    shift(s.n, c, x, f, target, x_plc, x_cmd, blind);
     c->tick++;
     return code;
 }
@@ -602,13 +610,13 @@ __attribute__((flatten)) static int sample_alone(rthyb_controller *c, const rthy
                                                  const double *path_m, int blind,
                                                  rthyb_record *record)
 {
-    return sample(1, 1, 0, c, in, path_m, blind, record);
+    return sample((shape){1, 1, 0}, c, in, path_m, blind, record);
 }
 
 static int sample_joined(rthyb_controller *c, const rthyb_input *in, const double *path_m,
                          int blind, rthyb_record *record)
 {
-    return sample(c->cfg.axis_count, c->cfg.interface_count, 1, c, in, path_m, blind, record);
+    return sample(shape_of(c), c, in, path_m, blind, record);
 }
 
 int rthyb_controller_sample(rthyb_controller *c, const rthyb_input *in, const double *path_m,
