@@ -3,6 +3,7 @@
 #include "numeric.h"
 
 #define NEWTON_MAX 30
+#define TINY 1e-300  /* a velocity at which the side counts, and nothing else */
 #define SOLVED 1e-13 /* of the velocity without friction */
 
 double rthyb_stribeck_level(const double *p, double v)
@@ -112,7 +113,7 @@ static double most_of(const rthyb_element *e, double r)
  * at 0. */
 double rthyb_friction_for(const rthyb_element *e, double r, double g)
 {
-    double slope, force = velocity_law(e, 0.0, &slope);
+    double slope, force = velocity_law(e, copysign(TINY, r), &slope);
     const double straight = fabs(r) / (1.0 + g * slope), slides = fabs(r) - g * most_of(e, r);
     double near = 0.0, far = r, u = copysign(greater_of(straight, slides), r);
     for (int i = 0; i < NEWTON_MAX; i++) {

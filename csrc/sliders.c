@@ -14,7 +14,7 @@
 #define SETTLED                                                                                    \
     1e-9 /* of the largest force; the step is not that accurate, and nothing accumulates */
 
-static int finite(const double *values, size_t count)
+static int plausible(const double *values, size_t count)
 {
     if (!values)
         return 0;
@@ -32,8 +32,8 @@ int sliders_ok(const rthyb_sparse_config *cfg)
     if (count < 0 || count > RTHYB_SLIDERS_MAX || !cfg->slider)
         return 0;
     const size_t n = (size_t)count;
-    if (!finite(cfg->slider_w, n * (size_t)cfg->size) || !finite(cfg->slider_g, n * n) ||
-        !finite(cfg->slider_x, n * (size_t)cfg->interfaces))
+    if (!plausible(cfg->slider_w, n * (size_t)cfg->size) || !plausible(cfg->slider_g, n * n) ||
+        !plausible(cfg->slider_x, n * (size_t)cfg->interfaces))
         return 0;
     for (int32_t j = 0; j < count; j++) {
         const int32_t at = cfg->slider[j];

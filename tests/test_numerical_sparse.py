@@ -465,6 +465,35 @@ def test_friction_that_holds_a_storey_does_not_change_its_sign_at_every_sample()
     assert np.abs(np.array(force) - carried)[late].max() < 0.02 * scale
 
 
+def test_a_brake_that_holds_in_one_direction_only_holds_there() -> None:
+    """Almost no friction upwards, and so much downwards that 30 halvings do not find it."""
+    brake = core.element(
+        "coulomb_uneven", fc_up_n=1e-3, fc_down_n=1e8, width_m_per_s=2.5e-7
+    )  # fmt: skip
+    one = np.array([[4.1]])
+    part = SparsePart(
+        building(one, np.array([[1.0]]), k_e_n_per_m=(0.0,), joints=(Joint(GROUND, 0, brake),))
+    )
+    for ag in (1e4, 10.0, 1e-3):
+        for _ in range(300):
+            part.answer(ag, 0.0)
+            assert part.advance() == 0
+    assert -1e-8 < float(part.displacements()[0]) < 0.0
+    for _ in range(300):
+        part.answer(-1.0, 0.0)
+        part.advance()
+    assert float(part.displacements()[0]) == pytest.approx(0.5 * (300 * H) ** 2, rel=0.02)
+
+
+@pytest.mark.parametrize("integrator", ["cr", "central-difference"])
+def test_friction_is_solved_for_with_every_integrator(integrator: str) -> None:
+    element, law = FRICTION["coulomb"]
+    t = np.arange(1024) * H
+    config = with_friction(element, integrator=integrator)
+    found = run(config, pulse(t), lambda i, at: np.zeros(1))
+    assert worst(found, of_radau(law, t)) < 0.001
+
+
 def test_a_recording_made_before_friction_was_solved_for_is_replayed_as_it_was() -> None:
     config = with_friction(FRICTION["coulomb"][0])
     plain = json.loads(json.dumps(config.plain()))
