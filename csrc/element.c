@@ -22,14 +22,14 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_STIFFNESS] = "-",
     [RTHYB_VISCOUS] = "-",
     [RTHYB_COULOMB] = "0+",
-    [RTHYB_STRIBECK] = "00++",
+    [RTHYB_STRIBECK] = "00+++",
     [RTHYB_LUGRE] = "++++00",
     [RTHYB_QUAD_DAMPING] = "-",
     [RTHYB_INERTIA] = "0",
     [RTHYB_GAP] = "00",
     [RTHYB_CUBIC] = "-",
     [RTHYB_QUADRATIC] = "-",
-    [RTHYB_STOPPER] = "00",
+    [RTHYB_STOPPER] = "000",
     [RTHYB_HYSTERESIS] = "+0+--+",
     [RTHYB_PINCHING] = "+0+--+0+",
     [RTHYB_DEGRADATION] = "+0+--+0+",
@@ -38,7 +38,7 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_P_DELTA] = "0+",
     [RTHYB_GAP_FRICTION] = "+0000",
     [RTHYB_COULOMB_UNEVEN] = "00+",
-    [RTHYB_GAP_UNEVEN] = "0000",
+    [RTHYB_GAP_UNEVEN] = "00000",
     [RTHYB_POWER_DAMPING] = "-+++",
     [RTHYB_POWER_SPRING] = "-+++",
     [RTHYB_PENDULUM] = "-+",
@@ -72,6 +72,8 @@ static int within(double value, double low, double high)
 static int shape_ok(int32_t kind, const double *p)
 {
     switch (kind) {
+    case RTHYB_STRIBECK:
+        return within(p[4], EXPONENT_MIN, EXPONENT_MAX);
     case RTHYB_POWER_DAMPING:
     case RTHYB_POWER_SPRING:
         return within(p[2], EXPONENT_MIN, EXPONENT_MAX);
@@ -137,6 +139,13 @@ static double beyond(double x, double k_up, double up, double k_down, double dow
     return x > up ? k_up * (x - up) : (x < -down ? k_down * (x + down) : 0.0);
 }
 
+/* Hunt & Crossley, J. Appl. Mech. 42, 1975: a contact takes up energy in proportion to its depth, 1 + loss v
+ * inwards, and never pulls. */
+static double impact(double force, double loss, double v)
+{
+    return force * fmax(1.0 + (force < 0.0 ? -loss : loss) * v, 0.0);
+}
+
 /* sgn(r) |r|^n, linear within |r| < width: this keeps the slope at 0 finite for n < 1. */
 static double signed_power(double r, double n, double width)
 {
@@ -197,8 +206,9 @@ static double law(rthyb_element *element, double x, double v, double a, double d
     case RTHYB_INERTIA:
         return p[0] * a;
     case RTHYB_GAP:
-    case RTHYB_STOPPER:
         return beyond(x, p[0], p[1], p[0], p[1]);
+    case RTHYB_STOPPER:
+        return impact(beyond(x, p[0], p[1], p[0], p[1]), p[2], v);
     case RTHYB_CUBIC:
         return p[0] * x * x * x;
     case RTHYB_QUADRATIC:
@@ -218,7 +228,7 @@ static double law(rthyb_element *element, double x, double v, double a, double d
     case RTHYB_COULOMB_UNEVEN:
         return (v < 0.0 ? p[1] : p[0]) * smooth_sign(v / p[2]);
     case RTHYB_GAP_UNEVEN:
-        return beyond(x, p[0], p[1], p[2], p[3]);
+        return impact(beyond(x, p[0], p[1], p[2], p[3]), p[4], v);
     case RTHYB_POWER_DAMPING: /* Constantinou & Symans, NCEER-92-0032, 1992: C |v|^a sgn(v) */
         return p[0] * signed_power(v / p[1], p[2], p[3] / p[1]);
     case RTHYB_POWER_SPRING:

@@ -6,16 +6,26 @@
 #define TINY 1e-300  /* a velocity at which the side counts, and nothing else */
 #define SOLVED 1e-13 /* of the velocity without friction */
 
-double rthyb_stribeck_level(const double *p, double v)
+/* The peak that LuGre's g(v) has, e^(-(v/vs)^2): Fc, Fs, vs. */
+static double gaussian_level(const double *p, double v)
 {
     const double r = v / p[2];
     return p[0] + (p[1] - p[0]) * exp(-r * r);
 }
 
+/* e^(-|v/vs|^n), n = p[4]: 2 is the Gaussian, 1 Tustin's exponential; 0.5 to 2 is measured
+ * (Armstrong-Helouvry, Dupont & Canudas de Wit, Automatica 30, 1994). */
+double rthyb_stribeck_level(const double *p, double v)
+{
+    if (p[4] == 2.0) /* the usual law, without the time of pow() */
+        return gaussian_level(p, v);
+    return p[0] + (p[1] - p[0]) * exp(-pow(fabs(v / p[2]), p[4]));
+}
+
 /* LuGre model (Canudas de Wit 1995); exact over dt for a constant velocity. state: z. */
 double rthyb_lugre(const double *p, double *s, double v, double dt)
 {
-    const double level = rthyb_stribeck_level(p, v);
+    const double level = gaussian_level(p, v);
     const double rate = p[3] * fabs(v) / level;
     const double shrink = rate * dt;
     const double decay = exp(-shrink);
@@ -71,6 +81,14 @@ double rthyb_friction_pendulum(const double *p, double *s, double x, double v)
     return weight / p[1] * x + mu * weight * s[1];
 }
 
+/* Slope of the logarithm of a peak, -n |v/vs|^n / v. */
+static double falling(const double *p, double v)
+{
+    if (p[4] == 2.0)
+        return -2.0 * v / (p[2] * p[2]);
+    return v == 0.0 ? 0.0 : -p[4] * pow(fabs(v / p[2]), p[4]) / v;
+}
+
 /* Force of a law that depends on the velocity alone, as in element.c, and its slope. */
 static double velocity_law(const rthyb_element *e, double v, double *slope)
 {
@@ -86,7 +104,7 @@ static double velocity_law(const rthyb_element *e, double v, double *slope)
     double level = e->kind == RTHYB_COULOMB_UNEVEN && v < 0.0 ? p[1] : p[0], falls = 0.0;
     if (e->kind == RTHYB_STRIBECK) {
         level = rthyb_stribeck_level(p, v);
-        falls = -2.0 * v / (p[2] * p[2]) * (level - p[0]);
+        falls = falling(p, v) * (level - p[0]);
     }
     *slope = falls * sign + level / width * (1.0 - sign * sign);
     return level * sign;

@@ -17,14 +17,14 @@ enum rthyb_element_kind {
     RTHYB_STIFFNESS,         /* k */
     RTHYB_VISCOUS,           /* c */
     RTHYB_COULOMB,           /* Fc, width m/s */
-    RTHYB_STRIBECK,          /* Fc, Fs, vs, width */
+    RTHYB_STRIBECK,          /* Fc, Fs, vs, width, exponent */
     RTHYB_LUGRE,             /* Fc, Fs, vs, sigma0, sigma1, sigma2 */
     RTHYB_QUAD_DAMPING,      /* c2 */
     RTHYB_INERTIA,           /* m */
     RTHYB_GAP,               /* k, gap (half width) */
     RTHYB_CUBIC,             /* k3 */
     RTHYB_QUADRATIC,         /* k2 */
-    RTHYB_STOPPER,           /* ks, xs */
+    RTHYB_STOPPER,           /* ks, xs, loss s/m */
     RTHYB_HYSTERESIS,        /* k, a, A, B, C, eta: Eqn 4.1-4.2 */
     RTHYB_PINCHING,          /* k, a, A, B, C, eta, depth, width */
     RTHYB_DEGRADATION,       /* k, a, A, B, C, eta, loss, travel */
@@ -33,7 +33,7 @@ enum rthyb_element_kind {
     RTHYB_P_DELTA,           /* gravity load, height */
     RTHYB_GAP_FRICTION,      /* k, gap (half width), Fc up, Fc down, seat */
     RTHYB_COULOMB_UNEVEN,    /* Fc up, Fc down, width m/s */
-    RTHYB_GAP_UNEVEN,        /* k up, gap up, k down, gap down */
+    RTHYB_GAP_UNEVEN,        /* k up, gap up, k down, gap down, loss s/m */
     RTHYB_POWER_DAMPING,     /* force, at velocity, exponent, width m/s */
     RTHYB_POWER_SPRING,      /* force, at displacement, exponent, width m */
     RTHYB_PENDULUM,          /* weight, length */

@@ -120,6 +120,29 @@ def test_law_without_memory_is_its_formula(kind: str) -> None:
     )
 
 
+@pytest.mark.parametrize("exponent", [0.5, 0.7, 1.0, 2.0, 2.5])
+def test_a_peak_of_friction_has_the_exponent_of_the_rig_file(exponent: float) -> None:
+    x = smooth_motion(3.0, 1, peak_m=0.02)
+    v, _ = derivatives(x)
+    peak = np.exp(-(np.abs(v / 2e-3) ** exponent))
+    expected = (80.0 + 40.0 * peak) * np.tanh(v / 5e-4)
+    found = run("stribeck", x, **ONE_OF_EACH["stribeck"], exponent=exponent)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["stopper", "gap_uneven"])
+def test_a_stop_that_loses_energy_pushes_harder_inwards_and_never_pulls(kind: str) -> None:
+    x = smooth_motion(3.0, 1, peak_m=0.02)
+    v, a = derivatives(x)
+    elastic = FORMULA[kind](x, v, a)
+    loss = 2.0 / np.max(np.abs(v))
+    expected = elastic * np.maximum(1.0 + loss * v * np.sign(x), 0.0)
+    assert np.any((expected == 0.0) & (elastic != 0.0)), "nowhere fast enough to let go"
+    found = run(kind, x, **ONE_OF_EACH[kind], loss_s_per_m=loss)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-6)
+    assert np.sum(found * v) > 0.0  # energy is taken up
+
+
 def test_friction_far_from_zero_velocity_is_the_coulomb_level_with_its_sign() -> None:
     friction = make("coulomb")
     assert friction.force(0.0, 1.0, 0.0, H) == 80.0
@@ -399,6 +422,7 @@ MUST_BE_POSITIVE = [
     ("coulomb", "width_m_per_s"),
     ("stribeck", "vs_m_per_s"),
     ("stribeck", "width_m_per_s"),
+    ("stribeck", "exponent"),
     ("lugre", "fc_n"),
     ("lugre", "fs_n"),
     ("lugre", "vs_m_per_s"),
@@ -440,6 +464,8 @@ NOT_NEGATIVE = [
     ("gap", "k_n_per_m"),
     ("gap", "gap_m"),
     ("stopper", "xs_m"),
+    ("stopper", "loss_s_per_m"),
+    ("gap_uneven", "loss_s_per_m"),
     ("hysteresis", "post_yield_ratio"),
     ("pinching", "depth"),
     ("degradation", "loss"),

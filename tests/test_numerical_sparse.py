@@ -393,6 +393,13 @@ FRICTION: dict[str, tuple[core.ElementConfig, Law]] = {
         core.element("stribeck", fc_n=1500.0, fs_n=2500.0, vs_m_per_s=0.05, width_m_per_s=5e-4),
         lambda v: (1500.0 + 1000.0 * np.exp(-((v / 0.05) ** 2))) * np.tanh(v / 5e-4),
     ),
+    "stribeck, exponent 1.5": (
+        core.element(
+            "stribeck",
+            fc_n=1500.0, fs_n=2500.0, vs_m_per_s=0.05, width_m_per_s=5e-4, exponent=1.5,
+        ),
+        lambda v: (1500.0 + 1000.0 * np.exp(-(np.abs(v / 0.05) ** 1.5))) * np.tanh(v / 5e-4),
+    ),
     "power_damping": (
         core.element(
             "power_damping", force_n=2000.0, at_m_per_s=0.1, exponent=0.2, width_m_per_s=2e-4

@@ -309,7 +309,7 @@ _FRICTION_CHECKS = (Condition("fs_n", ("fc_n", "fs_n"), _static_above_sliding),)
 
 
 class StribeckElement(Table):
-    """Friction that decreases from fs to fc around the velocity vs."""
+    """Friction that decreases from fs to fc around the velocity vs, by exp(-|v/vs|^exponent)."""
 
     checks: ClassVar[tuple[Condition, ...]] = _FRICTION_CHECKS
 
@@ -318,6 +318,7 @@ class StribeckElement(Table):
     fs_n: FrictionForce
     vs_m_per_s: Annotated[float, Range("m/s", 1e-6, 10, "the Stribeck velocity")]
     width_m_per_s: FrictionWidth = 0.0005
+    exponent: Annotated[float, Range("", 0.05, 10, "the exponent of the peak")] = 2.0
 
 
 class LugreElement(Table):
@@ -370,12 +371,18 @@ class QuadraticElement(Table):
     k2_n_per_m2: Annotated[float, Range("N/m^2", -1e15, 1e15, "the quadratic stiffness")]
 
 
+ContactLoss = Annotated[
+    float, Range("s/m", 0, 1e3, "the loss of the contact: its force times 1 + loss v inwards")
+]
+
+
 class StopperElement(Table):
-    """A stop at the displacement xs."""
+    """A stop at the displacement xs, which may lose energy (Hunt & Crossley)."""
 
     element: Literal["stopper"]
     ks_n_per_m: Stiffness
     xs_m: Annotated[float, Range("m", 0, 10, "the stop's position")]
+    loss_s_per_m: ContactLoss = 0.0
 
 
 def _loop_closed(xy_m: float | None, a: float, b: float, c: float, eta: float) -> str | None:
@@ -496,6 +503,7 @@ class GapUnevenElement(Table):
         float, Range("N/m", 0, 1e12, "the stiffness in the negative direction")
     ]
     gap_down_m: Annotated[float, Range("m", 0, 10, "the gap in the negative direction")]
+    loss_s_per_m: ContactLoss = 0.0
 
 
 class PowerDampingElement(Table):

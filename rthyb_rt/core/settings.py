@@ -332,7 +332,7 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
     "stiffness": ("k_n_per_m",),
     "viscous": ("c_n_s_per_m",),
     "coulomb": ("fc_n", "width_m_per_s"),
-    "stribeck": ("fc_n", "fs_n", "vs_m_per_s", "width_m_per_s"),
+    "stribeck": ("fc_n", "fs_n", "vs_m_per_s", "width_m_per_s", "exponent"),
     "lugre": (
         "fc_n",
         "fs_n",
@@ -346,7 +346,7 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
     "gap": ("k_n_per_m", "gap_m"),
     "cubic": ("k3_n_per_m3",),
     "quadratic": ("k2_n_per_m2",),
-    "stopper": ("ks_n_per_m", "xs_m"),
+    "stopper": ("ks_n_per_m", "xs_m", "loss_s_per_m"),
     "hysteresis": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta"),
     "pinching": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta", "depth", "width_ratio"),
     "degradation": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta", "loss", "travel_m"),
@@ -355,7 +355,13 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
     "p_delta": ("gravity_load_n", "height_m"),
     "gap_friction": ("k_n_per_m", "gap_m", "fc_up_n", "fc_down_n", "seat_m"),
     "coulomb_uneven": ("fc_up_n", "fc_down_n", "width_m_per_s"),
-    "gap_uneven": ("k_up_n_per_m", "gap_up_m", "k_down_n_per_m", "gap_down_m"),
+    "gap_uneven": (
+        "k_up_n_per_m",
+        "gap_up_m",
+        "k_down_n_per_m",
+        "gap_down_m",
+        "loss_s_per_m",
+    ),
     "power_damping": ("force_n", "at_m_per_s", "exponent", "width_m_per_s"),
     "power_spring": ("force_n", "at_m", "exponent", "width_m"),
     "pendulum": ("weight_n", "length_m"),
@@ -396,6 +402,14 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
 _ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}
 
 
+ELEMENT_DEFAULTS: Final[dict[str, dict[str, float]]] = {
+    "stribeck": {"exponent": 2.0},
+    "stopper": {"loss_s_per_m": 0.0},
+    "gap_uneven": {"loss_s_per_m": 0.0},
+}
+"""Parameters of an element that may be omitted, by kind."""
+
+
 def element(kind: str, /, **params: float) -> ElementConfig:
     """Return an element of the catalogue from its parameters by name.
 
@@ -406,6 +420,7 @@ def element(kind: str, /, **params: float) -> ElementConfig:
         raise CoreError(
             f"element {kind!r} is unknown; the elements are {', '.join(ELEMENT_PARAMS)}"
         )
+    params = ELEMENT_DEFAULTS.get(kind, {}) | params
     if set(params) != set(names):
         raise CoreError(
             f"element {kind!r}: found {', '.join(params)}; the parameters are {', '.join(names)}"
