@@ -334,6 +334,21 @@ def test_an_effect_that_dry_friction_cannot_replace_is_no_form_of_richer_frictio
     assert ("cubic", "stribeck") not in {h.names for h in decided(without).ranked}
 
 
+def test_a_peak_of_friction_is_measured_against_friction_and_not_against_a_louder_hum() -> None:
+    """A hum explains a thousand times what friction does; the form of a step has no share of it."""
+
+    def named(friction_explains: float) -> tuple[str, ...]:
+        seen = evidence(
+            of("coulomb", chi2=20_000_000.0), of("stribeck", chi2=20_000_000.0),
+            of("hum", chi2=1000.0 + friction_explains), of("coulomb", "hum", chi2=1150.0),
+            of("hum", "stribeck", chi2=1000.0), null=20_000_000.0,
+        )  # fmt: skip
+        return decided(seen).best.names
+
+    assert named(20_000.0) == ("hum", "stribeck")
+    assert named(2_000_000.0) == ("coulomb", "hum")
+
+
 def test_a_peak_does_not_lose_to_its_imitation_by_two_plainer_laws() -> None:
     plain = of("coulomb", chi2=1060.0)
     seen = evidence(plain, of("stribeck", chi2=1000.0), null=1_000_000.0)

@@ -105,3 +105,61 @@ def test_spring_beside_a_loop_does_not_yield_with_it(tmp_path):
     assert (d.verdict, d.effects) == ("explained", ["stiffness"])
     assert d.candidates[0].params["dk_ratio"] == pytest.approx(-0.08, rel=0.05)
     assert "beside" in d.candidates[0].form
+
+
+def sliders(x: np.ndarray, yields_m: np.ndarray, k_n_per_m: float) -> np.ndarray:
+    """The force of parallel springs that slip at these displacements, (n,), N."""
+    slip, force = np.zeros(yields_m.size), np.empty_like(x)
+    for i, now in enumerate(x):
+        slip = np.clip(slip, now - yields_m, now + yields_m)
+        force[i] = k_n_per_m * float(np.mean(now - slip))
+    return force
+
+
+def test_a_peak_of_friction_that_is_no_gaussian_is_named_with_its_exponent(tmp_path):
+    """Bo and Pavelescu measured 0.5 to 1; a Gaussian would need a dashpot beside it."""
+
+    def law(t, x, v, a):
+        return np.sign(v) * (250.0 + 350.0 * np.exp(-((np.abs(v) / 0.02) ** 0.7)))
+
+    recording, toml = cases.write(tmp_path, cases.channels(law))
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+    assert (d.verdict, d.effects) == ("explained", ["stribeck"])
+    found = d.candidates[0]
+    assert found.params["Fs_N"] == pytest.approx(600.0, rel=0.1)
+    assert found.params["Fc_N"] == pytest.approx(250.0, rel=0.1)
+    assert "|v/vs|^0.69" in found.form or "|v/vs|^0.7" in found.form
+
+
+def test_a_stop_that_loses_energy_needs_neither_dashpot_nor_time_skew(tmp_path):
+    def law(t, x, v, a):
+        deep = np.maximum(np.abs(x) - 5e-3, 0.0)
+        inwards = np.maximum(1.0 + 4.0 * v * np.sign(x), 0.0)
+        return 5e5 * deep * inwards * np.sign(x)
+
+    recording, toml = cases.write(tmp_path, cases.channels(law))
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+    assert (d.verdict, d.effects) == ("explained", ["stopper"])
+    found = d.candidates[0]
+    assert found.params["ks_N_m"] == pytest.approx(5e5, rel=0.02)
+    assert found.params["xs_m"] == pytest.approx(5e-3, rel=0.01)
+    assert "velocity inwards" in found.form
+
+
+def test_a_continuum_of_sliders_is_one_friction_with_bristles(tmp_path):
+    """Exponential strengths, as fine as a contact has them: no second law for what is left."""
+    shares = (np.arange(2000) + 0.5) / 2000
+    d = diagnosed(tmp_path, lambda x: sliders(x, -0.6e-3 * np.log1p(-shares), 2.5e5))
+    assert (d.verdict, d.effects) == ("explained", ["lugre"])
+    assert d.candidates[0].params["Fc_N"] == pytest.approx(150.0, rel=0.05)
+
+
+def test_yields_that_are_mostly_alike_are_one_law_without_an_offset_beside_it(tmp_path):
+    u = 2.0 * (np.arange(2000) + 0.5) / 2000 - 1.0
+    yields = 3e-3 * (1.0 + 0.6 * np.sign(u) * (1.0 - np.sqrt(1.0 - np.abs(u))))
+    d = diagnosed(tmp_path, lambda x: 0.25 * (sliders(x, yields, K) - K * x))
+    assert (d.verdict, d.effects) == ("explained", ["hysteresis"])
+    found = d.candidates[0]
+    assert found.params["alpha"] == pytest.approx(0.75, rel=0.03)
+    assert found.params["xy_m"] == pytest.approx(3e-3, rel=0.05)
+    assert "triangle" in found.form

@@ -151,15 +151,32 @@ def earned(force: Force, *names: str) -> tuple[float, float]:
     return alone.chi2 - both.chi2, steady.past_forms(problem, alone, both)
 
 
-def test_damping_beside_friction_with_another_exponent_of_its_peak_is_its_form() -> None:
-    """A peak that falls with the square root of velocity, of which the law has the first power."""
+def test_damping_beside_friction_with_another_law_of_its_peak_is_its_form() -> None:
+    """A peak that falls with the power -2 of velocity (Hess and Soom, J. Tribol. 112, 1990)."""
 
     def peak(t: Floats, x: Floats, v: Floats) -> Floats:
-        return (150.0 + 300.0 * np.exp(-((np.abs(v) / 0.02) ** 0.5))) * np.sign(v)
+        return (150.0 + 900.0 / (1.0 + (v / 0.02) ** 2)) * np.sign(v)
 
     as_it_is, in_any_form = earned(peak, "stribeck", "quad_damping")
     assert as_it_is > 100.0
     assert in_any_form < 0.4 * as_it_is
+
+
+def chain(t: Floats, x: Floats, v: Floats) -> Floats:
+    """Springs that slip in turn, their yields crowded at both ends of their range."""
+    yields = 3e-3 * (1.0 + 0.7 * np.cos(np.pi * (np.arange(400) + 0.5) / 400))
+    slip, force = np.zeros(yields.size), np.empty_like(x)
+    for i, now in enumerate(x):
+        slip = np.clip(slip, now - yields, now + yields)
+        force[i] = 0.6 * K * float(np.mean(now - slip) - now)
+    return force
+
+
+def test_pinching_beside_a_loop_of_another_form_is_that_form() -> None:
+    """No function of displacement and velocity has a memory; other loops have."""
+    as_it_is, in_any_form = earned(chain, "hysteresis", "pinching")
+    assert as_it_is > 50.0
+    assert in_any_form < 0.3 * as_it_is
 
 
 def test_a_spring_that_is_there_beside_friction_is_no_form_of_it() -> None:

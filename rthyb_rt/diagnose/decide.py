@@ -662,16 +662,17 @@ def _with_yielding(court: Court, sets: Sets) -> Sets:
 def plainest(court: Court, sets: Sets) -> Sets:
     """More complex friction must be better than dry friction in its place.
 
-    Both contain it as a special case; what they then gain is the form of the jump. The same applies
-    to relaxation with a negligible time, which is a dashpot, and to a second mass on a spring that
-    is far too stiff for the motion, which is a moving mass.
+    Both contain it as a special case; what they then gain is the form of the jump, which is a share
+    of what friction explains, not of what the other laws do. The same applies to relaxation with a
+    negligible time, which is a dashpot, and to a second mass on a spring that is far too stiff for
+    the motion, which is a moving mass: these also gain from the form of the other laws.
     """
     policy, out = court.policy, []
     share = policy.richer_friction_share * court.blurred
     for of in sets:
         plain = _plainer_of(court, of, sets)
         gain = plain.chi2 - of.chi2 if plain is not None else np.inf
-        least = max(policy.richer_friction_gain, share * (court.null.chi2 - of.chi2))
+        least = max(policy.richer_friction_gain, share * _explained_by_richer(court, of, plain))
         wanted = of.price - (plain.price if plain is not None else 0.0) + least
         against = plain.names if plain is not None else ()
         if (
@@ -681,6 +682,14 @@ def plainest(court: Court, sets: Sets) -> Sets:
         ):
             out.append(of)
     return out
+
+
+def _explained_by_richer(court: Court, of: Hypothesis, plain: Hypothesis | None) -> float:
+    """Return what more complex friction explains beside the other laws; all, if there is none."""
+    names = () if plain is None else plain.names
+    own = [i for i, n in enumerate(of.names) if n in court.laws.plainer and n not in names]
+    less = court.less(of, own[0]) if plain is not None and own else None
+    return (court.null if less is None else less).chi2 - of.chi2
 
 
 def _imitated(court: Court, of: Hypothesis, plain: Hypothesis, sets: Sets) -> bool:

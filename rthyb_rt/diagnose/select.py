@@ -301,6 +301,7 @@ class ResidualProblem:
                 for m, b in zip(fit.members, fit.betas, strict=True)
             )
             and not self._gives_way(fit)
+            and not self._holds_within_a_gap(fit)
             and not self._pushes(fit)
             and not self._undoes_a_push(fit)
             and not self._weighs_nothing(fit)
@@ -317,6 +318,19 @@ class ResidualProblem:
         there = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
         added = [m.effect.mass_kg(b) for m, b in zip(fit.members, fit.betas, strict=True)]
         return there + sum(kg for kg in added if kg is not None) < 0.0
+
+    def _holds_within_a_gap(self, fit: Fit) -> bool:
+        """Return whether, within a gap, most of a stated spring acts: then it is a stop.
+
+        With a stiffness that is stated too small by as much as the gap takes away, the force is
+        that of the stated spring, and of a second one beyond a displacement.
+        """
+        if self.case.model.k_tol is None:
+            return False
+        pairs = list(zip(fit.members, fit.betas, strict=True))
+        lost = [float(b[0]) for m, b in pairs if m.effect.interrupts]
+        held = 1.0 + sum(float(b[0]) for m, b in pairs if m.effect.number == "k")
+        return bool(lost) and held - sum(lost) > 1.0 - POLICY.gap_in_spring
 
     def _pushes(self, fit: Fit) -> bool:
         """Return whether a damping law adds energy to a naive model.

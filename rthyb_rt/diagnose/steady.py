@@ -16,7 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
@@ -82,15 +81,18 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     numbers = np.abs(np.concatenate([np.ones(shapes), *fit.betas]))
     held = np.diag(np.maximum(POLICY.changed_within * numbers, 1e-150) ** -2.0)
     common = _Common.of(design, prior, fit.residual)
-    out = []
-    for part, rows in _parts(problem):
+
+    def fall(share: Floats) -> float:
         # A force that changes within a part of the rows is filtered like any other. The rows of a
         # filtered force would be something else: where friction reverses, half of the filter's
         # response, which compares the instant of the reversal, and not the friction.
-        changed = [problem.seen(column) for column in np.where(rows[:, None], own, 0.0).T]
+        changed = [problem.seen(column) for column in (share[:, None] * own).T]
         before, after, rest = common.with_columns(np.column_stack(changed), held)
-        out.append(Change(part, (before - after) / inflation(rest), own.shape[1]))
-    return tuple(out)
+        return float((before - after) / inflation(rest))
+
+    return tuple(
+        Change(part, min(map(fall, shares)), own.shape[1]) for part, shares in _parts(problem)
+    )
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,7 @@ def past_forms(problem: ResidualProblem, fit: Fit, more: Fit) -> float:
         fit: the set without the effect.
         more: the set with it.
     """
-    near = _near(problem, fit)
+    near = np.column_stack([_near(problem, fit), *_kin(problem, fit)])
     alone, both = (_least_beside(problem, f, near) for f in (fit, more))
     return float("inf") if alone is None or both is None else alone - both
 
@@ -243,6 +245,22 @@ def _near(problem: ResidualProblem, fit: Fit) -> Floats:
     return np.column_stack(columns) if columns else np.zeros((fit.residual.size, 0))
 
 
+def _kin(problem: ResidualProblem, fit: Fit) -> list[Floats]:
+    """Return how the forces of the laws with a memory differ in its other forms, each (rows,).
+
+    No function of displacement and velocity turns one into another. By the whole difference, since
+    the true form may be either, or between them: the prior of the neighbours is `form_error`.
+    """
+    out = []
+    for i, member in enumerate(fit.members):
+        own = fitted.contribution(problem, fit, i)
+        for trial in member.effect.kin(member.trial):
+            other = np.column_stack(member.effect.columns(problem.ctx, trial))
+            made = other @ np.linalg.lstsq(other, own, rcond=None)[0]
+            out.append(problem.seen(made - own) / POLICY.form_error)
+    return out
+
+
 def _with_instants(
     problem: ResidualProblem, fit: Fit, design: Floats, prior: Floats
 ) -> tuple[Floats, Floats]:
@@ -282,20 +300,33 @@ def _with_instants(
     return whole[:, :known], np.pad(prior, (0, more.size - prior.shape[0])) + np.diag(more)
 
 
-def _parts(problem: ResidualProblem) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Return divisions of the recording that halve its evaluated rows: name and one part, (n,)."""
+def _parts(problem: ResidualProblem) -> list[tuple[str, tuple[Floats, ...]]]:
+    """Return divisions of the recording that halve its evaluated rows: name, and one part.
+
+    A part is a share from 0 to 1 of every row, (n,); of several, a change must show in each.
+    """
     x, v = problem.ctx.x, problem.ctx.v
     judged = problem.rows
 
-    def upper(values: Floats) -> NDArray[np.bool_]:
-        return np.asarray(values > float(np.median(values[judged])))
+    def upper(values: Floats, least: float) -> Floats:
+        return np.where(values > least, 1.0, 0.0)
 
+    def half(values: Floats) -> tuple[Floats]:
+        return (upper(values, float(np.median(values[judged]))),)
+
+    # Where the motion reverses, friction changes anyway: a part that ends there also compares the
+    # instants of these changes, one that fades out with the velocity also their neighbourhood.
+    typical = float(np.median(np.abs(v[judged]))) or 1e-300
+    one_way = (upper(v, 0.0), 0.5 + 0.5 * v / np.hypot(v, typical))
     return [
-        ("the second half of the recording", np.arange(x.size) >= judged[judged.size // 2]),
-        ("large displacements", upper(np.abs(x))),
-        ("fast motion", upper(np.abs(v))),
-        ("displacements to one side", upper(x)),
-        ("motion in one direction", v > 0.0),
+        (
+            "the second half of the recording",
+            (upper(np.arange(float(x.size)), judged[judged.size // 2] - 0.5),),
+        ),
+        ("large displacements", half(np.abs(x))),
+        ("fast motion", half(np.abs(v))),
+        ("displacements to one side", half(x)),
+        ("motion in one direction", one_way),
     ]
 
 

@@ -193,6 +193,8 @@ class Effect:
         also: name of the law to which it is equivalent in parallel with a spring of free stiffness.
         of_spring: its parameter that is a fraction of the existing spring.
         replaces_spring: its element includes the model's spring.
+        interrupts: its coefficient is the fraction of the model's spring that is inactive around
+            zero.
         wears: its force changes with the travel so far.
         many_springs: it is simulated as many elements, or evaluates its force repeatedly.
         zero: it is the zero of the load cell, which a rig file has.
@@ -234,6 +236,7 @@ class Effect:
     also = ""
     of_spring = ""
     replaces_spring = False
+    interrupts = False
     wears = False
     many_springs = False
     zero = False
@@ -295,6 +298,13 @@ class Effect:
     def like(self, trial: Trial) -> Trial:
         """Return the shape of this law that gives the same force as a shape of `also`."""
         return trial
+
+    def kin(self, trial: Trial) -> Sequence[Trial]:
+        """Return the law in the other forms that its memory may have, with the same parameters.
+
+        For a law of the path, whose forms are not functions of the current x and v.
+        """
+        return ()
 
     def holds_n_per_m(self, ctx: Context, trial: Trial, beta: Floats) -> float:
         """Return its stiffness before it yields or slides, in addition to the model's; 0: none."""

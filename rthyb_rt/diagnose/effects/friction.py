@@ -92,7 +92,7 @@ class PowerDamping(Effect):
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Reject the smallest possible exponent: anything less is dry friction."""
-        return trial.theta[0] > 1.001 * EXPONENTS[0][0]
+        return trial.theta[0] > 1.01 * EXPONENTS[0][0]
 
     def borders(self, trial: Trial) -> str:
         """Return the law whose exponent lies just beyond the bound that has been reached."""
@@ -229,11 +229,16 @@ class Coulomb(Effect):
         return [core.element("coulomb", fc_n=float(beta[0]), width_m_per_s=width)]
 
 
+PEAKS = (0.4, 2.5)
+"""Range of the exponent of a peak: the measured ones, 0.5 to 2 (Armstrong-Helouvry, Dupont &
+Canudas de Wit, Automatica 30, 1994), with room on both sides so that these are not at a limit."""
+
+
 class Stribeck(Effect):
     """Friction that decreases with velocity.
 
-    Its peak is a Gaussian of velocity or, in the variants whose name ends in "1", an exponential:
-    fitting one for the other would bias the final level by many times its noise.
+    The exponent of its peak is a shape: fitting the Gaussian (2) where the peak is an exponential
+    (1) would bias the final level by many times its noise.
     """
 
     name = "stribeck"
@@ -244,7 +249,7 @@ class Stribeck(Effect):
         Param("Fs_N", "N", 0.0, 1e8),
         Param("vs_m_s", "m/s", 1e-6, 10.0),
     )
-    equation = "f = [Fc + (Fs - Fc) exp(-|v/vs|^n)] tanh(v / width), n = 2 or 1"
+    equation = "f = [Fc + (Fs - Fc) exp(-|v/vs|^n)] tanh(v / width)"
     fingerprint = "friction with a peak at low velocity"
     dry = True
     plainer = Coulomb.name
@@ -255,42 +260,34 @@ class Stribeck(Effect):
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return Stribeck velocities, each with sharp and softer jumps."""
         at = ctx.v_range * np.geomspace(0.02, 0.6, 7)
-        way = 1e-3 * ctx.x_range
+        narrow, way = 1e-3 * ctx.v_range, 1e-3 * ctx.x_range
         return [
             *(
-                Trial((float(vs), float(w)))
+                Trial((float(vs), 2.0, float(w)))
                 for vs in at
                 for w in ctx.v_range * np.array([1e-3, 4e-3, 1.2e-2])
                 if w < 0.4 * vs
             ),
-            *(Trial((float(vs), float(1e-3 * ctx.v_range)), "peak1") for vs in at),
-            *(Trial((float(vs), way), v) for vs in at for v in ("contact", "contact1")),
+            *(Trial((float(vs), 1.0, narrow)) for vs in at),
+            *(Trial((float(vs), n, way), "contact") for vs in at for n in (2.0, 1.0)),
         ]
-
-    @staticmethod
-    def _sheared(trial: Trial) -> bool:
-        """Return whether its sign is that of a contact, which shears before it slips."""
-        return trial.variant.startswith("contact")
-
-    @staticmethod
-    def _power(trial: Trial) -> int:
-        return 1 if trial.variant.endswith("1") else 2
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the Stribeck velocity within the motion and the width well below it."""
         r = ctx.v_range
+        peak = [(0.01 * r, 1.2 * r), PEAKS]
         if trial.variant == "sharp":
-            return [(0.01 * r, 1.2 * r)]
-        if self._sheared(trial):
-            way = ctx.x_range
-            return [(0.01 * r, 1.2 * r), (CONTACT[0] * way, CONTACT[1] * way)]
-        return [(0.01 * r, 1.2 * r), (1e-5 * r, 0.4 * trial.theta[0])]
+            return peak
+        if trial.variant == "contact":
+            return [*peak, (CONTACT[0] * ctx.x_range, CONTACT[1] * ctx.x_range)]
+        return [*peak, (1e-5 * r, 0.4 * trial.theta[0])]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return sliding and additional static friction per N."""
-        vs, width = (*trial.theta, STICKS * ctx.v_range)[:2]
-        sign = slipping(ctx, width) if self._sheared(trial) else np.tanh(ctx.v / width)
-        return [sign, sign * np.exp(-(np.abs(ctx.v / vs) ** self._power(trial)))]
+        vs, n, width = (*trial.theta, STICKS * ctx.v_range)[:3]
+        sheared = trial.variant == "contact"
+        sign = slipping(ctx, width) if sheared else np.tanh(ctx.v / width)
+        return [sign, sign * np.exp(-(np.abs(ctx.v / vs) ** n))]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return both levels and the velocity of the transition between them."""
@@ -303,31 +300,29 @@ class Stribeck(Effect):
 
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return the same peak on a step by tanh."""
-        old = least if self._sheared(trial) else (*trial.theta, least)[1]
-        return Trial((trial.theta[0], max(old, least)), "peak1" if self._power(trial) == 1 else "")
+        old = least if trial.variant == "contact" else (*trial.theta, least)[2]
+        return Trial((*trial.theta[:2], max(old, least)))
 
     def sharp(self, trial: Trial) -> Trial:
         """Return the same peak on a step of zero width."""
-        return Trial(trial.theta[:1], "sharp")
+        return Trial(trial.theta[:2], "sharp")
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the law of the peak, and how its sign is smoothed."""
-        sheared = self._sheared(trial)
-        sign = "a contact that shears before it slips" if sheared else "tanh(v / width)"
-        sign = "sgn(v)" if trial.variant == "sharp" else sign
-        return f"[Fc + (Fs - Fc) exp(-|v/vs|^{self._power(trial)})] by {sign}"
+        signs = {"contact": "a contact that shears before it slips", "sharp": "sgn(v)"}
+        sign = signs.get(trial.variant, "tanh(v / width)")
+        return f"[Fc + (Fs - Fc) exp(-|v/vs|^{trial.theta[1]:.2g})] by {sign}"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
-        shaped = len(trial.theta) > 1 and not self._sheared(trial)
-        width = trial.theta[1] if shaped else 1e-3 * ctx.v_range
+        width = 1e-3 * ctx.v_range if trial.variant else trial.theta[2]
         return self._of_width(ctx, trial, beta, float(np.clip(width, 1e-7, 1.0)))
 
     def on_a_body(
         self, ctx: Context, trial: Trial, beta: Floats
     ) -> list[core.ElementConfig] | None:
         """Return the element."""
-        if len(trial.theta) > 1 and not self._sheared(trial):
+        if not trial.variant:
             return self.elements(ctx, trial, beta)
         return self._of_width(ctx, trial, beta, float(STICKS * ctx.v_range))
 
@@ -339,19 +334,24 @@ class Stribeck(Effect):
             core.element(
                 "stribeck",
                 fc_n=p["Fc_N"], fs_n=p["Fs_N"], vs_m_per_s=p["vs_m_s"], width_m_per_s=width,
+                exponent=trial.theta[1],
             )
         ]  # fmt: skip
 
 
-def slips(ctx: Context, way_m: float, count: int = 16) -> Floats:
+def slips(ctx: Context, way_m: float, count: int = 32) -> Floats:
     """Return the force per N of parallel sliders that reverse like bristles of ``way_m``, (n,).
 
-    Their strengths are distributed exponentially; unlike bristles they remember reversals.
+    Their strengths are distributed exponentially; unlike bristles they remember reversals. Each
+    slider has the mean strength of its share of them, so that the sum slides at 1 N.
     """
-    at = -np.log1p(-(np.arange(count) + 0.5) / count)
-    at /= at.mean()
-    limit = 0.5 * way_m * at
+    stronger = np.arange(count, 0, -1) / count  # share of the sliders from each one's on
+    moment = np.r_[stronger * (1.0 - np.log(stronger)), 0.0]  # sum of their strengths
+    limit = -0.5 * way_m * count * np.diff(moment)
     return iwan(limit, np.full(count, 1.0 / count), ctx.x) / (0.5 * way_m)
+
+
+BRISTLES = ("dahl", "elastic", "spread0.5", "spread1.0", "slips")
 
 
 class Lugre(Effect):
@@ -374,8 +374,12 @@ class Lugre(Effect):
         return [
             Trial((float(z0),), v)
             for z0 in ctx.x_range * np.geomspace(2e-3, 0.6, 10)
-            for v in ("dahl", "elastic", "spread0.5", "spread1.0", "slips")
+            for v in BRISTLES
         ]
+
+    def kin(self, trial: Trial) -> Sequence[Trial]:
+        """Return the other laws of bristles of the same travel."""
+        return [Trial(trial.theta, v) for v in BRISTLES if v != trial.variant]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep bristles visible: below a thousandth of the amplitude it is Coulomb friction."""

@@ -14,7 +14,8 @@ from rthyb_rt.diagnose.effects.springs import Stiffness
 from rthyb_rt.diagnose.policy import POLICY
 
 LARGE = ("multi_amplitude", "a memory of amplitude appears when small cycles follow large ones")
-SPRINGS = core.IWAN_SLIDERS
+SPRINGS, FINE = core.IWAN_SLIDERS, 32
+"""Springs of the core's element, and of a distribution that it does not have."""
 BAR = {"r0": 20.0, "cr1": 0.925, "cr2": 0.15}
 """Curvature of the branches of steel: Menegotto & Pinto 1973, constants by Filippou et al. 1983."""
 
@@ -31,11 +32,17 @@ def plastic(ctx: Context, variant: str, xy: float) -> Floats:
     if variant == "mp":
         bar = core.element("menegotto_pinto", k_n_per_m=1.0, post_yield_ratio=0.0, xy_m=1.0, **BAR)
         return core.CoreElement(bar).run(ctx.x / xy) * xy
-    spread = float(variant[4:])
+    spread = float(variant.removeprefix("iwan").removeprefix("bell"))
     if spread == 0.0:
         return iwan(np.array([xy]), np.array([1.0]), ctx.x)
-    at = 1.0 + spread * (2.0 * (np.arange(SPRINGS) + 0.5) / SPRINGS - 1.0)
-    return iwan(xy * at, np.full(SPRINGS, 1.0 / SPRINGS), ctx.x)
+    bell = variant.startswith("bell")
+    count = FINE if bell else SPRINGS
+    at = 2.0 * (np.arange(count) + 0.5) / count - 1.0  # evenly from -1 to 1
+    if bell:
+        at = np.sign(at) * (
+            1.0 - np.sqrt(1.0 - np.abs(at))
+        )  # a triangle, most of them in the middle
+    return iwan(xy * (1.0 + spread * at), np.full(count, 1.0 / count), ctx.x)
 
 
 def hardened(ctx: Context, xy: float, shape: Sequence[float]) -> Floats:
@@ -65,6 +72,8 @@ BACKSTRESS = ((0.02, 0.01), (0.07, 0.1), (0.3, 0.3))
 """Initial kinematic moduli and recoveries, relative to the yield point."""
 GROWTH = (0.2, 0.02)
 """Initial growth of the yield force, and its rate."""
+SPREADS = ("iwan", "bell")
+"""Iwan's chains: yields evenly distributed, or as a triangle, most of them in the middle."""
 HARDENING = ("kinematic", "both")
 """Forms of yielding that harden by plastic flow."""
 FORMS = {
@@ -106,6 +115,7 @@ class Hysteresis(Effect):
         trials = [Trial((float(xy),), shape) for shape in shapes for xy in at]
         # Springs that yield in turn, with a fitted spread.
         trials += [Trial((float(xy), s), "iwan") for s in (1.0, 0.5, 0.2) for xy in at]
+        trials += [Trial((float(xy), 0.7), "bell") for xy in at]
         trials += [Trial((float(xy),), "mp") for xy in at[::2]]
         trials += [Trial((float(xy), *b), "kinematic") for b in BACKSTRESS for xy in at[1::3]]
         trials += [
@@ -124,6 +134,14 @@ class Hysteresis(Effect):
             ]
         return trials
 
+    def kin(self, trial: Trial) -> Sequence[Trial]:
+        """Return the other loops of one yield displacement with the same one."""
+        if trial.variant in ("two", "slider"):
+            return ()
+        spreads = [Trial((trial.theta[0], s), v) for v in SPREADS for s in (0.5, 1.0)]
+        loops = [Trial(trial.theta[:1], v) for v in ("bw1", "bw2", "bw5", "iwan0", "mp")]
+        return [t for t in (*loops, *spreads) if t.variant != trial.variant.rstrip("+")]
+
     def elastic_until_m(self, trial: Trial) -> float:
         """Return the yield displacement, m."""
         return trial.theta[0]
@@ -131,7 +149,7 @@ class Hysteresis(Effect):
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep yielding within the motion."""
         least = 1e-3 if ctx.k_free else 0.03
-        if trial.variant == "iwan":
+        if trial.variant in SPREADS:
             return [(least * ctx.x_range, 1.5 * ctx.x_range), (0.02, 1.0)]
         if trial.variant == "slider":
             # If slower, friction that grows with velocity equals a dashpot beside plain friction.
@@ -164,7 +182,8 @@ class Hysteresis(Effect):
         if trial.variant == "slider":
             z = contact(ctx, xy)
             return [z, -z * np.exp(-trial.theta[1] * np.abs(ctx.v))]
-        shape = f"iwan{trial.theta[1]}" if trial.variant == "iwan" else trial.variant
+        spread = trial.variant in SPREADS
+        shape = f"{trial.variant}{trial.theta[1]}" if spread else trial.variant
         if shape in HARDENING:
             z = hardened(ctx, xy, trial.theta[1:])
         else:
@@ -209,6 +228,8 @@ class Hysteresis(Effect):
             return FORMS[shape]
         if shape.startswith("bw"):
             return f"Bouc-Wen, eta {shape[2:]}{beside}"
+        if shape == "bell":
+            return f"Iwan, yields in a triangle of +-{trial.theta[1]:.2g}"
         spread = trial.theta[1] if shape == "iwan" else float(shape[4:])
         what = f"Iwan, spread {spread:.2g}" if spread else "elastic, perfectly plastic"
         return what + beside
@@ -251,7 +272,9 @@ class Hysteresis(Effect):
         if shape == "mp":
             bar = {"k_n_per_m": k, "post_yield_ratio": 0.0, "xy_m": xy}
             return [*out, core.element("menegotto_pinto", **bar, **BAR)]
-        spread = trial.theta[1] if shape == "iwan" else float(shape[4:])
+        spread = trial.theta[1] if shape in SPREADS else float(shape[4:])
+        if shape == "bell":
+            spread /= np.sqrt(2.0)  # the even distribution of the same standard deviation
         return [
             *out,
             core.element("iwan", k_n_per_m=k, post_yield_ratio=0.0, xy_m=xy, spread=spread),

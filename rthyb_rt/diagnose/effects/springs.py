@@ -9,7 +9,6 @@ import numpy as np
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import play
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
-from rthyb_rt.diagnose.policy import POLICY
 
 AMPLITUDES = (
     "multi_amplitude",
@@ -279,6 +278,7 @@ class Gap(Effect):
     fingerprint = "force is missing around zero (dead band) or after each reversal (play)"
     static = True
     of_spring = "gap_m"
+    interrupts = True
     shown_by = ("multi_amplitude", "a gap takes up the same displacement at every amplitude")
     signs = "+"
     pinned = (0.03,)
@@ -299,10 +299,6 @@ class Gap(Effect):
             *uneven,
             *(Trial((float(g), 0.3 * float(g)), "spread") for g in gaps[3:-1:3]),
         ]
-
-    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Reject a gap in less than half of a stated spring: that is a softer spring and a stop."""
-        return ctx.model.k_tol is None or bool(beta[0] > POLICY.gap_in_spring)
 
     def settings(
         self, ctx: Context, trial: Trial
@@ -361,13 +357,17 @@ class Gap(Effect):
 
 
 class Stopper(Effect):
-    """A stop beyond a displacement; in variant "spread" not at the same one everywhere."""
+    """A stop beyond a displacement; in variant "spread" not at the same one everywhere.
+
+    Variants "impact": the contact loses energy in proportion to its depth (Hunt & Crossley, J.
+    Appl. Mech. 42, 1975). With an elastic stop, damping and time would have to represent that.
+    """
 
     name = "stopper"
     plain = "a stop"
     phrase = "a stop at {xs_m} with {ks_N_m}"
     params = (Param("ks_N_m", "N/m", 0.0, 1e12), Param("xs_m", "m", 0.0, 10.0))
-    equation = "f = ks (|x| - xs) sgn(x) where |x| > xs"
+    equation = "f = ks (|x| - xs) (1 + loss |v| sgn(x v)) sgn(x) where |x| > xs"
     fingerprint = "residual only beyond a certain displacement, growing from there"
     static = True
     shown_by = ("multi_amplitude", "a stop is reached only at large amplitude")
@@ -378,19 +378,39 @@ class Stopper(Effect):
         at = ctx.x_range * np.array(
             [0.3, 0.4, 0.5, 0.58, 0.65, 0.7, 0.75, 0.8, 0.84, 0.88, 0.91, 0.94, 0.96, 0.98]
         )
-        sharp = [Trial((float(xs),), side) for side in ("both", "up", "down") for xs in at]
-        return [*sharp, *(Trial((float(xs), 0.2 * float(xs)), "spread") for xs in at[1:-2:3])]
+        sides = ("both", "up", "down")
+        return [
+            *(Trial((float(xs),), side) for side in sides for xs in at),
+            *(Trial((float(xs), 0.2 * float(xs)), "spread") for xs in at[1:-2:3]),
+            *(
+                Trial((float(xs), 0.2 / ctx.v_range), f"impact {side}")
+                for side in sides
+                for xs in at[1::4]
+            ),
+        ]
+
+    @staticmethod
+    def _impact(trial: Trial) -> bool:
+        return trial.variant.startswith("impact")
+
+    @staticmethod
+    def _side(trial: Trial) -> str:
+        return trial.variant.removeprefix("impact ")
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Count the width over which contact is made."""
+        """Count the width over which contact is made, or its loss."""
         return ("+", (None,)), 1 + len(trial.theta)
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the stop within the motion."""
-        width = [(1e-3 * ctx.x_range, ctx.x_range)] if trial.variant == "spread" else []
-        return [(0.1 * ctx.x_range, 0.999 * ctx.x_range), *width]
+        second = []
+        if trial.variant == "spread":
+            second = [(1e-3 * ctx.x_range, ctx.x_range)]
+        elif self._impact(trial):
+            second = [(0.01 / ctx.v_range, 3.0 / ctx.v_range)]
+        return [(0.1 * ctx.x_range, 0.999 * ctx.x_range), *second]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the penetration of the stop."""
@@ -398,9 +418,10 @@ class Stopper(Effect):
         if trial.variant == "spread":
             return [met(ctx.x - xs, trial.theta[1]) - met(-ctx.x - xs, trial.theta[1])]
         up, down = np.maximum(ctx.x - xs, 0.0), np.minimum(ctx.x + xs, 0.0)
-        if trial.variant == "up":
-            return [up]
-        return [down] if trial.variant == "down" else [up + down]
+        if self._impact(trial):
+            up = up * np.maximum(1.0 + trial.theta[1] * ctx.v, 0.0)
+            down = down * np.maximum(1.0 - trial.theta[1] * ctx.v, 0.0)
+        return [{"up": up, "down": down}.get(self._side(trial), up + down)]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return stiffness and position."""
@@ -410,22 +431,33 @@ class Stopper(Effect):
         """Return its sides."""
         if trial.variant == "spread":
             return f"both sides, met over +-{trial.theta[1]:.4g} m"
-        return {"up": "upwards only", "down": "downwards only"}.get(trial.variant, "both sides")
+        sides = {"up": "upwards only", "down": "downwards only"}.get(
+            self._side(trial), "both sides"
+        )
+        if self._impact(trial):
+            return f"{sides}, force times 1 + {trial.theta[1]:.3g} s/m times the velocity inwards"
+        return sides
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
         ks, xs = float(beta[0]), trial.theta[0]
-        if trial.variant == "both":
-            return [core.element("stopper", ks_n_per_m=ks, xs_m=xs)]
+        loss = trial.theta[1] if self._impact(trial) else 0.0
+        if self._side(trial) == "both":
+            return [core.element("stopper", ks_n_per_m=ks, xs_m=xs, loss_s_per_m=loss)]
         if trial.variant == "spread":
             if trial.theta[1] > xs:
                 return None
             places = map(float, spread(*trial.theta))
             return [core.element("stopper", ks_n_per_m=ks / PARTS, xs_m=at) for at in places]
-        up, down = (ks, 0.0) if trial.variant == "up" else (0.0, ks)
+        up, down = (ks, 0.0) if self._side(trial) == "up" else (0.0, ks)
         return [
             core.element(
-                "gap_uneven", k_up_n_per_m=up, gap_up_m=xs, k_down_n_per_m=down, gap_down_m=xs
+                "gap_uneven",
+                k_up_n_per_m=up,
+                gap_up_m=xs,
+                k_down_n_per_m=down,
+                gap_down_m=xs,
+                loss_s_per_m=loss,
             )
         ]
 
