@@ -385,7 +385,7 @@ class Stopper(Effect):
             *(
                 Trial((float(xs), 0.2 / ctx.v_range), f"impact {side}")
                 for side in sides
-                for xs in at[1::4]
+                for xs in at
             ),
         ]
 
