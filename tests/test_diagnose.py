@@ -73,6 +73,16 @@ def test_an_effect_that_begins_in_mid_record_is_named(tmp_path):
     assert d.windows[0][0] == pytest.approx(4.3, abs=0.2)
 
 
+@pytest.mark.parametrize(("size", "verdict"), [(1.3e-3, "explained"), (5e-3, "unknown")])
+def test_a_displacement_off_by_less_than_a_thousandth_hides_no_friction(size, verdict, tmp_path):
+    """No actuator makes this bump; as an effect it would be too small to be reported, too."""
+    columns = cases.channels(lambda t, x, v, a: 130.0 * np.tanh(v / 1e-4))
+    bump = 6.0 * np.exp(-(((columns["t"] - 1.0) / 0.05) ** 2))
+    columns["x_meas"] = columns["x_meas"] + size * np.std(columns["x_meas"]) * bump
+    d = diagnosed(tmp_path, columns)
+    assert (d.verdict, d.effects) == (verdict, ["coulomb"] if verdict == "explained" else [])
+
+
 @pytest.mark.long
 def test_a_longer_delay_is_the_actuators_and_not_the_specimens(tmp_path):
     d = diagnosed(tmp_path, cases.channels(delay=cases.DELAY + 0.004))

@@ -239,7 +239,8 @@ def displacement(case: Case) -> Displacement | None:
         (case.model.x_std or 0.0) * (1.0 + (task.own.scatter if task.own is not None else 0.0)),
         case.fs_hz,
     )
-    known = known or quiet
+    # An effect as small as what is left would not be reported either.
+    known = known or quiet or np.sqrt(max(after, 0.0)) < POLICY.least_force * size
     rivals = [f for f in fits if f is not best][:5]
     return Displacement(task, null, best, equal, rivals, scale, left, known, quiet)
 
