@@ -513,6 +513,38 @@ def test_a_recording_made_before_friction_was_solved_for_is_replayed_as_it_was()
     assert not np.array_equal(run(explicit, ag, still), run(config, ag, still))
 
 
+RECORDED = {
+    "stribeck": (FRICTION["stribeck"][0], 4),
+    "stopper": (core.element("stopper", ks_n_per_m=5e6, xs_m=1e-4), 2),
+    "gap_uneven": (
+        core.element(
+            "gap_uneven", k_up_n_per_m=5e6, gap_up_m=1e-4, k_down_n_per_m=3e6, gap_down_m=2e-4
+        ),
+        4,
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", RECORDED)
+def test_a_recording_made_before_an_element_had_all_its_parameters_is_replayed(kind: str) -> None:
+    element, count = RECORDED[kind]
+    config = with_friction(element)
+    old = json.loads(json.dumps(config.plain()))
+    old["joints"] = [
+        [*ends, name, params[:count], k] for *ends, name, params, k, _ in old["joints"]
+    ]
+    explicit = replace(config, joints=tuple(replace(j, solved=False) for j in config.joints))
+    ag, still = pulse(np.arange(500) * H), lambda i, at: np.zeros(1)
+    assert np.array_equal(run(SparseConfig.of_plain(old), ag, still), run(explicit, ag, still))
+
+
+def test_a_recording_with_too_few_parameters_of_an_element_is_refused() -> None:
+    damaged = json.loads(json.dumps(with_friction(FRICTION["stribeck"][0]).plain()))
+    damaged["joints"][0][3] = damaged["joints"][0][3][:3]
+    with pytest.raises(core.CoreError, match="number of parameters"):
+        SparsePart(SparseConfig.of_plain(damaged))
+
+
 def test_more_friction_than_is_solved_for_is_evaluated_at_the_previous_velocity() -> None:
     n = lib.RTHYB_SLIDERS_MAX + 1
     m, k = shear_building(np.full(n, 2700.0), np.full(n, 4.7e6))

@@ -20,6 +20,7 @@ from rthyb_rt.report import render
 ROOT = Path(__file__).parents[1]
 SPRING = '[[specimen]]\nelement = "stiffness"\nk_n_per_m = 666400\n'
 DAMPER = '[[specimen]]\nelement = "viscous"\nc_n_s_per_m = 900\n'
+STOP = '[[specimen]]\nelement = "stopper"\nks_n_per_m = 1e6\nxs_m = 0.5\n'
 ONE = 'period_s = 0.5\ndamping_ratio = 0.02\nintegrator = "{}"\n'
 CR = "m_kg = [4000, 3000]\nk_n_per_m = [[9e5, -4e5], [-4e5, 4e5]]\ndamping_ratios = [0.02, 0.03]\n"
 STOREYS = """[numerical]
@@ -190,6 +191,15 @@ def test_a_slow_test_says_what_it_leaves_out() -> None:
     assert "1/10 of the structure's" in note
     notes = experiment.prepare(slow_test(ONE.format("cr"), 10.0), rig_of()).notes
     assert any("do not depend on rate" in text for text in notes)
+    notes = experiment.prepare(slow_test(ONE.format("cr"), 10.0), rig_of(SPRING + STOP)).notes
+    assert any("do not depend on rate" in text for text in notes)
+    lossy = rig_of(f"{SPRING}{STOP}loss_s_per_m = 2\n")
+    (note,) = [
+        t
+        for t in experiment.prepare(slow_test(ONE.format("cr"), 10.0), lossy).notes
+        if "time_scale" in t
+    ]
+    assert "stopper" in note
     notes = experiment.prepare(slow_test(ONE.format("cr")), rig_of(SPRING + DAMPER)).notes
     assert not any("time_scale" in text for text in notes)
 

@@ -603,8 +603,7 @@ def _note_slowness(test: TestFile, rig: RigFile, notes: list[str]) -> None:
 
 
 def _is_rate_dependent(item: SpecimenElement) -> bool:
-    keys = type(item).model_fields
-    return any(timescale.exponent(key) for key in keys)
+    return timescale.on_rate((key, getattr(item, key)) for key in type(item).model_fields)
 
 
 def _note_sensor_ranges(limits: limits_file.Limits, rig: RigFile, notes: list[str]) -> None:

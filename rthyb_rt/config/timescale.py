@@ -13,6 +13,7 @@ h / L, because it uses only h c / m and h^2 k / m.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
@@ -64,4 +65,12 @@ def rate_dependent(element: ElementConfig) -> bool:
 
     if element.own is not None:
         return True  # unknown, so assumed
-    return any(exponent(name) for name in ELEMENT_PARAMS[element.kind])
+    return on_rate(zip(ELEMENT_PARAMS[element.kind], element.params, strict=True))
+
+
+def on_rate(params: Iterable[tuple[str, float]]) -> bool:
+    """Return whether a law with these parameters, by name, depends on the rate of the motion.
+
+    One of zero does not count: a stop without loss is elastic.
+    """
+    return any(value != 0.0 and exponent(name) for name, value in params)

@@ -407,7 +407,8 @@ ELEMENT_DEFAULTS: Final[dict[str, dict[str, float]]] = {
     "stopper": {"loss_s_per_m": 0.0},
     "gap_uneven": {"loss_s_per_m": 0.0},
 }
-"""Parameters of an element that may be omitted, by kind."""
+"""Parameters of an element that may be omitted, by kind: the last ones, so that a recording made
+before an element had them is completed with them."""
 
 
 def element(kind: str, /, **params: float) -> ElementConfig:
@@ -420,12 +421,23 @@ def element(kind: str, /, **params: float) -> ElementConfig:
         raise CoreError(
             f"element {kind!r} is unknown; the elements are {', '.join(ELEMENT_PARAMS)}"
         )
-    params = ELEMENT_DEFAULTS.get(kind, {}) | params
-    if set(params) != set(names):
+    whole = ELEMENT_DEFAULTS.get(kind, {}) | params
+    if set(whole) != set(names):
         raise CoreError(
             f"element {kind!r}: found {', '.join(params)}; the parameters are {', '.join(names)}"
         )
-    return ElementConfig(kind, tuple(float(params[name]) for name in names))
+    return ElementConfig(kind, tuple(float(whole[name]) for name in names))
+
+
+def recorded_element(kind: str, params: Sequence[float]) -> ElementConfig:
+    """Return an element from its parameters in the order of `ELEMENT_PARAMS`.
+
+    Those in `ELEMENT_DEFAULTS` may be missing: recordings made before an element had them are
+    replayed with the law that it had.
+    """
+    later = tuple(ELEMENT_DEFAULTS.get(kind, {}).values())
+    missing = len(ELEMENT_PARAMS.get(kind, ())) - len(params)
+    return ElementConfig(kind, (*params, *(later if missing == len(later) else ())))
 
 
 def _value(name: str, value: Any) -> Any:

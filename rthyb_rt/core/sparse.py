@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt._core import ffi, lib
 from rthyb_rt.core.library import CoreError, LibraryMissing
-from rthyb_rt.core.settings import ElementConfig, init_element
+from rthyb_rt.core.settings import ElementConfig, init_element, recorded_element
 from rthyb_rt.core.sizes import PERIOD_S
 
 SparseIntegrator = Literal["kr-alpha", "cr", "central-difference"]
@@ -311,7 +311,7 @@ class SparseConfig:
         values["k_e_between"] = tuple(tuple(row) for row in values.get("k_e_between", ()))
         values["joints"] = tuple(
             # Recordings made before friction was solved for have no sixth value.
-            Joint(below, above, ElementConfig(kind, tuple(params)), k, *(solved or (False,)))
+            Joint(below, above, recorded_element(kind, params), k, *(solved or (False,)))
             for below, above, kind, params, k, *solved in values["joints"]
         )
         values["responses"] = tuple(

@@ -4,6 +4,8 @@
 
 #include <math.h>
 #include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "../law_example.h"
@@ -274,10 +276,23 @@ static rthyb_parameters some_parameters(dice *d, const rthyb_station_config *now
 
 /* ---- the rig ------------------------------------------------------------------------------------ */
 
-static void add_element(rthyb_rig_config *rig, int32_t kind, const double *params)
+/* A law with its parameters, as many as stand here: the core refuses another number of them. */
+typedef struct {
+    int32_t kind;
+    const double *params;
+    size_t n;
+} drawn_element;
+
+#define DRAWN(kind, params) {kind, params, sizeof(params) / sizeof(params)[0]}
+
+static void add_element(rthyb_rig_config *rig, drawn_element drawn)
 {
-    const size_t n = (size_t)rthyb_element_param_count(kind);
-    if (!rthyb_element_init(&rig->elements[rig->element_count], kind, params, n))
+    if ((size_t)rthyb_element_param_count(drawn.kind) != drawn.n) {
+        fprintf(stderr, "element %d: found %zu parameters, it has %d\n", (int)drawn.kind, drawn.n,
+                rthyb_element_param_count(drawn.kind));
+        abort();
+    }
+    if (!rthyb_element_init(&rig->elements[rig->element_count], drawn.kind, drawn.params, drawn.n))
         rig->element_count++;
 }
 
@@ -289,21 +304,22 @@ static void add_specimen(dice *d, const scale *s, rthyb_rig_config *rig)
     const double friction[] = {between(d, 0.0, 0.2) * f, 1e-2 * v};
     const double lugre[] = {0.05 * f, 0.08 * f, 0.1 * v, 10.0 * k, 0.1 * f / v, 0.0};
     const double gap[] = {between(d, 0.1, 3.0) * k, x * between(d, 0.1, 1.5)};
+    const double stopper[] = {gap[0], gap[1], one_in(d, 2) ? 0.0 : between(d, 0.0, 2.0) / v};
     const double cubic[] = {between(d, -0.2, 0.5) * k / (x * x)};
     const double bouc[] = {k, between(d, 0.0, 0.5), 1.0, 0.5 / x, 0.5 / x, 1.0};
     const double maxwell[] = {0.3 * k, some(d, 0.01, 1.0)};
     const double mass[] = {0.01 * s->mass_kg};
-    static const int32_t KINDS[] = {RTHYB_VISCOUS, RTHYB_COULOMB, RTHYB_LUGRE,   RTHYB_GAP,
-                                    RTHYB_STOPPER, RTHYB_CUBIC,   RTHYB_MAXWELL, RTHYB_INERTIA};
-    const double *const params[] = {damper, friction, lugre, gap, gap, cubic, maxwell, mass};
+    const drawn_element others[] = {
+        DRAWN(RTHYB_VISCOUS, damper),  DRAWN(RTHYB_COULOMB, friction),
+        DRAWN(RTHYB_LUGRE, lugre),     DRAWN(RTHYB_GAP, gap),
+        DRAWN(RTHYB_STOPPER, stopper), DRAWN(RTHYB_CUBIC, cubic),
+        DRAWN(RTHYB_MAXWELL, maxwell), DRAWN(RTHYB_INERTIA, mass)};
     if (one_in(d, 3))
-        add_element(rig, RTHYB_HYSTERESIS, bouc);
+        add_element(rig, (drawn_element)DRAWN(RTHYB_HYSTERESIS, bouc));
     else
-        add_element(rig, RTHYB_STIFFNESS, spring);
-    for (uint32_t n = below(d, 3); n > 0; n--) {
-        const uint32_t which = below(d, 8);
-        add_element(rig, KINDS[which], params[which]);
-    }
+        add_element(rig, (drawn_element)DRAWN(RTHYB_STIFFNESS, spring));
+    for (uint32_t n = below(d, 3); n > 0; n--)
+        add_element(rig, others[below(d, sizeof(others) / sizeof(others)[0])]);
 }
 
 static rthyb_servo_config some_servo(dice *d, const scale *s)
