@@ -660,6 +660,12 @@ def test_a_matlab_file_of_version_7_3_is_refused_with_what_to_do(
          'out of bounds: "7 1 1.0"); in coordinate form each line holds row, column and value'),
         ("k.mtx", "%%MatrixMarket matrix coordinate real symmetric\n2 2 2\n1 1 2.0\n",
          "cannot be read as Matrix Market"),
+        ("k.mtx", "%%MatrixMarket matrix coordinate real symmetric\n100000 100000 1\n1 1 2.0\n",
+         "found 100000 rows and 100000 columns in its line of sizes; at most 20000"),
+        ("k.mtx", "%%MatrixMarket matrix coordinate real symmetric\n2 2 1000000000000\n1 1 2.0\n",
+         "found 1000000000000 entries in its line of sizes, more than the file can hold"),
+        ("k.mtx", "%%MatrixMarket matrix array real general\n20000 20000\n2.0\n",
+         "found 400000000 entries in its line of sizes, more than the file can hold"),
     ],
 )  # fmt: skip
 def test_a_text_file_that_is_no_matrix_is_refused_with_its_line(
@@ -671,6 +677,17 @@ def test_a_text_file_that_is_no_matrix_is_refused_with_its_line(
         from_file(tmp_path, f'files = {{ mass = "m.csv", stiffness = "{name}" }}')
     assert said in str(caught.value)
     assert name in str(caught.value)
+
+
+def test_a_table_saved_by_a_spreadsheet_as_utf_8_is_read(tmp_path: Path) -> None:
+    """Spreadsheets put a byte-order mark in front of the first number, and of the first label."""
+    written = {"m.csv": "2,0\n0,1\n", "k.csv": "4,-1\n-1,1\n", "l.csv": "roof,floor\n"}
+    for name, text in written.items():
+        (tmp_path / name).write_text(text, encoding="utf-8-sig")
+    files = {"mass": "m.csv", "stiffness": "k.csv", "labels": "l.csv"}
+    read = matrixfile.read(MatrixFile.model_validate({"files": files}), tmp_path)
+    assert read.labels == ("roof", "floor")
+    assert read.mass_kg.matrix().toarray().tolist() == [[2.0, 0.0], [0.0, 1.0]]
 
 
 @pytest.mark.parametrize(

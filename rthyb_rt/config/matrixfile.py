@@ -160,7 +160,7 @@ def _npz(path: Path) -> dict[str, Any]:
             "as arrays of Python objects",
             str(path),
         ) from error
-    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, KeyError) as error:
+    except (zipfile.BadZipFile, zlib.error, OSError, EOFError, KeyError, MemoryError) as error:
         raise InputError(f"cannot be read as .npz ({error})", str(path)) from error
 
 
@@ -197,6 +197,8 @@ def _is_hdf5(path: Path) -> bool:
 
 
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
+_GZIP_AT_BEST: Final = 1032
+"""Bytes that gzip makes of one."""
 
 
 def _of_parts(files: MatrixFiles, folder: Path) -> MatrixData:
@@ -212,7 +214,7 @@ def _of_parts(files: MatrixFiles, folder: Path) -> MatrixData:
         path = folder / files.labels
         _check_there(path)
         try:
-            lines = path.read_text(encoding="utf-8").replace(",", "\n").splitlines()
+            lines = path.read_text(encoding="utf-8-sig").replace(",", "\n").splitlines()
         except UnicodeDecodeError as error:
             raise InputError(
                 f"is not text in UTF-8 ({error.reason} at byte {error.start}); save it as UTF-8",
@@ -232,9 +234,7 @@ def _one_matrix(path: Path) -> Any:
         if path.suffix.lower() == ".csv":
             return _csv(path)
         if path.suffix.lower() in (".mtx", ".gz"):
-            from scipy.io import mmread
-
-            return mmread(path)
+            return _matrix_market(path)
     except ImportError:
         raise InputError(
             'SciPy is needed to read Matrix Market: pip install "rthyb-rt[structures]"', str(path)
@@ -251,6 +251,26 @@ def _one_matrix(path: Path) -> Any:
     )
 
 
+def _matrix_market(path: Path) -> Any:
+    """Return a matrix, dense or sparse; memory is reserved only for what the file can hold."""
+    from scipy.io import mminfo, mmread
+
+    rows, columns, entries, *_ = mminfo(path)
+    if max(rows, columns) > SPARSE_MAX:
+        raise InputError(
+            f"found {rows} rows and {columns} columns in its line of sizes; at most {SPARSE_MAX} "
+            "degrees of freedom are accepted",
+            str(path),
+        )
+    if entries > path.stat().st_size * (_GZIP_AT_BEST if path.suffix.lower() == ".gz" else 1):
+        raise InputError(
+            f"found {entries} entries in its line of sizes, more than the file can hold; it is "
+            "incomplete, or this number is wrong",
+            str(path),
+        )
+    return mmread(path)
+
+
 def _quoted_line(path: Path, message: str) -> str:
     """Return the line of a text file that a message of its reader names, in words."""
     match = re.search(r"line (\d+)", message.lower())
@@ -265,7 +285,7 @@ def _csv(path: Path) -> Floats:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of an empty file, which is refused below
-            found = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
+            found = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
     except ValueError as error:
         raise InputError(
             _csv_fault(path) or f"cannot be read as CSV ({error})", str(path)
@@ -278,7 +298,7 @@ def _csv(path: Path) -> Floats:
 def _csv_fault(path: Path) -> str | None:
     """Return what makes a CSV file no matrix: line, column and text; None if nothing is found."""
     width, first = 0, 0
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
     for number, line in enumerate(text.splitlines(), 1):
         cells = line.partition("#")[0].split(",")
         if cells == [""] or not "".join(cells).strip():
