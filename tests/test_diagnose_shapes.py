@@ -6,9 +6,9 @@ import diagnose_cases as cases
 import numpy as np
 import pytest
 
-from rthyb_rt import core
+from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import effects, engine, reading
+from rthyb_rt.diagnose import augment, effects, engine, reading
 from rthyb_rt.diagnose.effects import springs
 from rthyb_rt.diagnose.effects.base import Context, Trial
 
@@ -33,9 +33,13 @@ def loop(x: np.ndarray, depth: float | None = None) -> np.ndarray:
     return out
 
 
-def diagnosed(folder, extra, model: str | None = None):
-    recording, toml = cases.write(folder, cases.channels(lambda t, x, v, a: extra(x)), model)
+def diagnosed_from(folder, columns, model: str | None = None):
+    recording, toml = cases.write(folder, columns, model)
     return engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+
+
+def diagnosed(folder, extra, model: str | None = None):
+    return diagnosed_from(folder, cases.channels(lambda t, x, v, a: extra(x)), model)
 
 
 @pytest.mark.parametrize("width_m", [1e-6, 3e-4, 2e-3])
@@ -163,3 +167,43 @@ def test_yields_that_are_mostly_alike_are_one_law_without_an_offset_beside_it(tm
     assert found.params["alpha"] == pytest.approx(0.75, rel=0.03)
     assert found.params["xy_m"] == pytest.approx(3e-3, rel=0.05)
     assert "triangle" in found.form
+
+
+def lossy_stop(fs_hz: float, loss_s_per_m: float) -> dict[str, np.ndarray]:
+    """Six growing cycles at a twentieth of a hertz against a stop at 4 mm that loses energy."""
+    rng = np.random.default_rng(2)
+    t = np.arange(int(120 * fs_hz)) / fs_hz
+    x = 8e-3 * np.minimum(0.4 + t / 120.0, 1.0) * np.sin(2.0 * np.pi * 0.05 * t)
+    v = np.gradient(x, t)
+    deep = np.sign(x) * np.maximum(np.abs(x) - 4e-3, 0.0)
+    force = K * x + 3.0 * K * deep * np.maximum(1.0 + loss_s_per_m * v * np.sign(x), 0.0)
+    noise = rng.standard_normal((2, t.size))
+    return {"t": t, "x_meas": x + 1e-7 * noise[0], "f_meas": force + 5.0 * noise[1]}
+
+
+def slow_model(fs_hz: float, c: float) -> str:
+    lines = [
+        'schema = "rthyb-baseline/1"', 'family = "drive"', f"fs_hz = {fs_hz}",
+        "[specimen]", f"k = {K}", f"c = {c}", "moving_mass = 0", "k_tol = 0.01",
+        "[noise]", "x_std = 1e-7", "f_std = 5",
+    ]  # fmt: skip
+    return "\n".join(lines)
+
+
+@pytest.mark.long
+def test_a_stop_that_loses_energy_at_millimetres_per_second_is_found_and_runs(tmp_path):
+    """The slower the contact, the larger the loss for the same rebound: here 1200 s/m."""
+    columns = lossy_stop(32.0, 1200.0)
+    d = diagnosed_from(tmp_path, columns, slow_model(32.0, 1.0))
+    assert (d.verdict, d.effects) == ("explained", ["stopper"])
+    mended = tmp_path / "augmented.toml"
+    mended.write_text(augment.rig_toml(engine.augmented(d))[0], encoding="utf-8")
+    (stop,) = (e for e in config.load_rig(mended).specimen if e.element == "stopper")
+    assert stop.loss_s_per_m == pytest.approx(1200.0, rel=0.05)
+
+
+def test_where_time_is_nominal_no_stop_has_a_loss_for_each_metre_per_second(tmp_path):
+    """A table of a quasi-static test: rows are numbered, and their spacing is no duration."""
+    columns = lossy_stop(5.0, 300.0)
+    d = diagnosed_from(tmp_path, columns, slow_model(5.0, 0.0))
+    assert all("velocity" not in one.form for one in d.candidates)

@@ -372,7 +372,7 @@ class QuadraticElement(Table):
 
 
 ContactLoss = Annotated[
-    float, Range("s/m", 0, 1e3, "the loss of the contact: its force times 1 + loss v inwards")
+    float, Range("s/m", 0, 1e6, "the loss of the contact (its force times 1 + loss v, v inwards)")
 ]
 
 

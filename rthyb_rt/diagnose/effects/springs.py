@@ -9,6 +9,7 @@ import numpy as np
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import play
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.estimate import nominal_time
 
 AMPLITUDES = (
     "multi_amplitude",
@@ -379,15 +380,16 @@ class Stopper(Effect):
             [0.3, 0.4, 0.5, 0.58, 0.65, 0.7, 0.75, 0.8, 0.84, 0.88, 0.91, 0.94, 0.96, 0.98]
         )
         sides = ("both", "up", "down")
-        return [
+        elastic = [
             *(Trial((float(xs),), side) for side in sides for xs in at),
             *(Trial((float(xs), 0.2 * float(xs)), "spread") for xs in at[1:-2:3]),
-            *(
-                Trial((float(xs), 0.2 / ctx.v_range), f"impact {side}")
-                for side in sides
-                for xs in at
-            ),
         ]
+        if nominal_time(ctx.model):  # a loss for each m/s would refer to velocities of that time
+            return elastic
+        lossy = [
+            Trial((float(xs), 0.2 / ctx.v_range), f"impact {side}") for side in sides for xs in at
+        ]
+        return [*elastic, *lossy]
 
     @staticmethod
     def _impact(trial: Trial) -> bool:
