@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import itertools
+import json
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -181,6 +183,43 @@ def test_more_friction_dampers_than_can_be_solved_for_are_noted_if_they_are_stee
     for note in notes:
         assert "found 33 elements of numerical.nonlinear with dry friction; up to 32 are" in note
         assert "the friction is then 2.1 times too steep" in note
+
+
+@pytest.mark.parametrize(
+    ("law", "advice"),
+    [
+        ({"element": "coulomb_uneven", "fc_up_n": 0.0, "fc_down_n": 4000.0}, "width_m_per_s"),
+        ({"element": "stribeck", "fc_n": 1e3, "fs_n": 3e3, "vs_m_per_s": 0.02, "exponent": 0.7},
+         "width_m_per_s"),
+        ({"element": "power_damping", "force_n": 2e4, "exponent": 0.2}, "width_m_per_s"),
+        ({"element": "power_damping", "force_n": 4e6, "exponent": 0.9}, "force"),
+    ],
+)  # fmt: skip
+def test_the_advice_on_steep_friction_makes_it_just_not_too_steep(
+    law: dict[str, Any], advice: str
+) -> None:
+    def noted(values: dict[str, Any]) -> str:
+        text = STOREYS.replace("count = 5", "count = 40").replace(
+            "[3000, 2800, 2600, 2400, 2200]", "3e3"
+        )
+        keys = ", ".join(f"{k} = {json.dumps(v)}" for k, v in values.items())
+        text += f"[[numerical.nonlinear]]\nstoreys = {list(range(2, 35))}\nbeside = true\n"
+        test = config.parse_test(f"{HEAD}{text}law = {{ {keys} }}\n")
+        rig = config.load_rig(config.find_rig("delay-10-elastic"))
+        return " ".join(n for n in deriving.derive(test, rig).notes if "dry friction" in n)
+
+    def changed(factor: float) -> dict[str, Any]:
+        if advice == "force":
+            return law | {"force_n": factor * law["force_n"]}
+        return law | {"width_m_per_s": factor * 5e-4}
+
+    found = re.search(r"a width_m_per_s that is (\S+) times|([\d.e-]+) times the force", noted(law))
+    assert found is not None
+    factor = float(found[1] or found[2])
+    assert (found[2] is not None) == (advice == "force")
+    less = 1.1 if advice != "force" else 1.0 / 1.1
+    assert noted(changed(less * factor)) == ""
+    assert noted(changed(factor / less**3)) != ""
 
 
 def _with_damper(setup: experiment.Setup, count: int) -> Any:

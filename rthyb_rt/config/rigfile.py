@@ -45,8 +45,11 @@ MAX_ELEMENTS = ELEMENTS_MAX
 DelaySamples = Annotated[int, Count(0, 1000, "the delay in samples")]
 Stiffness = Annotated[float, Range("N/m", 0, 1e12, "the stiffness")]
 FrictionForce = Annotated[float, Range("N", 0, 1e8, "the friction force")]
+FRICTION_WIDTH_MAX: Final = 1.0
+"""Largest width_m_per_s of a friction law, m/s."""
 FrictionWidth = Annotated[
-    float, Range("m/s", 1e-7, 1, "the velocity over which friction changes sign")
+    float,
+    Range("m/s", 1e-7, FRICTION_WIDTH_MAX, "the velocity over which friction changes sign"),
 ]
 
 
@@ -514,7 +517,8 @@ class PowerDampingElement(Table):
     at_m_per_s: Annotated[float, Range("m/s", 1e-6, 100, "the velocity of that force")] = 1.0
     exponent: Annotated[float, Range("", 0.05, 10, "the exponent of the velocity")]
     width_m_per_s: Annotated[
-        float, Range("m/s", 1e-7, 1, "the velocity below which the force is linear")
+        float,
+        Range("m/s", 1e-7, FRICTION_WIDTH_MAX, "the velocity below which the force is linear"),
     ] = 0.0005
 
 

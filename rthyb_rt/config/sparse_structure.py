@@ -18,6 +18,7 @@ from rthyb_rt.config import matrixfile, timescale
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.numerical_structure import Mode, linear_and_others
 from rthyb_rt.config.own_tables import core_element
+from rthyb_rt.config.rigfile import FRICTION_WIDTH_MAX
 from rthyb_rt.config.structures import (
     Damping,
     Interface,
@@ -133,8 +134,8 @@ class SparseStructure:
             "are solved for together with the step, more are evaluated at the previous velocity. "
             f"Between {self._ends(at)}, the friction is then {steep:.2g} times too steep (force / "
             "width x step / mass): it changes its sign at every sample, which a control law for a "
-            f"late actuator amplifies. Use at most {SLIDERS_MAX} of them, or a width_m_per_s that "
-            f"is {steep:.2g} times as large"
+            f"late actuator amplifies. Use at most {SLIDERS_MAX} of them, or "
+            f"{_less_steep(self.part.joints[at].element, steep)}"
         )
 
     def _ends(self, joint: int) -> str:
@@ -358,6 +359,17 @@ def _run_joint(
         for interface, by in one.interfaces:
             responses[:, column] += by * linear[:, interface]
     return x, v, linear + extra, responses
+
+
+def _less_steep(friction: ElementConfig, steep: float) -> str:
+    """Return the value that makes a law of friction less steep at rest by a factor, in words."""
+    values = dict(zip(core.ELEMENT_PARAMS[friction.kind], friction.params, strict=True))
+    # The slope of |v|^a at rest is in proportion to the width to the power of a - 1.
+    power = 1.0 - values["exponent"] if friction.kind == "power_damping" else 1.0
+    room = FRICTION_WIDTH_MAX / values["width_m_per_s"]
+    if math.log(steep) > power * math.log(room):
+        return f"{1.0 / steep:.2g} times the force"
+    return f"a width_m_per_s that is {steep ** (1.0 / power):.2g} times as large"
 
 
 def _with(part: SparseConfig, mass: float, damping: float, spring: float) -> SparseConfig:

@@ -717,7 +717,11 @@ def initial_stiffness(element: ElementConfig) -> float:
 
 
 def initial_damping(element: ElementConfig) -> float:
-    """Return the slope of an element's force at rest over the velocity, N s/m."""
+    """Return the slope of an element's force at rest over the velocity, N s/m.
+
+    That of the direction in which it is larger.
+    """
     slot = ffi.new("rthyb_element *")
     init_element(slot, element)
-    return float(lib.rthyb_element_force(slot, 0.0, 1e-9, 0.0, PERIOD_S) / 1e-9)
+    slopes = (lib.rthyb_element_force(slot, 0.0, v, 0.0, PERIOD_S) / v for v in (1e-9, -1e-9))
+    return float(max(slopes))
