@@ -72,6 +72,26 @@ def derived(test: str = TEST, given: str = RIG) -> AxesDerived:
     return derive_axes(config.parse_test(test, "test.toml"), rig(given))
 
 
+def test_what_the_rig_notes_is_noted_for_every_test_on_it() -> None:
+    plain = re.sub(r"actuator = .*\n", "", RIG)
+    integrator = "[plant]\na = [[0, 0], [0, -300]]\nb = [[1, 0], [0, 300]]\nc = [[1, 0], [0, 1]]\n"
+    assert any("poles that neither" in note for note in derived(given=plain + integrator).notes)
+    assert not any("poles that neither" in note for note in derived().notes)
+
+
+@pytest.mark.parametrize("count", [32, 33])
+def test_more_friction_dampers_than_can_be_solved_for_are_noted_with_several_axes(
+    count: int,
+) -> None:
+    law = 'law = { element = "coulomb", fc_n = "20 kN", width_m_per_s = 1e-5 }'
+    storeys = f"storeys = {list(range(3, count + 3))}\nbeside = true"
+    tall = TEST.replace("count = 3", "count = 40").replace(
+        "[[interface]]", f"[[numerical.nonlinear]]\n{storeys}\n{law}\n[[interface]]", 1
+    )
+    notes = [note for note in derived(tall).notes if "dry friction" in note]
+    assert len(notes) == (count > 32)
+
+
 def faults(test: str = TEST, given: str = RIG) -> list[str]:
     with pytest.raises(InputError) as caught:
         derived(test, given)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import scipy.linalg
 import scipy.signal
 from kernels import H
 
@@ -79,13 +80,17 @@ def test_blocks_in_a_row_beside_and_summed_are_products_and_sums() -> None:
     np.testing.assert_allclose(loop_roots.gain(0.3).then(two).response(z)[:, 0], 0.3 * second)
 
 
-@pytest.mark.parametrize("kind", ["building", "chain of delays"])
+@pytest.mark.parametrize("kind", ["drifting", "vibrating", "chain of delays"])
 def test_a_block_of_many_states_answers_as_solved_directly(kind: str) -> None:
     """The roots of the chain all coincide, so that no sum of partial fractions exists."""
     n, rng = 150, np.random.default_rng(3)
-    if kind == "building":
-        turned, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    turned, _ = np.linalg.qr(rng.standard_normal((n, n)))
+    if kind == "drifting":
         a = turned @ np.diag(np.linspace(-0.9, 0.999, n)) @ turned.T
+    elif kind == "vibrating":
+        roots = 0.99 * np.exp(1j * np.linspace(0.01, 3.0, n // 2))
+        pairs = [np.array([[r.real, r.imag], [-r.imag, r.real]]) for r in roots]
+        a = turned @ scipy.linalg.block_diag(*pairs) @ turned.T
     else:
         a = np.eye(n, k=-1) + 0.5 * np.eye(n)
     b, c = rng.standard_normal(n), rng.standard_normal((2, n))

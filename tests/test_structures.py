@@ -141,6 +141,20 @@ def test_drifts_and_shears_are_recorded_by_name(ten: tuple[experiment.Setup, Any
     assert np.all(np.array(apart) < 0.05 * peak)
 
 
+def test_a_reference_that_is_asked_for_again_is_as_it_was(
+    ten: tuple[experiment.Setup, Any],
+) -> None:
+    setup, ag = ten[0], ten[0].ag_mps2[:200]
+    elements = experiment.specimen_elements(setup.rig)
+    first = setup.derived.structure.whole_reference(elements, ag)
+    kept = [values.copy() for values in first]
+    for values in first:
+        values[:] = 0.0
+    again = setup.derived.structure.whole_reference(elements, ag)
+    for values, expected in zip(again, kept, strict=True):
+        assert np.array_equal(values, expected)
+
+
 DAMPER = """
 [[numerical.nonlinear]]
 storeys = [2]
