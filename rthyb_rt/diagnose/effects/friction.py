@@ -249,7 +249,9 @@ class Stribeck(Effect):
         Param("Fs_N", "N", 0.0, 1e8),
         Param("vs_m_s", "m/s", 1e-6, 10.0),
     )
-    equation = "f = [Fc + (Fs - Fc) exp(-|v/vs|^n)] tanh(v / width)"
+    equation = (
+        f"f = [Fc + (Fs - Fc) exp(-|v/vs|^n)] tanh(v / width), n from {PEAKS[0]} to {PEAKS[1]}"
+    )
     fingerprint = "friction with a peak at low velocity"
     dry = True
     plainer = Coulomb.name

@@ -368,7 +368,9 @@ class Stopper(Effect):
     plain = "a stop"
     phrase = "a stop at {xs_m} with {ks_N_m}"
     params = (Param("ks_N_m", "N/m", 0.0, 1e12), Param("xs_m", "m", 0.0, 10.0))
-    equation = "f = ks (|x| - xs) (1 + loss |v| sgn(x v)) sgn(x) where |x| > xs"
+    equation = (
+        "f = ks (|x| - xs) sgn(x) where |x| > xs; if it loses energy, times 1 + loss v, v inwards"
+    )
     fingerprint = "residual only beyond a certain displacement, growing from there"
     static = True
     shown_by = ("multi_amplitude", "a stop is reached only at large amplitude")
