@@ -163,6 +163,16 @@ law = { element = "coulomb", fc_n = "2 kN", width_m_per_s = "0.5 mm/s" }
 """
 
 
+def test_a_stop_that_is_too_stiff_for_the_sampling_period_is_suspected(tmp_path: Path) -> None:
+    stop = 'law = { element = "stopper", ks_n_per_m = 1e11, xs_m = 0.001, loss_s_per_m = 5 }'
+    file = tmp_path / "pounding.toml"
+    file.write_text(
+        f"{EXAMPLE.read_text()}\n[[numerical.nonlinear]]\nstoreys = [3]\nbeside = true\n{stop}\n"
+    )
+    with pytest.raises(InputError, match="possible: check .*stops, which may be too stiff"):
+        experiment.prepare(*config.load_both(file, None, []))
+
+
 def test_a_friction_damper_in_the_next_storey_does_not_shake_the_actuator(tmp_path: Path) -> None:
     """Ten samples late: a force that changes its sign at every sample would be amplified."""
     file = tmp_path / "damper.toml"

@@ -424,7 +424,8 @@ def _refuse_divergence(setup: Setup, x_m: NDArray[np.float64], sent_m: NDArray[n
         raise InputError(
             f"in the reference simulation the {what} moves from {path[tick]:.4g} m at tick {tick} "
             f"to {path[tick + 1]:.4g} m at the next; at most {most:g} m/s are possible: check "
-            f"{suspects}the units of mass, stiffness and ground motion, and the sign of damping",
+            f"{suspects}the units of mass, stiffness and ground motion, the sign of damping, and "
+            "elements such as stops, which may be too stiff for the sampling period",
             f'test "{setup.test.test.name}" on rig "{setup.rig.rig.name}"',
         )
 
