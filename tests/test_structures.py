@@ -169,7 +169,7 @@ def test_a_stop_that_is_too_stiff_for_the_sampling_period_is_suspected(tmp_path:
     file.write_text(
         f"{EXAMPLE.read_text()}\n[[numerical.nonlinear]]\nstoreys = [3]\nbeside = true\n{stop}\n"
     )
-    with pytest.raises(InputError, match="possible: check .*stops, which may be too stiff"):
+    with pytest.raises(InputError, match=r"possible: check .*stops, which may be too stiff"):
         experiment.prepare(*config.load_both(file, None, []))
 
 
