@@ -130,6 +130,14 @@ def test_a_peak_of_friction_has_the_exponent_of_the_rig_file(exponent: float) ->
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-9)
 
 
+@pytest.mark.parametrize("exponent", [0.04, 11.0])
+def test_a_peak_of_friction_with_an_exponent_beyond_those_of_a_file_is_refused(
+    exponent: float,
+) -> None:
+    with pytest.raises(core.CoreError):
+        core.CoreElement(core.element("stribeck", **ONE_OF_EACH["stribeck"], exponent=exponent))
+
+
 @pytest.mark.parametrize("kind", ["stopper", "gap_uneven"])
 def test_a_stop_that_loses_energy_pushes_harder_inwards_and_never_pulls(kind: str) -> None:
     x = smooth_motion(3.0, 1, peak_m=0.02)

@@ -545,6 +545,18 @@ def test_a_recording_with_too_few_parameters_of_an_element_is_refused() -> None:
         SparsePart(SparseConfig.of_plain(damaged))
 
 
+@pytest.mark.parametrize(
+    ("force_n", "exponent", "solved"), [(2e3, 0.9, True), (2e3, 1.0, False), (-2e3, 0.5, False)]
+)
+def test_a_damper_is_solved_for_where_it_is_steep_at_rest_and_opposes_the_motion(
+    force_n: float, exponent: float, solved: bool
+) -> None:
+    damper = core.element(
+        "power_damping", force_n=force_n, at_m_per_s=0.1, exponent=exponent, width_m_per_s=2e-4
+    )
+    assert with_friction(damper).with_dry_friction() == ([0, 1, 2] if solved else [])
+
+
 def test_more_friction_than_is_solved_for_is_evaluated_at_the_previous_velocity() -> None:
     n = lib.RTHYB_SLIDERS_MAX + 1
     m, k = shear_building(np.full(n, 2700.0), np.full(n, 4.7e6))
