@@ -207,6 +207,39 @@ def test_a_second_mass_on_a_spring_too_stiff_for_the_motion_is_a_moving_mass() -
     assert ("cubic", "second_mode") in {h.names for h in decided(seen(0.5)).equal}
 
 
+def test_along_an_estimated_motion_a_stiff_second_mode_must_show_in_the_motion_of_the_test() -> (
+    None
+):
+    """Elsewhere it is a filter of the noise that the estimate has in common with the load cell."""
+
+    def named(exact: bool, driven_more: float) -> tuple[str, ...]:
+        seen = evidence(
+            of("inertia", "cubic", chi2=3000.0), of("inertia", chi2=9000.0),
+            of("cubic", chi2=15_000.0), of("second_mode", chi2=9000.0),
+            of("cubic", part("second_mode", 30.0, 3), chi2=1000.0, settles_rad=0.02), exact=exact,
+        )  # fmt: skip
+        return decided(seen, driven_more=driven_more).best.names
+
+    assert named(exact=False, driven_more=5.0) == ("cubic", "inertia")
+    assert named(exact=False, driven_more=1500.0) == ("cubic", "second_mode")
+    assert named(exact=True, driven_more=5.0) == ("cubic", "second_mode")
+
+
+def test_what_richer_friction_explains_is_measured_without_it_in_whatever_order_a_set_has() -> None:
+    """Beside a large spring, which explains nearly all."""
+
+    def named(*parts: SetMember | str) -> tuple[str, ...]:
+        rich = of(*parts, chi2=1000.0)
+        seen = evidence(
+            of("stiffness", chi2=1_800.0), of("coulomb", "stiffness", chi2=1120.0), rich,
+            of("coulomb", chi2=5e4), of(part("stribeck", 25.0, 3), chi2=5e4), null=6e4, exact=False,
+        )  # fmt: skip
+        return decided(seen).best.names
+
+    peak = part("stribeck", 25.0, 3)
+    assert named("stiffness", peak) == named(peak, "stiffness") == ("stiffness", "stribeck")
+
+
 def test_sets_that_differ_by_less_than_evidence_tells_are_both_named() -> None:
     seen = evidence(of("cubic", chi2=1000.0), of("gap", chi2=1005.0), of("stopper", chi2=1020.0))
     assert [h.names for h in decided(seen).equal] == [("gap",)]
@@ -519,7 +552,7 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
 
 
 FREE = {"part": None, "yielding": None, "drift": DriftRates(1.0, 0.9, 0.01), "beyond_forms": 50.0,
-        "driven": (60.0, 60.0, 60.0), "driven_together": 180.0, "zero": 100.0,
+        "driven": (60.0, 60.0, 60.0), "driven_together": 180.0, "driven_more": 60.0, "zero": 100.0,
         "slow_noise": 1.0}  # fmt: skip
 
 

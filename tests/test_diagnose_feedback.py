@@ -185,6 +185,25 @@ def test_together_effects_earn_no_less_than_one_of_them_beside_the_others():
     assert driven.together(both, (0, 1)) >= max(alone)
 
 
+def test_a_filter_of_noise_that_comes_back_earns_nothing_over_a_mass_by_the_motion_of_the_test():
+    problem, known = problem_of(-40.0, 0.0), effects.catalogue()
+    force = problem.estimate.force + 40.0 * problem.ctx.a
+    problem = ResidualProblem(
+        problem.case, problem.ctx, replace(problem.estimate, force=force), known.values()
+    )
+    stiff, mass = (
+        Member(known["second_mode"], Trial((20.0, 0.3))),
+        Member(known["inertia"], Trial()),
+    )
+    fits = [solve(problem, [m], problem.blocks([m])) for m in (mass, stiff)]
+    driven = Driven.of(problem)
+    assert driven is not None
+    more = driven.more([stiff], [mass])
+    assert fits[0].chi2 - fits[1].chi2 > 100.0
+    assert more < 10.0
+    assert driven.more([mass], [stiff]) > -more
+
+
 def pushed(seed: int = 5) -> ResidualProblem:
     """A body under a known force up to 3 Hz, without a load cell, as its model has it.
 

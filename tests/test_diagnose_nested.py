@@ -5,7 +5,9 @@ from __future__ import annotations
 import diagnose_cases as cases
 import numpy as np
 
-from rthyb_rt.diagnose import engine, force, reading, select
+from rthyb_rt import core
+from rthyb_rt.diagnose import effects, engine, force, reading, select
+from rthyb_rt.diagnose.effects.base import Trial
 
 
 def yielding(x: np.ndarray, xy: float) -> np.ndarray:
@@ -50,3 +52,34 @@ def test_every_set_fits_at_least_as_well_as_the_best_sets_within_it(tmp_path, mo
                 own = select.price(fitter.problem, added.effect, count)
                 assert fitter.score(f) < fitter.score(part) + own + 0.5, (part.names, f.names)
     assert compared
+
+
+def test_a_law_that_stood_for_a_missing_one_is_replaced_once_the_others_are_there(
+    tmp_path, monkeypatch
+):
+    """A mass, relaxation and hum. Before the hum was found, a second mode at its frequency fitted
+    better than the mass; without either, relaxation has a sign that no law permits."""
+
+    def extra(t, x, v, a):
+        relaxing = core.element("maxwell", km_n_per_m=3e4, tau_s=0.2)
+        relaxed = core.CoreElement(relaxing).run(x, v, a, t[1] - t[0])
+        return 600.0 * a + relaxed + 50.0 * np.sin(2.0 * np.pi * 16.7 * t)
+
+    recording, toml = cases.write(tmp_path, cases.channels(extra))
+    decided, decide = [], force._decide
+
+    def watched(problem, *more):
+        decided.append(problem)
+        return decide(problem, *more)
+
+    monkeypatch.setattr(force, "_decide", watched)
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+    assert d.effects == ["hum", "inertia", "maxwell"]
+    problem, known = decided[-1], effects.catalogue()
+    shapes = {"second_mode": (16.0, 0.1), "maxwell": (0.2,), "hum": (16.7,)}
+    members = [select.Member(known[n], Trial(theta)) for n, theta in shapes.items()]
+    assert select.solve(problem, members[1:], problem.blocks(members[1:])) is None
+    fitter = force._Fitter(problem)
+    fitter.fit(members)
+    force._replaced(select.Dictionary(problem), fitter)
+    assert min(fitter.by_names.values(), key=fitter.score).names == ("hum", "inertia", "maxwell")

@@ -21,8 +21,8 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 CLOSER = 3
 """Number of sets, best first, for which yielding is tried in place of bristles."""
 What = Literal[
-    "part", "yielding", "beyond forms", "drift", "driven", "driven together", "size", "left",
-    "held out", "zero", "slow noise",
+    "part", "yielding", "beyond forms", "drift", "driven", "driven together", "driven more", "size",
+    "left", "held out", "zero", "slow noise",
 ]  # fmt: skip
 
 
@@ -202,7 +202,8 @@ class Need:
             for an effect of the load cell any smooth form (chi-squared); "drift", its drift by
             halves (`DriftRates`); "driven", what each effect earns by the motion that the test
             imposes (chi-squared, a number for each; empty if nothing moves); "driven together",
-            what those of ``which`` earn together (likewise, one number); "size", its force relative
+            what those of ``which`` earn together (likewise, one number); "driven more", what the
+            one in ``which`` earns beyond its simpler law (likewise); "size", its force relative
             to the recorded force; "left", the rms difference from the recorded force with the set,
             as a multiple of that of the model as given; "held out", the fraction of its gain that
             is confirmed on rows to which it was not fitted; "zero", how far a constant force or a
@@ -315,6 +316,11 @@ class Court:
     def blurred(self) -> float:
         """Factor by which a share must be larger if the motion is estimated."""
         return 1.0 if self.setting.exact else self.policy.estimated_motion
+
+    @property
+    def noisy_motion(self) -> bool:
+        """Whether laws are functions of a motion that was estimated from noisy channels."""
+        return self.setting.judged == "force" and not self.setting.exact and not self.setting.naive
 
     def share(self, of: Hypothesis) -> float:
         """Return the fraction of the explained misfit that each effect must explain alone."""
@@ -665,13 +671,18 @@ def plainest(court: Court, sets: Sets) -> Sets:
     Both contain it as a special case; what they then gain is the form of the jump, which is a share
     of what friction explains, not of what the other laws do. The same applies to relaxation with a
     negligible time, which is a dashpot, and to a second mass on a spring that is far too stiff for
-    the motion, which is a moving mass: these also gain from the form of the other laws.
+    the motion, which is a moving mass: these also gain from the form of the other laws. Along an
+    estimated motion they must gain it by the motion that the test imposes: what distinguishes them
+    is fast, and there the estimate contains the load cell's noise, which a filter reduces.
     """
     policy, out = court.policy, []
     share = policy.richer_friction_share * court.blurred
     for of in sets:
         plain = _plainer_of(court, of, sets)
         gain = plain.chi2 - of.chi2 if plain is not None else np.inf
+        slow = [i for i, p in enumerate(of.parts) if p.name in court.laws.settling]
+        if plain is not None and slow and court.noisy_motion:
+            gain = min(gain, court.ask("driven more", of, (slow[0],)))
         least = max(policy.richer_friction_gain, share * _explained_by_richer(court, of, plain))
         wanted = of.price - (plain.price if plain is not None else 0.0) + least
         against = plain.names if plain is not None else ()
@@ -687,7 +698,9 @@ def plainest(court: Court, sets: Sets) -> Sets:
 def _explained_by_richer(court: Court, of: Hypothesis, plain: Hypothesis | None) -> float:
     """Return what more complex friction explains beside the other laws; all, if there is none."""
     names = () if plain is None else plain.names
-    own = [i for i, n in enumerate(of.names) if n in court.laws.plainer and n not in names]
+    own = [
+        i for i, p in enumerate(of.parts) if p.name in court.laws.plainer and p.name not in names
+    ]
     less = court.less(of, own[0]) if plain is not None and own else None
     return (court.null if less is None else less).chi2 - of.chi2
 

@@ -172,6 +172,8 @@ class Gathered:
             return () if self.driven is None else self.driven.gains(fit)
         if need.what == "driven together":
             return np.inf if self.driven is None else self.driven.together(fit, need.which)
+        if need.what == "driven more":
+            return self._driven_more(fit, need.which[0])
         if need.what == "drift":
             return drift(problem, fit, self.laws)
         if need.what == "zero":
@@ -197,6 +199,16 @@ class Gathered:
             return beyond_forms(self.problem, fit, which)
         less = self.fitter.fit([m for i, m in enumerate(fit.members) if i != which])
         return np.inf if less is None else past_forms(self.problem, less, fit)
+
+    def _driven_more(self, fit: Fit, which: int) -> float:
+        """Return what a law earns beyond its simpler one by the motion that the test imposes."""
+        name = fit.members[which].effect.plainer
+        plainer = next((e for e in self.problem.effects if e.name == name), None)
+        if plainer is None or self.driven is None:
+            return np.inf
+        simple = Member(plainer, plainer.trials(self.problem.ctx)[0])
+        twin = (*fit.members[:which], simple, *fit.members[which + 1 :])
+        return self.driven.more(fit.members, twin)
 
     def _yielding(self, fit: Fit) -> list[Member] | None:
         """Return a set with yielding in place of its bristles."""

@@ -57,21 +57,26 @@ class Driven:
 
         As a reduction of chi-squared; negative if the set is not a physical law there.
         """
-        ways = self._ways(fit)
+        ways = self._ways(fit.members)
         return tuple(_gain(ways, fit.members, (i,)) for i in range(len(fit.members)))
 
     def together(self, fit: Fit, which: Sequence[int]) -> float:
         """Return what several effects of a set earn together beside the rest of it, likewise."""
-        return _gain(self._ways(fit), fit.members, which)
+        return _gain(self._ways(fit.members), fit.members, which)
 
-    def _ways(self, fit: Fit) -> list[_Way]:
-        """Return both problems in which the set is a physical law."""
+    def more(self, members: Sequence[Member], than: Sequence[Member]) -> float:
+        """Return what a set earns beyond another one, in the shapes of both, likewise."""
+        chi2 = {one: value for one, _, value in self._ways(than)}
+        return float(
+            max((chi2.get(one, np.inf) - v for one, _, v in self._ways(members)), default=-np.inf)
+        )
+
+    def _ways(self, members: Sequence[Member]) -> list[_Way]:
+        """Return both problems in which a set is a physical law."""
         seen = self.problem.seen
-        along = [
-            np.column_stack([seen(c) for c in own]) for own in columns_of(self.slow, fit.members)
-        ]
-        ways = [(self.problem, along), (self.below, self.below.blocks(fit.members))]
-        solved = [(one, blocks, solve(one, fit.members, blocks)) for one, blocks in ways]
+        along = [np.column_stack([seen(c) for c in own]) for own in columns_of(self.slow, members)]
+        ways = [(self.problem, along), (self.below, self.below.blocks(members))]
+        solved = [(one, blocks, solve(one, members, blocks)) for one, blocks in ways]
         return [(one, blocks, whole.chi2) for one, blocks, whole in solved if whole is not None]
 
 

@@ -232,6 +232,9 @@ class _Mover(_Fitter):
         known = self.by_names.get(fit.names)
         if known is not None and known.chi2 < POLICY.motion_met_alone * self.rows:
             return known
+        return self._simulated(fit)
+
+    def _simulated(self, fit: Fit) -> Fit | None:
         found = self.body.settled(self.problem, fit)
         if found is None:
             return None
@@ -334,6 +337,26 @@ class _Mover(_Fitter):
                     if not (met and part.names in self.by_names):
                         self.move(part)
 
+    def elsewhere(self) -> None:
+        """Refine the best set again from where larger sets left its laws, if its friction sticks.
+
+        The misfit of such a motion has many minima, nearly as deep as one another. The deepest one
+        counts, and their scatter is part of the interval, see `_forms`.
+        """
+        best = min(self.by_names.values(), key=self.score, default=None)
+        if best is None or not any(m.effect.dry for m in best.members):
+            return
+        larger = [
+            f
+            for f in sorted(self.by_names.values(), key=self.score)
+            if len(f.members) == len(best.members) + 1 and set(best.names) < set(f.names)
+        ]
+        for fit in larger[:LEADING]:
+            added = [i for i, m in enumerate(fit.members) if m.name not in best.names]
+            part = _without(self.problem, fit, added[0])
+            if part.names == best.names and self.body.distinct(part):
+                self._simulated(part)
+
     def _refine(self, fit: Fit) -> None:
         for _ in range(AGAIN):
             before = fit.chi2
@@ -355,6 +378,16 @@ def _without(problem: ResidualProblem, fit: Fit, member: int) -> Fit:
         betas=fit.betas[:member] + fit.betas[member + 1 :],
         nuisance=fit.nuisance + np.array(shift),
     )
+
+
+def _remaining(problem: ResidualProblem, fit: Fit, member: int) -> Fit:
+    """Return a set without one effect, as a part to which another one is added.
+
+    Alone, the rest might have signs that no law permits: then with the coefficients of the set.
+    """
+    rest = fit.members[:member] + fit.members[member + 1 :]
+    alone = solve(problem, rest, problem.blocks(rest))
+    return _without(problem, fit, member) if alone is None else alone
 
 
 def _stiff(problem: ResidualProblem) -> ResidualProblem:
@@ -481,6 +514,7 @@ def _moved(
     body.runs = max(body.runs, PARTS)
     mover.relieve()
     mover.plain_friction()
+    mover.elsewhere()
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale = inflation(best.residual)
     before, after = plain.chi2, best.chi2
@@ -636,6 +670,7 @@ def _sweep(
     _reform(dictionary, fitter, strained or reached > POLICY.search_ends * rows)
     fitter.exchange()
     _nested(dictionary, fitter)
+    _replaced(dictionary, fitter)
     # Subsets of refined sets must be present for comparison.
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):
@@ -707,14 +742,35 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
             rest = fit.members[:i] + fit.members[i + 1 :]
             if not others or like & {n for m in rest for n in m.effect.names}:
                 continue
-            alone = solve(problem, rest, problem.blocks(rest))
-            if alone is None:
-                continue
-            found = dictionary.sets(others, dictionary.beside(alone))
+            found = dictionary.sets(others, dictionary.beside(_remaining(problem, fit, i)))
             # All, if the form of friction is in doubt: on the grid, a smoother jump leads.
             for (g,) in dictionary.best(found, len(like), len(others) if dry else 2):
                 if compatible([*rest, groups[g].member]):
                     fitter.fit((*rest, groups[g].member))
+
+
+def _replaced(dictionary: Dictionary, fitter: _Fitter) -> None:
+    """Replace each law of the best set of three or more by each other one, while that improves it.
+
+    Such a set is built up from its best subset: a law that stood there for one that was still
+    missing would otherwise remain. Pairs are all compared in `_sweep`.
+    """
+    problem = fitter.problem
+    done: set[tuple[str, ...]] = set()
+    for _ in range(LEADING):
+        first = min(fitter.by_names.values(), key=fitter.score, default=None)
+        if first is None or len(first.members) < 3 or first.names in done:
+            return
+        done.add(first.names)
+        for i in range(len(first.members)):
+            rest = _remaining(problem, first, i)
+            others = [(g,) for g, group in enumerate(dictionary.groups)
+                      if not set(group.member.effect.names) & set(first.names)]  # fmt: skip
+            found = dictionary.sets(others, dictionary.beside(rest))
+            for (g,) in dictionary.best(found, 2):
+                members = (*rest.members, dictionary.groups[g].member)
+                if compatible(members):
+                    fitter.fit(members)
 
 
 def _dashpots(dictionary: Dictionary, fitter: _Fitter) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.core.diagnosis_models import iwan
+from rthyb_rt.diagnose.effects import chains
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 
 SLOW = ("multi_amplitude", "friction stays constant while other forces grow with amplitude")
@@ -149,7 +149,7 @@ a minute at rest it creeps by 1e-5 of its motion in a second."""
 
 def slipping(ctx: Context, way_m: float) -> Floats:
     """Return the force per N of a dry contact that shears by ``way_m`` before it slips, (n,)."""
-    return iwan(np.array([way_m]), np.array([1.0]), ctx.x) / way_m
+    return chains.plastic(chains.even(way_m, 0.0), ctx.x) / way_m
 
 
 class Coulomb(Effect):
@@ -341,19 +341,7 @@ class Stribeck(Effect):
         ]  # fmt: skip
 
 
-def slips(ctx: Context, way_m: float, count: int = 32) -> Floats:
-    """Return the force per N of parallel sliders that reverse like bristles of ``way_m``, (n,).
-
-    Their strengths are distributed exponentially; unlike bristles they remember reversals. Each
-    slider has the mean strength of its share of them, so that the sum slides at 1 N.
-    """
-    stronger = np.arange(count, 0, -1) / count  # share of the sliders from each one's on
-    moment = np.r_[stronger * (1.0 - np.log(stronger)), 0.0]  # sum of their strengths
-    limit = -0.5 * way_m * count * np.diff(moment)
-    return iwan(limit, np.full(count, 1.0 / count), ctx.x) / (0.5 * way_m)
-
-
-BRISTLES = ("dahl", "elastic", "spread0.5", "spread1.0", "slips")
+BRISTLES = ("dahl", "spread0", "spread0.5", "spread1.0", "slips")
 
 
 class Lugre(Effect):
@@ -401,14 +389,17 @@ class Lugre(Effect):
                 "lugre", fc_n=1.0, fs_n=1.0, vs_m_per_s=1.0, sigma0_n_per_m=1.0 / z0,
                 sigma1_n_s_per_m=0.0, sigma2_n_s_per_m=0.0,
             )  # fmt: skip
-        elif trial.variant == "slips":
-            z = slips(ctx, z0)
         else:
-            from rthyb_rt.diagnose.effects.hysteretic import plastic
-
-            spread = trial.variant.removeprefix("spread") if trial.variant != "elastic" else "0"
-            z = plastic(ctx, f"iwan{spread}", z0) / z0
+            yields = self._yields(trial)
+            z = chains.plastic(yields, ctx.x) / float(yields.mean())
         return [z, np.gradient(z) / ctx.dt * (z0 / ctx.v_range)]
+
+    def _yields(self, trial: Trial) -> Floats:
+        """Return where the sliders of a chain slide, m."""
+        z0 = trial.theta[0]
+        if trial.variant == "slips":  # reverses like bristles of that travel
+            return chains.exponential(0.5 * z0)
+        return chains.even(z0, float(trial.variant.removeprefix("spread")))
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False if the damping outweighs the bristles."""
@@ -426,22 +417,35 @@ class Lugre(Effect):
         """Return the law of the bristles."""
         if trial.variant == "dahl":
             return "bristles of Dahl and LuGre"
-        if trial.variant == "elastic":
+        if trial.variant == "spread0":
             return "one bristle, elastic until it slides"
         if trial.variant == "slips":
             return "Iwan chain, yields spread exponentially"
         return f"Iwan chain, spread {trial.variant.removeprefix('spread')}"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element."""
+        """Return the bristles, or the chain; with damping, whichever is nearer to its force."""
         p = self.report(ctx, trial, beta)
         damping = max(float(beta[1]), 0.0) / ctx.v_range
-        return [
+        bristles = [
             core.element(
                 "lugre", fc_n=p["Fc_N"], fs_n=p["Fc_N"], vs_m_per_s=1.0,
                 sigma0_n_per_m=p["sigma0_N_m"], sigma1_n_s_per_m=damping, sigma2_n_s_per_m=0.0,
             )
         ]  # fmt: skip
+        if trial.variant == "dahl":
+            return bristles
+        yields = self._yields(trial)
+        chain = chains.elements(yields, p["Fc_N"] / float(yields.mean()))
+        if not damping:
+            return chain
+        force = np.column_stack(self.columns(ctx, trial)) @ beta
+
+        def error(elements: list[core.ElementConfig]) -> float:
+            made = sum(core.CoreElement(e).run(ctx.x, ctx.v, ctx.a, ctx.dt) for e in elements)
+            return float(np.sum((made - force) ** 2))
+
+        return min(chain, bristles, key=error)
 
 
 STARTS = {"low": 0.05, "middle": 0.5, "high": 0.95}

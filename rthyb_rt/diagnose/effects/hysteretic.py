@@ -7,15 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.core.diagnosis_models import iwan
+from rthyb_rt.diagnose.effects import chains
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.friction import Lugre, Viscous
 from rthyb_rt.diagnose.effects.springs import Stiffness
 from rthyb_rt.diagnose.policy import POLICY
 
 LARGE = ("multi_amplitude", "a memory of amplitude appears when small cycles follow large ones")
-SPRINGS, FINE = core.IWAN_SLIDERS, 32
-"""Springs of the core's element, and of a distribution that it does not have."""
 BAR = {"r0": 20.0, "cr1": 0.925, "cr2": 0.15}
 """Curvature of the branches of steel: Menegotto & Pinto 1973, constants by Filippou et al. 1983."""
 
@@ -32,17 +30,14 @@ def plastic(ctx: Context, variant: str, xy: float) -> Floats:
     if variant == "mp":
         bar = core.element("menegotto_pinto", k_n_per_m=1.0, post_yield_ratio=0.0, xy_m=1.0, **BAR)
         return core.CoreElement(bar).run(ctx.x / xy) * xy
-    spread = float(variant.removeprefix("iwan").removeprefix("bell"))
-    if spread == 0.0:
-        return iwan(np.array([xy]), np.array([1.0]), ctx.x)
-    bell = variant.startswith("bell")
-    count = FINE if bell else SPRINGS
-    at = 2.0 * (np.arange(count) + 0.5) / count - 1.0  # evenly from -1 to 1
-    if bell:
-        at = np.sign(at) * (
-            1.0 - np.sqrt(1.0 - np.abs(at))
-        )  # a triangle, most of them in the middle
-    return iwan(xy * (1.0 + spread * at), np.full(count, 1.0 / count), ctx.x)
+    return chains.plastic(_yields(variant, xy), ctx.x)
+
+
+def _yields(variant: str, xy: float) -> Floats:
+    """Return where the springs of a chain yield, m."""
+    if variant.startswith("bell"):
+        return chains.triangle(xy, float(variant.removeprefix("bell")))
+    return chains.even(xy, float(variant.removeprefix("iwan")))
 
 
 def hardened(ctx: Context, xy: float, shape: Sequence[float]) -> Floats:
@@ -272,13 +267,9 @@ class Hysteresis(Effect):
         if shape == "mp":
             bar = {"k_n_per_m": k, "post_yield_ratio": 0.0, "xy_m": xy}
             return [*out, core.element("menegotto_pinto", **bar, **BAR)]
-        spread = trial.theta[1] if shape in SPREADS else float(shape[4:])
-        if shape == "bell":
-            spread /= np.sqrt(2.0)  # the even distribution of the same standard deviation
-        return [
-            *out,
-            core.element("iwan", k_n_per_m=k, post_yield_ratio=0.0, xy_m=xy, spread=spread),
-        ]
+        if shape in SPREADS:
+            shape = f"{shape}{trial.theta[1]}"
+        return [*out, *chains.elements(_yields(shape, xy), k)]
 
 
 def _loop(k: float, xy: float, eta: float) -> core.ElementConfig:
