@@ -113,6 +113,8 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
         if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= ETA_MAX))
             return RTHYB_E_ELEMENT;
     }
+    if (kind == RTHYB_POWER_DAMPING && params[0] != 0.0) /* velocity per force at rest */
+        element->params[4] = params[1] / params[0] * pow(params[3] / params[1], 1.0 - params[2]);
     if (kind == RTHYB_GAP_FRICTION) /* the faces meet within the play, and before slip */
         element->params[5] =
             fmin(fmin(params[4], params[1]), fmin(params[2], params[3]) / params[0]);

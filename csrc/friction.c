@@ -2,10 +2,6 @@
 #include "laws.h"
 #include "numeric.h"
 
-#define NEWTON_MAX 30
-#define TINY 1e-300  /* a velocity at which the side counts, and nothing else */
-#define SOLVED 1e-13 /* of the velocity without friction */
-
 /* The peak that LuGre's g(v) has, e^(-(v/vs)^2): Fc, Fs, vs. */
 static double gaussian_level(const double *p, double v)
 {
@@ -51,6 +47,7 @@ double rthyb_gap_friction(const double *p, double *s, double x)
     return s[1] < 0.0 ? -k * closed : k * closed;
 }
 
+#define VALUE_MAX 1e30
 #define UNLOADING 0.8 /* gamma - beta of the sliding contact: 0.9 and 0.1 */
 
 /* Y dZ = [1 - Z^2 (gamma sgn(Z dx) + beta)] dx, exact for any dx (Constantinou, Mokha & Reinhorn,
@@ -81,70 +78,129 @@ double rthyb_friction_pendulum(const double *p, double *s, double x, double v)
     return weight / p[1] * x + mu * weight * s[1];
 }
 
-/* Slope of the logarithm of a peak, -n |v/vs|^n / v. */
-static double falling(const double *p, double v)
+/* tanh(y), and its slope, by one exponential. Its error is that of rounding 1: friction of at most its level. */
+static double sign_of(double y, double *slope)
 {
-    if (p[4] == 2.0)
-        return -2.0 * v / (p[2] * p[2]);
-    return v == 0.0 ? 0.0 : -p[4] * pow(fabs(v / p[2]), p[4]) / v;
+    if (fabs(y) > 19.0) {
+        *slope = 0.0;
+        return copysign(1.0, y);
+    }
+    const double e = exp(-2.0 * fabs(y)), by = 1.0 / (1.0 + e);
+    *slope = 4.0 * e * by * by;
+    return copysign((1.0 - e) * by, y);
 }
 
-/* Force of a law that depends on the velocity alone, as in element.c, and its slope. */
-static double velocity_law(const rthyb_element *e, double v, double *slope)
+/* The peak of a Stribeck curve as in rthyb_stribeck_level, and its slope, -n r^n / v of it. */
+static double peak(const double *p, double v, double *slope)
 {
-    const double *p = e->params;
+    const double r = fabs(v / p[2]);
+    const double power = p[4] == 2.0 ? r * r : (p[4] == 1.0 ? r : pow(r, p[4]));
+    const double high = (p[1] - p[0]) * exp(-power);
+    *slope = v == 0.0 ? 0.0 : -p[4] * power / v * high;
+    return high;
+}
+
+static double width_of(const rthyb_element *e)
+{
+    switch (e->kind) {
+    case RTHYB_COULOMB:
+        return e->params[1];
+    case RTHYB_COULOMB_UNEVEN:
+        return e->params[2];
+    default:
+        return e->params[3];
+    }
+}
+
+double rthyb_friction_scale(const rthyb_element *e, double v)
+{
+    const double width = width_of(e), size = fabs(v);
+    return size > (e->kind == RTHYB_POWER_DAMPING ? 1.0 : 25.0) * width ? size : width;
+}
+
+rthyb_friction_point rthyb_friction_at(const rthyb_element *e, double v)
+{
+    const double *p = e->params, width = width_of(e);
     if (e->kind == RTHYB_POWER_DAMPING) {
-        const double r = v / p[1], width = p[3] / p[1], square = r * r + width * width;
+        const double r = v / p[1], small = width / p[1], square = r * r + small * small;
         const double by = p[0] * pow(square, 0.5 * (p[2] - 1.0));
-        *slope = by / p[1] * (p[2] * r * r + width * width) / square;
-        return by * r;
+        return (rthyb_friction_point){v, by * r,
+                                      by / p[1] * (p[2] * r * r + small * small) / square};
     }
-    const double width = p[e->kind == RTHYB_COULOMB ? 1 : e->kind == RTHYB_STRIBECK ? 3 : 2];
-    const double sign = smooth_sign(v / width);
-    double level = e->kind == RTHYB_COULOMB_UNEVEN && v < 0.0 ? p[1] : p[0], falls = 0.0;
-    if (e->kind == RTHYB_STRIBECK) {
-        level = rthyb_stribeck_level(p, v);
-        falls = falling(p, v) * (level - p[0]);
-    }
-    *slope = falls * sign + level / width * (1.0 - sign * sign);
-    return level * sign;
+    double steep, falls = 0.0;
+    const double sign = sign_of(v / width, &steep);
+    double level = e->kind == RTHYB_COULOMB_UNEVEN && v < 0.0 ? p[1] : p[0];
+    if (e->kind == RTHYB_STRIBECK)
+        level += peak(p, v, &falls);
+    return (rthyb_friction_point){v, level * sign, falls * sign + level / width * steep};
 }
 
-/* Largest force of a law that depends on the velocity alone, in the direction of r. */
+/* Largest force of a law in the direction of r. */
 static double most_of(const rthyb_element *e, double r)
 {
     const double *p = e->params;
-    switch (e->kind) {
-    case RTHYB_COULOMB_UNEVEN:
-        return r < 0.0 ? p[1] : p[0];
-    case RTHYB_STRIBECK:
-        return fmax(p[0], p[1]);
-    case RTHYB_POWER_DAMPING:
-        return INFINITY;
-    default:
-        return p[0];
-    }
+    if (e->kind == RTHYB_COULOMB_UNEVEN && r < 0.0)
+        return p[1];
+    return e->kind == RTHYB_STRIBECK ? greater_of(p[0], p[1]) : p[0];
 }
 
-/* The force opposes the velocity, so u is between 0 and r. Newton's method begins with what the slope at 0 and the
- * largest force give: both come from the side of 0, from which it converges without a detour where the law is steepest
- * at 0. */
-double rthyb_friction_for(const rthyb_element *e, double r, double g)
+/* Where the search begins: near the solution if the law is steep at 0, where it holds, and where it slides. The law
+ * falls off from its slope at 0, so f <= r / (g + 1 / slope); the velocity is the one at which it has that force. */
+static double beginning(const rthyb_element *e, double r, double g)
 {
-    double slope, force = velocity_law(e, copysign(TINY, r), &slope);
-    const double straight = fabs(r) / (1.0 + g * slope), slides = fabs(r) - g * most_of(e, r);
-    double near = 0.0, far = r, u = copysign(greater_of(straight, slides), r);
-    for (int i = 0; i < NEWTON_MAX; i++) {
-        force = velocity_law(e, u, &slope);
-        const double excess = u + g * force - r;
-        if (!(fabs(excess) > SOLVED * fabs(r)))
+    const double *p = e->params, width = width_of(e), size = fabs(r);
+    if (e->kind == RTHYB_POWER_DAMPING) {
+        if (p[0] == 0.0)
+            return size;
+        const double f = size / (g + p[4]), u = p[1] * pow(f / p[0], 1.0 / p[2]);
+        const double small = f * p[4], both = sqrt(u * u + small * small);
+        return both > 0.0 && both < VALUE_MAX ? both * size / (both + size) : less_of(both, size);
+    }
+    const double most = most_of(e, r), slides = size - g * most;
+    if (slides > 19.0 * width)
+        return slides;
+    const double steep = g * most / width;
+    const double below_1 = 1.0 - greater_of(0.5 / (1.0 + steep), 1e-15);
+    const double x = less_of(size / (width * (1.0 + steep)), below_1);
+    return greater_of(0.5 * width * log((1.0 + x) / (1.0 - x)), slides);
+}
+
+static int cost_of(const rthyb_element *e)
+{
+    if (e->kind == RTHYB_STRIBECK)
+        return e->params[4] == 2.0 || e->params[4] == 1.0 ? 3 : 4;
+    return e->kind == RTHYB_POWER_DAMPING ? 4 : 2;
+}
+
+/* The force opposes the velocity, so u is between 0 and r. Newton's method, within the bracket; from `last`, if what
+ * has changed since then is small beside the width of the law. */
+rthyb_friction_point rthyb_friction_for(const rthyb_element *e, double r, double g,
+                                        const rthyb_friction_point *last, double solved, int most,
+                                        int *left)
+{
+    const int cost = cost_of(e);
+    double near = 0.0, far = r, u = 0.0;
+    int known = 0;
+    if (last) {
+        const double change = (r - last->velocity - g * last->force) / (1.0 + g * last->slope);
+        u = last->velocity + change;
+        known = u * r > 0.0 && fabs(u) < fabs(r) &&
+                fabs(change) < 0.2 * rthyb_friction_scale(e, last->velocity);
+    }
+    if (!known)
+        u = copysign(beginning(e, r, g), r);
+    rthyb_friction_point at = rthyb_friction_at(e, u);
+    for (*left -= cost; --most > 0; *left -= cost) {
+        const double excess = u + g * at.force - r;
+        if (!(fabs(excess) > solved * fabs(r)))
             break;
         if ((excess > 0.0) == (r > 0.0))
             far = u;
         else
             near = u;
-        const double next = u - excess / (1.0 + g * slope);
+        const double next = u - excess / (1.0 + g * at.slope);
         u = (next - near) * (far - next) > 0.0 ? next : 0.5 * (near + far);
+        at = rthyb_friction_at(e, u);
     }
-    return force;
+    return at;
 }

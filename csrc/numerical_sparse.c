@@ -27,7 +27,7 @@ typedef const rthyb_sparse_config config;
 
 /* ---- the state's vectors ----------------------------------------------------------------------- */
 
-enum { VECTORS = 6, SWEEPS_AHEAD = 20, SWEEPS_IN_TICK = 3 };
+enum { VECTORS = 6 };
 
 typedef struct {
     double *x, *v, *q;   /* at t_n; q: of the next step, without its force and excitation */
@@ -35,6 +35,9 @@ typedef struct {
     double *to_k, *to_c; /* vectors to be multiplied with K and C */
     double *joint_force; /* of each element, at t_n */
     double *sliding;     /* velocity of each slider at t_n, without force and excitation */
+    double *pull;        /* of it per unit excitation */
+    double *push;        /* and per unit force, interfaces x sliders */
+    sliders friction;
     rthyb_element *element;
 } vectors;
 
@@ -42,7 +45,9 @@ static vectors vectors_of(config *c, rthyb_sparse *s)
 {
     const size_t n = (size_t)c->size;
     double *first = (double *)(s + 1);
-    double *forces = first + VECTORS * n;
+    double *forces = first + VECTORS * n, *sliding = forces + c->joints;
+    const size_t many = (size_t)c->sliders;
+    double *push = sliding + 2 * many, *friction = push + (size_t)c->interfaces * many;
     return (vectors){
         .x = first,
         .v = first + n,
@@ -51,8 +56,11 @@ static vectors vectors_of(config *c, rthyb_sparse *s)
         .to_k = first + 4 * n,
         .to_c = first + 5 * n,
         .joint_force = forces,
-        .sliding = forces + c->joints,
-        .element = (rthyb_element *)(void *)(forces + c->joints + c->sliders),
+        .sliding = sliding,
+        .pull = sliding + many,
+        .push = push,
+        .friction = sliders_at(c, friction),
+        .element = (rthyb_element *)(void *)(friction + sliders_numbers(c)),
     };
 }
 
@@ -70,7 +78,9 @@ size_t rthyb_sparse_bytes(config *cfg)
 {
     if (!sizes_ok(cfg))
         return 0;
-    const size_t numbers = VECTORS * (size_t)cfg->size + (size_t)cfg->joints + (size_t)cfg->sliders;
+    const size_t of_sliders = (size_t)cfg->sliders * (size_t)(2 + cfg->interfaces);
+    const size_t numbers =
+        VECTORS * (size_t)cfg->size + (size_t)cfg->joints + of_sliders + sliders_numbers(cfg);
     return sizeof(rthyb_sparse) + numbers * sizeof(double) +
            (size_t)cfg->joints * sizeof(rthyb_element);
 }
@@ -335,20 +345,33 @@ static void damp(config *c, const double *restrict to_c, double *restrict out)
 
 /* Velocities of the sliders without their friction, in the step that the present force and
  * excitation begin. */
-static void sliding_now(config *c, const rthyb_sparse *s, const double *sliding, double *now)
+static void sliding_now(config *c, const rthyb_sparse *s, const vectors *all, double *now)
 {
-    const double gamma_h = c->gamma * c->period_s;
-    for (int32_t j = 0; j < c->sliders; j++) {
-        const rthyb_joint *joint = &c->joint[c->slider[j]];
-        double q = s->excitation * across(joint, c->by_excitation);
-        for (int32_t i = 0; i < c->interfaces; i++)
-            q += s->force[i] * across(joint, c->by_force + (size_t)i * (size_t)c->size);
-        now[j] = sliding[j] + gamma_h * q;
-    }
+    const int32_t n = c->sliders;
+    for (int32_t j = 0; j < n; j++)
+        now[j] = all->sliding[j] + all->pull[j] * s->excitation;
+    for (int32_t i = 0; i < c->interfaces; i++)
+        for (int32_t j = 0; j < n; j++)
+            now[j] += all->push[i * n + j] * s->force[i];
 }
 
-/* Most of the work on the sliders' forces, with the last force and excitation as a prediction. */
-static void predict_friction(config *c, const rthyb_sparse *s, vectors *all)
+static void take_friction(config *c, const vectors *all)
+{
+    for (int32_t j = 0; j < c->sliders; j++)
+        all->joint_force[c->slider[j]] = all->friction.at[j].force;
+}
+
+/* The sliders' forces with which the structure makes this step. */
+static void settle_friction(config *c, const rthyb_sparse *s, const vectors *all)
+{
+    double now[RTHYB_SLIDERS_MAX];
+    sliding_now(c, s, all, now);
+    sliders_settle(&all->friction, now);
+    take_friction(c, all);
+}
+
+/* Most of the work on the forces of the next step, with the present force and excitation as a prediction. */
+static void predict_friction(config *c, const rthyb_sparse *s, const vectors *all)
 {
     const double gamma_h = c->gamma * c->period_s;
     double now[RTHYB_SLIDERS_MAX];
@@ -356,8 +379,9 @@ static void predict_friction(config *c, const rthyb_sparse *s, vectors *all)
         const rthyb_joint *joint = &c->joint[c->slider[j]];
         all->sliding[j] = across(joint, all->v) + gamma_h * across(joint, all->q);
     }
-    sliding_now(c, s, all->sliding, now);
-    sliders_settle(c, now, SWEEPS_AHEAD, all->joint_force);
+    sliding_now(c, s, all, now);
+    sliders_predict(&all->friction, now);
+    take_friction(c, all);
 }
 
 /* The sliders' forces, now that force and excitation are known, and their part of x[n+1]. */
@@ -365,11 +389,27 @@ static void add_friction(config *c, rthyb_sparse *s, double *x_next)
 {
     const vectors all = vectors_of(c, s);
     double now[RTHYB_SLIDERS_MAX];
-    sliding_now(c, s, all.sliding, now);
-    sliders_settle(c, now, SWEEPS_IN_TICK, all.joint_force);
+    sliding_now(c, s, &all, now);
+    s->friction_effort = sliders_answer(&all.friction, now);
+    take_friction(c, &all);
     for (int32_t i = 0; i < c->interfaces; i++)
         for (int32_t j = 0; j < c->sliders; j++)
-            x_next[i] -= c->slider_x[i * c->sliders + j] * all.joint_force[c->slider[j]];
+            x_next[i] -= c->slider_x[i * c->sliders + j] * all.friction.at[j].force;
+}
+
+/* The sliders at rest, and what moves them. */
+static void start_friction(config *c, const vectors *all)
+{
+    const double gamma_h = c->gamma * c->period_s;
+    const int32_t n = c->sliders;
+    sliders_start(&all->friction);
+    for (int32_t j = 0; j < n; j++) {
+        const rthyb_joint *joint = &c->joint[c->slider[j]];
+        all->pull[j] = gamma_h * across(joint, c->by_excitation);
+        for (int32_t i = 0; i < c->interfaces; i++)
+            all->push[i * n + j] =
+                gamma_h * across(joint, c->by_force + (size_t)i * (size_t)c->size);
+    }
 }
 
 /* q of the next step, without its force and excitation. */
@@ -419,6 +459,8 @@ static int advance(const rthyb_numerical *part)
     const double *by_excitation = first ? c->first_by_excitation : c->by_excitation;
     double *restrict last = all.last;
     const double *restrict q = all.q;
+    if (!first && c->sliders > 0)
+        settle_friction(c, s, &all);
     for (int32_t i = 0; i < n; i++)
         last[i] = q[i] + s->excitation * by_excitation[i];
     for (int32_t j = 0; j < c->interfaces; j++)
@@ -512,6 +554,7 @@ static int init(const rthyb_numerical *part, double x0_m)
         all.joint_force[i] = rthyb_element_force(&all.element[i], across(joint, all.x),
                                                  across(joint, all.v), 0.0, c->period_s);
     }
+    start_friction(c, &all);
     note_gains(c, s);
     for (int i = 0; i < c->interfaces; i++)
         s->x[i] = s->x1[i] = s->x2[i] = row_sum(&c->interface, i, all.x);

@@ -91,12 +91,21 @@ typedef struct {
         *slider_x; /* x[n+1] at the interfaces per unit of such a force, interfaces x sliders */
 } rthyb_sparse_config;
 
+/* What the forces of dry friction took between force and command. */
+typedef struct {
+    int32_t passes;   /* linear solutions */
+    int32_t changes;  /* elements that began to hold or to slide in one of them */
+    int32_t law_cost; /* of evaluating laws: 2 for one exponential, 3 for two, 4 with a power */
+    int32_t settled;  /* 0: the rest was left until after the command */
+} rthyb_friction_effort;
+
 /* Beginning of the state; vectors and elements follow. */
 typedef struct {
     int32_t size, interfaces, joints;
     int32_t stepped; /* 0 before the first step */
     int32_t ran_off;
     int32_t padding;
+    rthyb_friction_effort friction_effort;
     double gain[2][RTHYB_INTERFACES_SQUARE]; /* for the first step, and for all others */
     double pull[2][RTHYB_INTERFACES_MAX];    /* x[n+1] per unit excitation */
     double base[RTHYB_INTERFACES_MAX];       /* x[n+1] without force and excitation */

@@ -557,6 +557,79 @@ def test_a_damper_is_solved_for_where_it_is_steep_at_rest_and_opposes_the_motion
     assert with_friction(damper).with_dry_friction() == ([0, 1, 2] if solved else [])
 
 
+MANY = lib.RTHYB_SLIDERS_MAX
+TALL, TALL_SHEARS = shear_building(np.full(MANY, 2700.0), np.full(MANY, 4.7e6))
+STEEP: dict[str, tuple[core.ElementConfig, Callable[[Floats], Floats]]] = {
+    "coulomb": (
+        core.element("coulomb", fc_n=2e4, width_m_per_s=1e-6),
+        lambda v: 2e4 * np.tanh(v / 1e-6),
+    ),
+    "stribeck": (
+        core.element(
+            "stribeck",
+            fc_n=1.5e4, fs_n=2.4e4, vs_m_per_s=0.05, width_m_per_s=1e-6, exponent=1.3,
+        ),
+        lambda v: (1.5e4 + 9e3 * np.exp(-(np.abs(v / 0.05) ** 1.3))) * np.tanh(v / 1e-6),
+    ),
+    "power_damping": (
+        core.element(
+            "power_damping", force_n=2e4, at_m_per_s=0.1, exponent=0.2, width_m_per_s=1e-6
+        ),
+        lambda v: 2e4 * (v / 0.1) * ((v / 0.1) ** 2 + 1e-10) ** -0.4,
+    ),
+}  # fmt: skip
+
+
+def tall(element: core.ElementConfig) -> SparseConfig:
+    """As many floors as there may be solved friction, each held by more than a tick moves it."""
+    return building(
+        TALL, TALL_SHEARS, k_e_n_per_m=(0.0,), by_mass_per_s=0.5, integrator="cr",
+        joints=tuple(Joint(i - 1, i, element) for i in range(MANY)),
+    )  # fmt: skip
+
+
+def rough(n: int) -> Floats:
+    """An excitation that makes many floors slip and stop in the same tick."""
+    noise = np.random.default_rng(3).standard_normal(n)
+    return np.asarray(10.0 * np.sin(0.02 * np.arange(n)) + 6.0 * noise)
+
+
+@pytest.mark.parametrize("kind", STEEP)
+def test_floors_that_slip_all_at_once_cost_the_command_a_limited_amount_of_work(kind: str) -> None:
+    """What the limit leaves stays within the friction itself, and the structure has none of it."""
+    element, law = STEEP[kind]
+    config = tall(element)
+    part, work = SparsePart(config), []
+    moved, sent = [part.displacements()], []
+    ag = rough(1500)
+    for one in ag:
+        sent.append(part.answer(float(one), 0.0)[0])
+        work.append(part.friction_effort())
+        assert part.advance() == 0
+        moved.append(part.displacements())
+    passes, changes, law_cost, settled = np.array(work).T
+    # The limit is checked before each element; its two evaluations cost at most 8.
+    assert passes.max() == 3
+    assert changes.max() <= 10
+    assert law_cost.max() < 192 + 8
+    assert 0.0 < 1.0 - settled.mean() < 0.05  # the limit is reached, but hardly ever
+    x = np.array(moved)
+    late = np.abs(np.array(sent) - x[1:, 0])
+    assert late[settled == 1].max() < 2e-9
+    assert late.max() < 2.0 * 2.4e4 * H * H / 2700.0  # friction of the wrong sign at one floor
+    # The equation of motion at t_n, with the velocities of the same instant (cr: x' = v + h q / 2).
+    v = np.diff(x, axis=0, prepend=x[:1]) / H
+    u, q = 0.5 * (v[1:] + v[:-1]), np.diff(v, axis=0) / H
+    slip = np.diff(u, axis=1, prepend=0.0)
+    friction = law(slip)
+    friction[:, :-1] -= friction[:, 1:]
+    c = config.damping_times(np.eye(MANY))
+    implicit = TALL + 0.25 * H * H * TALL_SHEARS + 0.5 * H * c
+    forces = q @ implicit + v[:-1] @ c + x[:-1] @ TALL_SHEARS + np.outer(ag, np.diag(TALL))
+    wrong = np.abs(forces + friction)[1:].max(axis=1) / 2e4
+    assert wrong.max() < 2e-5
+
+
 def test_more_friction_than_is_solved_for_is_evaluated_at_the_previous_velocity() -> None:
     n = lib.RTHYB_SLIDERS_MAX + 1
     m, k = shear_building(np.full(n, 2700.0), np.full(n, 4.7e6))

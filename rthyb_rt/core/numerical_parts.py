@@ -224,6 +224,16 @@ class SparsePart(Part):
         lib.rthyb_sparse_displacements(self._c.cfg, state, out, values.size)
         return np.asarray(values[self._place])
 
+    def friction_effort(self) -> tuple[int, int, int, bool]:
+        """Return what dry friction took in the last answer, between force and command.
+
+        These are the number of linear solutions, that of elements which began to hold or to slide
+        in them, the cost of evaluating force laws, and whether nothing was left until after the
+        command; see ``rthyb_friction_effort``.
+        """
+        found = ffi.cast("rthyb_sparse *", self._c.state).friction_effort
+        return found.passes, found.changes, found.law_cost, bool(found.settled)
+
     def force_for(self, ag_mps2: float, x_next_m: FloatArray) -> FloatArray:
         """Return the forces at t_n that lead to the interfaces' next displacements, N, (m,)."""
         state = ffi.cast("rthyb_sparse *", self._c.state)

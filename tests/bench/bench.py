@@ -435,6 +435,11 @@ def structure_figures() -> list[Figure]:
             note=f"slender; {t.squat_us:.0f} in 12 wide storeys",
         ),
         Figure("structure: force to command, 3024 over 1 DOF", t.answer_us, "us", 5.0),
+        Figure(
+            "structure: the same, 32 floors with steep friction slipping, over 1 DOF", t.slip_us,
+            "us", 5.0,
+            note=f"ticks with the most work; {t.slip_most_us:.1f} with Stribeck curves",
+        ),
         Figure("structure: memory, 3024 DOF", t.large_mb, "MB", 8.0),
     ]  # fmt: skip
 

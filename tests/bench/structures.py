@@ -32,6 +32,9 @@ class Times:
         squat_us: the same number of degrees of freedom, in 12 wide storeys.
         large_mb: memory of the arrays and state of the former.
         answer_us: from force to command with 3024 degrees of freedom, in excess of that of one.
+        slip_us: likewise with 32 storeys, each with steep friction, in a rough motion in which many
+            begin to slip or stop at once; median of the hundredth of the ticks with the most work.
+        slip_most_us: the same for the law of friction for which it is longest, a Stribeck curve.
     """
 
     frame_us: float
@@ -41,6 +44,8 @@ class Times:
     squat_us: float
     large_mb: float
     answer_us: float
+    slip_us: float
+    slip_most_us: float
 
 
 def measure() -> Times:
@@ -107,6 +112,36 @@ def _step(part: Any) -> tuple[float, float]:
     return _median_us(answer), whole
 
 
+def _slipping_us(law: Any) -> float:
+    """Return the median of `answer` over the hundredth of the ticks with the most work."""
+    import numpy as np
+    from frames import shear_building
+
+    from rthyb_rt.core.numerical_parts import SparsePart
+    from rthyb_rt.core.sparse import SLIDERS_MAX, Joint, SparseConfig, Symmetric
+
+    n = SLIDERS_MAX
+    m, k = shear_building(np.full(n, 2700.0), np.full(n, 4.7e6))
+    part = SparsePart(
+        SparseConfig(
+            Symmetric.of(m), Symmetric.of(k), np.diag(m), (((0, 1.0),),), (0.0,), by_mass_per_s=0.5,
+            joints=tuple(Joint(i - 1, i, law) for i in range(n)),
+        )
+    )  # fmt: skip
+    noise = np.random.default_rng(3).standard_normal(8 * STEPS)
+    taken, work = [], []
+    for i, rough in enumerate(noise):
+        ag = float(10.0 * np.sin(0.02 * i) + 6.0 * rough)
+        begun = time.perf_counter_ns()
+        part.answer(ag, 0.0)
+        taken.append(time.perf_counter_ns() - begun)
+        passes, changes, law_cost, _ = part.friction_effort()
+        work.append(30 * passes + 10 * changes + law_cost)
+        part.advance()
+    busiest = np.array(taken)[np.array(work) >= np.quantile(work, 0.99)]
+    return float(np.median(busiest)) / 1e3
+
+
 def main() -> None:
     """Print the times as JSON."""
     import numpy as np
@@ -132,6 +167,10 @@ def main() -> None:
     _, squat_both = _step(_frame((7, 6), 12, 0))
     one = core.DenseConfig("cr", ((1e4,),), ((1e3,),), ((1e6,),), (1e4,), k_e_n_per_m=3e7)
     one_answer, _ = _step(DensePart(one))
+    dry = core.element("coulomb", fc_n=2e4, width_m_per_s=1e-6)
+    curve = core.element(
+        "stribeck", fc_n=1.5e4, fs_n=2.4e4, vs_m_per_s=0.05, width_m_per_s=1e-6, exponent=1.3
+    )
     layout = large.config.struct()[1]
     kept = sum(array.nbytes for array in layout.kept if isinstance(array, np.ndarray))
     print(
@@ -144,6 +183,8 @@ def main() -> None:
                 "squat_us": squat_both,
                 "large_mb": (kept + large.state_bytes) / 1e6,
                 "answer_us": max(large_answer - one_answer, 0.0),
+                "slip_us": _slipping_us(dry) - one_answer,
+                "slip_most_us": _slipping_us(curve) - one_answer,
             }
         )
     )
