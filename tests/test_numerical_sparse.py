@@ -421,7 +421,7 @@ def with_friction(element: core.ElementConfig, **settings: Any) -> SparseConfig:
     return building(LIGHT, SHEARS, **(given | settings))
 
 
-def of_radau(law: Law, t: Floats) -> Floats:
+def of_radau(law: Law, t: Floats, rtol: float = 1e-7, atol: float = 1e-10) -> Floats:
     """Displacements of the floors of `with_friction`, (n, floors)."""
     m = np.diag(LIGHT)
 
@@ -435,7 +435,7 @@ def of_radau(law: Law, t: Floats) -> Floats:
         return np.concatenate([v, force / m])
 
     solved = scipy.integrate.solve_ivp(
-        rate, (0.0, t[-1]), np.zeros(2 * FLOORS), "Radau", t, rtol=1e-7, atol=1e-10, max_step=0.004
+        rate, (0.0, t[-1]), np.zeros(2 * FLOORS), "Radau", t, rtol=rtol, atol=atol, max_step=0.004
     )
     return np.asarray(solved.y[:FLOORS].T)
 
@@ -451,6 +451,30 @@ def test_storeys_with_dry_friction_move_as_scipy_says(kind: str) -> None:
     before = run(replace(config, joints=explicit), pulse(t), still)
     assert worst(found, expected) < 0.001
     assert worst(before, expected) > 5.0 * worst(found, expected)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 0.7])
+def test_the_error_of_a_steep_stribeck_curve_is_that_of_the_step(exponent: float) -> None:
+    """From 2048 Hz on, it falls with the square of the step, as for other elements."""
+    element = core.element(
+        "stribeck",
+        fc_n=1500.0, fs_n=2500.0, vs_m_per_s=0.05, width_m_per_s=5e-4, exponent=exponent,
+    )  # fmt: skip
+
+    def law(v: float) -> float:
+        level = 1500.0 + 1000.0 * np.exp(-(abs(v / 0.05) ** exponent))
+        return float(level * np.tanh(v / 5e-4))
+
+    t, error = np.arange(1024) * H, []
+    expected = of_radau(law, t, rtol=1e-9, atol=1e-12)
+    for times in (2, 4, 8):
+        config = with_friction(element, period_s=H / times)
+        ag = pulse(np.arange(1024 * times) * H / times)
+        found = run(config, ag, lambda i, at: np.zeros(1))
+        error.append(worst(found[::times], expected))
+    assert error[0] < 3e-4
+    assert error[1] == pytest.approx(error[0] / 4.0, rel=0.5)
+    assert error[2] == pytest.approx(error[1] / 4.0, rel=0.1)
 
 
 def test_friction_that_holds_a_storey_does_not_change_its_sign_at_every_sample() -> None:
