@@ -376,13 +376,21 @@ PER_COUNT void write_record(shape s, const rthyb_controller *c, const rthyb_inpu
 /* ---- motion ------------------------------------------------------------------------------------ */
 
 /* The controller's own equation of motion, with one degree of freedom, completes its step at once
- * and is called without dispatch by kind. */
-static int answer(rthyb_controller *c, double excitation, const double *force, double *x_num)
+ * and is called without dispatch by kind. Other parts are given copies: what they can reach would
+ * lie in memory for all. */
+PER_COUNT int answer(shape s, rthyb_controller *c, double excitation, const double *force,
+                     double *x_num)
 {
     if (has_own_part(c))
         return rthyb_motion_step(&c->motion, excitation, *force, x_num);
+    double given[MOST] = {0.0}, found[MOST] = {0.0};
+    for (int j = 0; j < s.m; j++)
+        given[j] = force[j];
     c->behind = 1;
-    return rthyb_numerical_answer(&c->cfg.numerical, excitation, force, x_num);
+    const int code = rthyb_numerical_answer(&c->cfg.numerical, excitation, given, found);
+    for (int j = 0; j < s.m; j++)
+        x_num[j] = found[j];
+    return code;
 }
 
 PER_COUNT int asks_velocity(shape s, const rthyb_controller *c)
@@ -459,7 +467,7 @@ PER_COUNT int compute_motion(shape s, rthyb_controller *c, const rthyb_input *in
     int code = observe(s, c, x, frozen || c->cfg.estimate_held);
     code |= meet_and_note(s, c, x, f, pose, met);
     code |= compensate(s, c, pose, met, frozen, force);
-    code |= answer(c, in->excitation, force, x_num);
+    code |= answer(s, c, in->excitation, force, x_num);
     return code;
 }
 

@@ -49,8 +49,8 @@ static void filter_pair(rthyb_estimator *est, double *p, double *m)
         prime(est, *p, *m);
     *p = filter_step(est, est->filter_p, &est->level_p, *p);
     *m = filter_step(est, est->filter_m, &est->level_m, *m);
-    const double least = fmin(est->cfg.period_s / OFFSET_TIME_S, 1.0);
-    est->level_weight = fmax(est->level_weight / (1.0 + est->level_weight), least);
+    const double least = less_of(est->cfg.period_s / OFFSET_TIME_S, 1.0);
+    est->level_weight = greater_of(est->level_weight / (1.0 + est->level_weight), least);
 }
 
 static int is_filtered(const rthyb_estimator *est)
@@ -193,8 +193,8 @@ static double project(const rthyb_estimator *est, double alpha)
 static void robust_update(rthyb_estimator *est, regressor g)
 {
     const double phi_sq = g.phi1 * g.phi1;
-    est->power += (phi_sq - est->power) * fmin(est->cfg.period_s / POWER_TIME_S, 1.0);
-    const double power = fmax(est->power, phi_sq);
+    est->power += (phi_sq - est->power) * less_of(est->cfg.period_s / POWER_TIME_S, 1.0);
+    const double power = greater_of(est->power, phi_sq);
     if (!(power > 0.0))
         return;
     const double epsilon = residual_of(est, g) / power;
@@ -203,7 +203,7 @@ static void robust_update(rthyb_estimator *est, regressor g)
 
 static double less_noise(double moment, double noise)
 {
-    return moment - fmin(noise, NOISE_SHARE_MAX * moment);
+    return moment - less_of(noise, NOISE_SHARE_MAX * moment);
 }
 
 /* Exponentially weighted least squares, with the moments of the noise at rest subtracted. The
@@ -238,7 +238,7 @@ static void rls_update(rthyb_estimator *est, regressor g)
 
 static int gate_is_open(rthyb_estimator *est, regressor g)
 {
-    const double weight = fmin(est->cfg.period_s / GATE_TIME_S, 1.0);
+    const double weight = less_of(est->cfg.period_s / GATE_TIME_S, 1.0);
     est->short_power += (g.phi1 * g.phi1 - est->short_power) * weight;
     return est->short_power > est->gate_power && est->short_power > RIDGE_FLOOR * RIDGE_FLOOR;
 }
