@@ -42,8 +42,8 @@ enum {
     EVALUATIONS = 30, /* of one law, in one pass */
     COST_MOST = 4,    /* of one evaluation */
     PASSES_IN_TICK = 3,
-    CHANGES = 10,
-    LAW_COST_IN_TICK = 192, /* of all laws, in all passes */
+    CHANGES = 8,
+    LAW_COST_IN_TICK = 144, /* of all laws, in all passes */
 };
 
 static int plausible(const double *values, size_t count)
