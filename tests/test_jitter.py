@@ -126,7 +126,9 @@ def test_a_run_at_the_rate_of_a_drive_takes_that_long(rate_hz: float) -> None:
     result = punctuality.measure(KindOfRun("sample", False), round(0.25 * rate_hz), load)
     assert time.monotonic_ns() - began_ns >= 0.24e9 * result.attempts
     assert result.rate.hz == rate_hz
-    assert result.measured.counts.elapsed == round(0.25 * rate_hz)
+    # A stall of the machine may extend over the last tick.
+    counts = result.measured.counts
+    assert 0 <= counts.elapsed - round(0.25 * rate_hz) <= counts.longest_skip
 
 
 def test_the_verdict_is_of_the_rate_and_of_its_quarter_of_a_tick() -> None:
