@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import diagnose_cases as cases
@@ -313,6 +315,37 @@ def test_the_verdict_of_a_stop_is_a_sentence_of_the_laboratory(tmp_path, capsys)
     assert "is confirmed on rows that were held out" in page
     # The page's own policy bars pictures: a drawing that needs one shows a broken frame.
     assert "<image" not in page
+
+
+@pytest.mark.long
+def test_the_form_of_a_law_is_told_in_the_terminal_and_on_the_page(tmp_path, capsys):
+    """The loss of a stop changes its force by a third, and is none of its parameters."""
+    stop = core.element("stopper", ks_n_per_m=3.1e6, xs_m=5e-3, loss_s_per_m=4.0)
+    recording, toml = cases.write(
+        tmp_path,
+        cases.channels(lambda t, x, v, a: core.CoreElement(stop).run(x, v, a, t[1] - t[0])),
+    )
+    out = tmp_path / "report"
+    assert run("diagnose", recording, "--model", toml, "--report", out) == 8
+    said = re.search(
+        r"stopper law +both sides, force times 1 \+ (\S+) s/m times the velocity inwards",
+        capsys.readouterr().out,
+    )
+    assert said is not None
+    assert float(said[1]) == pytest.approx(4.0, rel=0.1)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert f"{said[1]} s/m times the velocity inwards" in " ".join(page.split())
+
+
+@pytest.mark.long
+def test_a_simulated_motion_is_not_said_to_leave_noise_in_the_force(tmp_path, capsys):
+    recording, toml = cases.write(tmp_path, cases.channels(lambda t, x, v, a: 500.0 * np.sign(v)))
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+    answer = finish(d, None, None).answer
+    assert "the rest is noise" in words.sentence(d, answer)
+    moved = replace(d, force=replace(d.force, moved=True))
+    assert "the rest is noise" not in words.sentence(moved, answer)
+    assert "the motion is as measured" in words.sentence(moved, answer)
 
 
 def test_a_model_that_is_none_is_refused(tmp_path, capsys):

@@ -8,9 +8,10 @@ import pytest
 
 from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import augment, effects, engine, reading
+from rthyb_rt.diagnose import augment, effects, engine, estimate, reading
 from rthyb_rt.diagnose.effects import springs
 from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem
 
 K = cases.K
 XY = 2.5e-3
@@ -207,3 +208,22 @@ def test_where_time_is_nominal_no_stop_has_a_loss_for_each_metre_per_second(tmp_
     columns = lossy_stop(5.0, 300.0)
     d = diagnosed_from(tmp_path, columns, slow_model(5.0, 0.0))
     assert all("velocity" not in one.form for one in d.candidates)
+
+
+@pytest.mark.parametrize(("more", "possible"), [(0.0, True), (0.5, True), (0.97, False)])
+def test_a_gap_in_a_spring_that_acts_within_it_nevertheless_is_no_gap(more, possible, tmp_path):
+    """A stiffness too small by as much as the gap takes away: then the rest is a stop's."""
+    recording, toml = cases.write(tmp_path, cases.channels())
+    x, v, a = cases.moved(cases.command())
+    t = np.arange(x.size) / cases.FS
+    case = reading.read_case(recording, reading.read_model(toml))
+    ctx = Context(case.model, ComputedMotion(x, v, a), t, K * x, {})
+    found = estimate.Estimate(ctx.motion, ctx.force, case.rows, lambda y: y, 1.0, True)
+    problem = ResidualProblem(case, ctx, found, effects.catalogue().values())
+    known = effects.catalogue()
+    members = (
+        Member(known["gap"], Trial((1e-3,), "deadband")), Member(known["stiffness"], Trial()),
+    )  # fmt: skip
+    betas = (np.array([1.0]), np.array([more]))
+    fit = Fit(members, betas, 0.0, 3, np.zeros(len(problem.nuisances)))
+    assert problem.sensible(fit) == possible

@@ -143,6 +143,15 @@ def test_friction_of_which_some_readings_are_a_row_late_is_the_same_everywhere()
     assert grown[SECOND_HALF] > POLICY.changed_numbers
 
 
+def test_friction_that_turns_late_after_one_reversal_is_the_same_in_both_directions() -> None:
+    """By two rows, once the motion is upwards: only a part that fades out at reversals shows it."""
+
+    def force(t: Floats, x: Floats, v: Floats) -> Floats:
+        return 90.0 * np.sign(np.where(v > 0.0, np.roll(v, 2), v))
+
+    assert changes_of(force, "coulomb")[DIRECTION] < POLICY.changed_numbers
+
+
 def earned(force: Force, *names: str) -> tuple[float, float]:
     """What the last effect earns beside the law before it: as that is, and in any form of it."""
     problem, both = fitted(force, *names)

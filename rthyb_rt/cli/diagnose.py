@@ -340,7 +340,8 @@ def _print_answer(
     from rthyb_rt.diagnose.why import lines
 
     print(words.sentence(found, answer), file=file)
-    rows = []
+    rows: list[tuple[str, str, str]] = []
+    laws: list[tuple[str, str, str]] = []
     named = {n for group in (found.effects, *found.ambiguous_with) for n in group}
     for c in found.candidates:
         if c.name in named and found.verdict != "unknown":
@@ -350,10 +351,15 @@ def _print_answer(
                 rows.append(
                     (f"{c.name} {text[0]}", text[1], f"95 %: {interval}" if interval else "")
                 )
+            if words.law_text(c):
+                laws.append((f"{c.name} law", words.law_text(c), ""))
     rows += words.loop_rows(answer)
     if rows:
         print("", file=file)
         terminal.print_table(rows, file)
+    if laws:
+        print("", file=file)
+        terminal.print_table(laws, file)
     checks = words.check_rows(answer.get("self_check"))
     if checks:
         print("\nHidden in this recording:", file=file)

@@ -14,7 +14,7 @@ from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.select import Fit
-from rthyb_rt.diagnose.words import called, interval_text, value_text
+from rthyb_rt.diagnose.words import called, interval_text, law_text, value_text
 
 _AnyFit = TypeVar("_AnyFit", Fit, ActuatorFit)
 
@@ -126,7 +126,8 @@ def _force(d: DiagnosisResult, search: forces.Search) -> list[Row]:
                 own = by_name.get(name) if i == 0 else None
                 # For the named set, the values of the answer, whose intervals are wider.
                 shown = (own.params, own.ci95) if own else (values, ci)
-                params.append(_text(name, *shown, several))
+                law = law_text(own) if own else ""
+                params.append(_text(name, *shown, several) + (f"; {law}" if law else ""))
         held = float("nan") if search.moved else evidence.held_out_gain(problem, fit)
         rows.append(
             Row(_mark(i, len(search.equal)), _words(fit.names), params, weight,

@@ -120,6 +120,15 @@ def called(name: str) -> str:
     return effect.plain if effect is not None and effect.plain else name
 
 
+def law_text(c: Found) -> str:
+    """Return the form of an effect's law, with the numbers that no parameter holds.
+
+    Empty if its name has no other form than the equation of the catalogue.
+    """
+    effect = _known_effects().get(c.name)
+    return "" if effect is None or c.form in ("", effect.equation) else c.form
+
+
 def _phrase(c: Found) -> str:
     """Return an effect with its size in words: ``a stop at 18.2 mm with 3.1 MN/m``.
 
@@ -348,11 +357,11 @@ def _rest(d: DiagnosisResult) -> str:
     left = d.disp.best.chi2 / d.disp.task.rows.size - 1.0 if only_disp and d.disp else None
     if left is None and d.force is not None:
         left = d.force.excess_after
-    return (
-        f"{error}, the rest is noise"
-        if left is not None and left < POLICY.excess_as_noise
-        else error
-    )
+    if left is None or left >= POLICY.excess_as_noise:
+        return error
+    # A simulated motion is compared with the displacement, of which the force is no measure.
+    motion = not only_disp and d.force is not None and d.force.moved
+    return f"{error}, {'the motion is as measured' if motion else 'the rest is noise'}"
 
 
 def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
