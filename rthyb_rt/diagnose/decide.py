@@ -41,6 +41,8 @@ class SetMember:
         stated: it only changes a stated value.
         sensor, carries, dissipates: as declared by its law.
         offset_s: by how much it shifts the load cell's rows in time.
+        settles_rad: the time against which it acts like a simpler law in slower motion, times the
+            motion's angular frequency; 0: none.
     """
 
     name: str
@@ -53,6 +55,7 @@ class SetMember:
     carries: bool = False
     dissipates: bool = False
     offset_s: float = 0.0
+    settles_rad: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,6 @@ class Hypothesis:
         bent: effects that it replaces by moving a stated value out of its tolerance.
         offset_sd: fitted time offset, in standard deviations of its tolerance.
         held_n_per_m, lost_n_per_m: stiffness of its bristles, and loss of its spring.
-        settles_rad: longest time of a law that acts like a simpler one in slower motion, times the
-            motion's angular frequency; 0: none.
     """
 
     parts: tuple[SetMember, ...]
@@ -75,7 +76,6 @@ class Hypothesis:
     offset_sd: float = 0.0
     held_n_per_m: float = 0.0
     lost_n_per_m: float = 0.0
-    settles_rad: float = 0.0
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -680,7 +680,7 @@ def plainest(court: Court, sets: Sets) -> Sets:
     for of in sets:
         plain = _plainer_of(court, of, sets)
         gain = plain.chi2 - of.chi2 if plain is not None else np.inf
-        slow = [i for i, p in enumerate(of.parts) if p.name in court.laws.settling]
+        slow = [i for i, p in enumerate(of.parts) if _settles(court, p)]
         if plain is not None and slow and court.noisy_motion:
             gain = min(gain, court.ask("driven more", of, (slow[0],)))
         least = max(policy.richer_friction_gain, share * _explained_by_richer(court, of, plain))
@@ -720,7 +720,7 @@ def _imitated(court: Court, of: Hypothesis, plain: Hypothesis, sets: Sets) -> bo
 
 def _plainer_of(court: Court, of: Hypothesis, sets: Sets) -> Hypothesis | None:
     friction = court.laws.plainer
-    settling = {n: plain for n, plain in court.laws.settling.items() if n in of.names}
+    settling = {p.name: court.laws.settling[p.name] for p in of.parts if _settles(court, p)}
     richer = {n for n in of.names if n in friction}
 
     def among(plainer: Mapping[str, str]) -> Hypothesis | None:
@@ -731,8 +731,13 @@ def _plainer_of(court: Court, of: Hypothesis, sets: Sets) -> Hypothesis | None:
     if len(richer) == 1 and not {friction[n] for n in richer} & set(of.names):
         plain = among(friction)
     alone = set(settling.values()).isdisjoint(of.names)
-    quick = 0.0 < of.settles_rad < court.policy.quick_relaxation
-    return among(settling) if plain is None and quick and alone else plain
+    return among(settling) if plain is None and settling and alone else plain
+
+
+def _settles(court: Court, part: SetMember) -> bool:
+    """Return whether the motion is so slow that an effect acts like its simpler law."""
+    quick = 0.0 < part.settles_rad < court.policy.quick_relaxation
+    return quick and part.name in court.laws.settling
 
 
 def simplest_first(court: Court, sets: Sets) -> Sets:

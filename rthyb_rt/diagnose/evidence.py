@@ -101,15 +101,13 @@ class Gathered:
 
     def _read(self, fit: Fit) -> Hypothesis:
         problem, laws = self.problem, self.laws
-        ctx, held, lost, times = problem.ctx, 0.0, 0.0, [0.0]
+        ctx, held, lost = problem.ctx, 0.0, 0.0
         for m, b in zip(fit.members, fit.betas, strict=True):
             own = m.effect.holds_n_per_m(ctx, m.trial, b)
             if own > 0.0:
                 held = own
             elif m.name == laws.stiffness:
                 lost = -float(b[0]) * ctx.model.k
-            times.append(m.effect.settling_s(m.trial))
-        omega = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
         return Hypothesis(
             tuple(self._part(m) for m in fit.members),
             fit.chi2,
@@ -117,12 +115,12 @@ class Gathered:
             offset_sd(problem, fit),
             held,
             lost,
-            max(times) * omega,
         )
 
     def _part(self, member: Member) -> SetMember:
-        effect = member.effect
-        own = effect.settings(self.problem.ctx, member.trial)[1]
+        effect, ctx = member.effect, self.problem.ctx
+        own = effect.settings(ctx, member.trial)[1]
+        omega_per_s = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
         return SetMember(
             member.name,
             effect.names,
@@ -134,6 +132,7 @@ class Gathered:
             effect.carries,
             effect.dissipates,
             effect.offset_s(member.trial),
+            effect.settling_s(member.trial) * omega_per_s,
         )
 
     def _setting(self) -> Setting:
