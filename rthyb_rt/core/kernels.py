@@ -160,7 +160,7 @@ class Law:
         """Return x_p for commands of shape (n,), without learning."""
         x = doubles(x_c_m)
         out = np.full_like(x, np.nan)
-        with during(lambda: without_rig(out)):
+        with during(lambda: without_rig(out, now=0)):
             lib.rthyb_law_run(self._c, reading(x), writing(out), x.size)
         raise_pending()
         return out
@@ -284,12 +284,14 @@ class Motion:
         return x, v, f
 
 
-def without_rig(written: FloatArray) -> str:
+def without_rig(written: FloatArray, now: int = 1) -> str:
     """Return the moment of a simulation without a rig, in words.
 
-    ``written``: its output, filled up to the present tick, NaN beyond it.
+    Args:
+        written: its output, NaN from some tick on.
+        now: 1 if that of the present tick is written already, 0 if it is not.
     """
-    tick = max(0, int(np.count_nonzero(~np.isnan(written))) - 1)
+    tick = max(0, int(np.count_nonzero(~np.isnan(written))) - now)
     return f"at tick {tick} of a simulation without the rig"
 
 
