@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import diagnose_cases as cases
 import numpy as np
@@ -11,7 +12,7 @@ from diagnose_answers import diagnosed, found, holds
 from scipy import signal
 
 from rthyb_rt import core
-from rthyb_rt.diagnose import localise, reading
+from rthyb_rt.diagnose import actuation, engine, localise, reading, words
 from rthyb_rt.diagnose.outcome import finish
 from rthyb_rt.diagnose.predict import nrmse
 from rthyb_rt.diagnose.select import clustered
@@ -100,6 +101,47 @@ def test_a_longer_delay_that_a_stiffer_oil_column_hides_is_named_beside_it(tmp_p
     assert (d.verdict, sorted(d.effects)) == ("explained", ["delay", "oil_column"])
     assert found(d, "delay", "dtau_s") == pytest.approx(0.004, rel=0.1)
     assert found(d, "oil_column", "f_Hz") == pytest.approx(cases.F_HZ, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("beside", "named"), [("oil_column", True), ("delay_rate", False), ("rate_limit", False)]
+)
+def test_a_delay_beside_a_lag_counts_by_its_evidence_and_beside_inexact_laws_by_its_size(
+    beside, named
+):
+    """Of half a per cent of the amplitude, at 20 times its price, and down to the noise."""
+    known = {e.name: e for e in actuation.CATALOGUE}
+    task = SimpleNamespace(
+        rows=np.arange(10_000), case=SimpleNamespace(model=SimpleNamespace(k_tol=0.01)),
+        price_of=lambda effect: 20.0, by_form=lambda fit: 10.0,
+    )  # fmt: skip
+
+    def of(chi2: float, *names: str) -> SimpleNamespace:
+        effects_of = tuple(known[n] for n in names)
+        return SimpleNamespace(chi2=chi2, effects=effects_of, misfit=lambda scale: chi2 / scale)
+
+    weighed = engine._Weighed(task, of(1.6e7), [], 1.0, 1.0, None)
+    both, alone = of(10_000.0, "delay", beside), of(10_400.0, beside)
+    assert weighed.completes(both, known["delay"], alone) == named
+
+
+@pytest.mark.long
+def test_relaxation_beside_less_damping_is_told_with_what_it_means_for_fast_motion(tmp_path):
+    relaxing = core.element("maxwell", km_n_per_m=2e5, tau_s=0.1)
+
+    def missing(t, x, v, a):
+        return core.CoreElement(relaxing).run(x, v, a, t[1] - t[0]) - 2.0 * cases.C * v
+
+    d = diagnosed(tmp_path, cases.channels(missing))
+    assert (d.verdict, sorted(d.effects)) == ("explained", ["maxwell", "viscous"])
+    assert found(d, "viscous", "c_Ns_m") == pytest.approx(-2.0 * cases.C, rel=0.15)
+    (note,) = words.driving_notes(d)
+    assert "would be driven" in note
+    milder = diagnosed(
+        tmp_path / "milder",
+        cases.channels(lambda t, x, v, a: missing(t, x, v, a) + 1.4 * cases.C * v),
+    )
+    assert words.driving_notes(milder) == []
 
 
 @pytest.mark.long

@@ -366,7 +366,8 @@ def _print_answer(
         terminal.print_table([(name, text, "") for name, text in checks], file)
     elif "self_check" in answer:
         print("Nothing can be hidden in a recording without a measured force.", file=file)
-    limits = words.unheld(found, outcome) + words.loop_notes(found, answer)
+    limits = words.unheld(found, outcome) + words.driving_notes(found)
+    limits += words.loop_notes(found, answer)
     closing = words.heldout_lines(found) + [f"Note: {note}" for note in (*found.notes, *limits)]
     following = words.next_text(found)
     if following:

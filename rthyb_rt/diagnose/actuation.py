@@ -37,7 +37,7 @@ class ActuatorEffect:
         late: it begins in mid-recording; until then the model is right.
         limit: it has no effect, and no slope, until it is reached.
         in_rig_file: a rig file's actuator can represent it.
-        exact: its law has no other form: a constant delay, a gain.
+        exact: its law has no other form: a constant delay, a gain, a second-order lag.
     """
 
     name: str
@@ -118,7 +118,7 @@ CATALOGUE: tuple[ActuatorEffect, ...] = (
         "displacement residual grows with acceleration as well as velocity",
         ("sweep", "the corner of a second-order lag shows as the frequency passes it"),
         "another second-order lag of the actuator",
-        "an actuator with {f_Hz} and a damping ratio of {zeta:3}",
+        "an actuator with {f_Hz} and a damping ratio of {zeta:3}", exact=True,
     ),
     ActuatorEffect(
         "rate_limit", (Param("vmax_m_s", "m/s", 1e-6, 100.0),), ("vmax_m_s",), "|v| <= vmax",

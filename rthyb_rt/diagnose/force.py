@@ -99,12 +99,16 @@ class _Fitter:
         self.testimony: Callable[[Fit], float] = lambda _: 0.0
         self.witnessed = False
 
-    def fit(self, members: Iterable[Member]) -> Fit | None:
+    def fit(self, members: Iterable[Member], driving: bool = False) -> Fit | None:
+        """Refine a set; None if it is not a physical law.
+
+        ``driving``: it may have relaxation beside a dashpot that would drive fast motion.
+        """
         members = tuple(members)
         key = tuple(sorted((m.name, m.trial.variant, m.trial.theta) for m in members))
-        if key not in self.known:
+        if key not in self.known or (driving and self.known[key] is None):
             found = refine(self.problem, members)
-            if found is not None and not self.problem.sensible(found):
+            if found is not None and not self.problem.sensible(found, driving):
                 found = None
             if found is not None and not modulation.holds(self.problem, found):
                 found = None
@@ -188,7 +192,11 @@ class _Fitter:
 
         As a nuisance parameter, the shift costs a few hundred at most, little beside a large
         misfit. Also the best single effects: sets that all contain the wrong one may come first.
+
+        If a set reaches the noise only by that shift, the effect is named even if, beside
+        relaxation, it drives fast motion: the shift does so as well, and would go untold.
         """
+        at_noise = (1.0 + POLICY.excess_as_noise) * self.rows
         by_name = {e.name: e for e in self.problem.effects}
         for _ in range(2):
             ranked = sorted(self.by_names.values(), key=self.score)
@@ -200,7 +208,7 @@ class _Fitter:
                         continue
                     members = (*fit.members, Member(by_name[name], Trial()))
                     if compatible(members):
-                        self.fit(members)
+                        self.fit(members, driving=fit.chi2 < at_noise)
 
     def price(self, fit: Fit) -> float:
         return cost(self.problem, fit)
@@ -245,8 +253,8 @@ class _Mover(_Fitter):
             self.by_names[fit.names] = found
         return self.by_names[fit.names]
 
-    def fit(self, members: Iterable[Member]) -> Fit | None:
-        begun = self.first.fit(members)
+    def fit(self, members: Iterable[Member], driving: bool = False) -> Fit | None:
+        begun = self.first.fit(members, driving)
         return self.move(begun) if begun is not None else None
 
     def rescale(self, scale: float, plain: Fit) -> None:

@@ -24,6 +24,7 @@ from rthyb_rt.diagnose.words import (
     LOOP_WORDS,
     called,
     check_rows,
+    driving_notes,
     loop_notes,
     next_text,
     sentence,
@@ -177,7 +178,7 @@ def _section(engine: Environment, part: PagePart, figures_of: list[list[tuple[in
         checked=part.checks is not None,
         figures_of=figures_of,
         closed=_closed(d, outcome.answer),
-        limits=unheld(d, outcome),
+        limits=unheld(d, outcome) + driving_notes(d),
         facts=reasons["facts"],
         ledger=[
             (t, [(why.words_of(r), r, why.figures(r)) for r in rows])

@@ -245,8 +245,8 @@ class Policy:
     )  # fmt: skip
     actuator_form: float = _entry(
         0.01, "fraction of its amplitude", "judgement",
-        "Accuracy of the formula of an actuator's delay that grows with velocity, second-order lag "
-        "or velocity limit: beside one of them, no effect with a smaller amplitude is exempt.",
+        "Accuracy of the formula of an actuator's delay that grows with velocity, or of its "
+        "velocity limit: beside one of them, no effect with a smaller amplitude is exempt.",
     )  # fmt: skip
 
     # ---- remaining misfit ----------------------------------------------------------------------

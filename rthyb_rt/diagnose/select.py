@@ -293,8 +293,11 @@ class ResidualProblem:
         )
         return out
 
-    def sensible(self, fit: Fit) -> bool:
-        """Return whether every effect of a fit, and its springs together, are physical."""
+    def sensible(self, fit: Fit, driving: bool = False) -> bool:
+        """Return whether every effect of a fit, and its springs together, are physical.
+
+        ``driving``: relaxation may stand beside a dashpot that would drive fast motion.
+        """
         return (
             all(
                 m.effect.sensible(self.ctx, m.trial, b)
@@ -303,7 +306,7 @@ class ResidualProblem:
             and not self._gives_way(fit)
             and not self._holds_within_a_gap(fit)
             and not self._pushes(fit)
-            and not self._undoes_a_push(fit)
+            and (driving or not self._undoes_a_push(fit))
             and not self._weighs_nothing(fit)
             and not any(m.effect.borders(m.trial) in fit.names for m in fit.members)
         )

@@ -223,6 +223,22 @@ def unheld(d: DiagnosisResult, outcome: Outcome) -> list[str]:
     ]
 
 
+def driving_notes(d: DiagnosisResult) -> list[str]:
+    """Return a note if the effects found would drive fast motion, which no specimen does."""
+    known = effects.catalogue()
+    named = [c for c in d.candidates if c.name in d.effects and c.name in known]
+    dashpot = d.case.model.c + sum(
+        value for c in named if known[c.name].number == "c" for value in c.params.values()
+    )
+    if dashpot >= 0.0 or not any(known[c.name].relaxes for c in named):
+        return []
+    return [
+        f"Together with the model's, the dashpots are {quantity(dashpot, 'N s/m')}: motion faster "
+        "than the relaxation would be driven, not damped. Do not extrapolate to such motion; check "
+        "the damping of the model, and the timing of the load cell with a fast sweep."
+    ]
+
+
 def loop_notes(d: DiagnosisResult, answer: dict[str, Any]) -> list[str]:
     """Return notes on the repeated simulation of the loop, or the reason why there is none."""
     loop = answer.get("closed_loop")
