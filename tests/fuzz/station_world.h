@@ -304,7 +304,7 @@ static void add_specimen(dice *d, const scale *s, rthyb_rig_config *rig)
     const double friction[] = {between(d, 0.0, 0.2) * f, 1e-2 * v};
     const double lugre[] = {0.05 * f, 0.08 * f, 0.1 * v, 10.0 * k, 0.1 * f / v, 0.0};
     const double gap[] = {between(d, 0.1, 3.0) * k, x * between(d, 0.1, 1.5)};
-    const double stopper[] = {gap[0], gap[1], one_in(d, 2) ? 0.0 : between(d, 0.0, 2.0) / v};
+    const double stopper[] = {gap[0], gap[1], gap[0] < 1.5 * k ? 0.0 : 0.5 * gap[0] / (k * v)};
     const double cubic[] = {between(d, -0.2, 0.5) * k / (x * x)};
     const double bouc[] = {k, between(d, 0.0, 0.5), 1.0, 0.5 / x, 0.5 / x, 1.0};
     const double maxwell[] = {0.3 * k, some(d, 0.01, 1.0)};
