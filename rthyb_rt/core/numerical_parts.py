@@ -212,9 +212,11 @@ class SparsePart(Part):
     def __init__(self, config: SparseConfig) -> None:
         super().__init__(config)
         self.config = config
+        self._settings = self._kept[0]
         place = self._kept[2].place
         self._place = np.asarray(place)
         self._answers: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._led: tuple[Any, Any, Any] | None = None
 
     def displacements(self) -> FloatArray:
         """Return the displacement of every degree of freedom, m, (n,)."""
@@ -235,7 +237,11 @@ class SparsePart(Part):
         return found.passes, found.changes, found.law_cost, bool(found.settled)
 
     def force_for(self, ag_mps2: float, x_next_m: FloatArray) -> FloatArray:
-        """Return the forces at t_n that lead to the interfaces' next displacements, N, (m,)."""
+        """Return the forces at t_n that lead to the interfaces' next displacements, N, (m,).
+
+        Dry friction that is solved for with the step is that of these forces; the state stays as
+        it is.
+        """
         state = ffi.cast("rthyb_sparse *", self._c.state)
         m, stepped = self._interfaces, int(state.stepped)
         if stepped not in self._answers:
@@ -244,7 +250,50 @@ class SparsePart(Part):
             self._answers[stepped] = np.linalg.inv(gain), pull
         by_displacement, pull = self._answers[stepped]
         base = np.array(list(state.base[0:m]))
-        return np.asarray(by_displacement @ (x_next_m - base - ag_mps2 * pull))
+        force = np.asarray(by_displacement @ (x_next_m - base - ag_mps2 * pull))
+        if stepped and self._settings.sliders > 0:
+            held_back = x_next_m - self._moved_with_friction(ag_mps2, force, by_displacement)
+            force = force + by_displacement @ held_back
+        return force
+
+    def _moved_with_friction(
+        self, ag_mps2: float, force_n: FloatArray, by_displacement: FloatArray
+    ) -> FloatArray:
+        """Return x[n+1] under forces that lack those which overcome the friction, m, (m,).
+
+        The friction is nevertheless that of the motion which these would lead to without it.
+        """
+        if self._led is None:
+            self._led = self._led_interfaces(by_displacement)
+        kept = self.save()
+        forces = ffi.new("double[]", force_n.tolist())
+        lib.rthyb_numerical_answer(self._led[0], ag_mps2, forces, self._out)
+        lib.rthyb_numerical_advance(self._led[0])
+        moved = np.asarray(self.config.interface_rows() @ self.displacements())
+        self.restore(kept)
+        return moved
+
+    def _led_interfaces(self, by_displacement: FloatArray) -> tuple[Any, Any, Any]:
+        """Return this part with sliders that act on each other as if the interfaces were led.
+
+        Where friction f_r takes D f_r from the interfaces' x[n+1] (``slider_x``), forces A D f_r
+        restore it, A = ``by_displacement``. They change the sliders' velocities by -c D' A D f_r,
+        c = gamma h / ((1/2 + gamma) h^2), because S is symmetric; see numerical_sparse.c. So the
+        interaction G of the sliders becomes G + c D' A D, where A is negative definite.
+        """
+        cfg = ffi.new("rthyb_sparse_config *", self._settings[0])
+        count = cfg.sliders
+        g = np.array(list(cfg.slider_g[0 : count * count])).reshape(count, count)
+        d = np.array(list(cfg.slider_x[0 : self._interfaces * count])).reshape(-1, count)
+        c = cfg.gamma / ((0.5 + cfg.gamma) * cfg.period_s)
+        led = g + c * d.T @ by_displacement @ d
+        # The interfaces alone move such a slider: what is left is rounding.
+        led_only = np.diag(led) <= 1e-9 * np.diag(g)
+        led[led_only, :] = led[:, led_only] = 0.0
+        cfg.slider_g = between = ffi.new("double[]", led.ravel().tolist())
+        part = ffi.new("rthyb_numerical *", self._c[0])
+        part.cfg = cfg
+        return part, cfg, between
 
     def step_time_s(self, steps: int = 200) -> float:
         """Return the median computing time of a step on this computer, s; the state advances."""
