@@ -11,7 +11,7 @@ import pytest
 import scipy.linalg
 
 from rthyb_rt import config
-from rthyb_rt.config import AxesRig, RigFile
+from rthyb_rt.config import AxesRig, RigFile, plantpoles
 from rthyb_rt.config.linkframes import shared_links
 from rthyb_rt.config.loading import load_any_rig, parse_any_rig, parse_rig
 from rthyb_rt.errors import InputError
@@ -449,6 +449,78 @@ def test_a_plant_that_integrates_is_accepted_with_a_note() -> None:
     assert "motions at this frequency do not die out" in ringing
     assert "3.5 Hz" in ringing
     assert rig(_plant_of(_oscillating(3.5, 0.02))).notes == []
+
+
+DOUBLE = [[0.0, 1.0], [0.0, 0.0]]
+FAST = [_oscillating(20.0, 0.3), [[-1e4]]]
+OF_STATES: dict[str, tuple[list[list[list[float]]], str]] = {
+    "oil column moves a free mass": ([DOUBLE, *FAST], "0 Hz"),
+    "two free masses": ([DOUBLE, DOUBLE, *FAST], "0 Hz"),
+    "free mass behind an integrator": (
+        [[[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]], *FAST], "0 Hz",
+    ),
+    "two actuators that integrate": ([[[0.0]], [[0.0]], *FAST], "0 Hz"),
+    "an undamped motion": ([_oscillating(3.0, 0.0), *FAST], "3 Hz"),
+    "decays in 10 s": ([[[-0.1]], *FAST], "decays"),
+    "grows in 1000 s": ([[[1e-3]], *FAST], "grows"),
+    "grows in 1000 s beside an integrator": ([[[1e-3]], [[0.0]], *FAST], "grows"),
+    "vibrates and grows in 1000 s": (
+        [_oscillating(3.0, -1e-3 / (6.0 * np.pi)), _oscillating(20.0, 0.3)], "grows",
+    ),
+    "tips over": ([[[0.0, 1.0], [1.0, 0.0]], *FAST], "grows"),
+}  # fmt: skip
+
+
+def _turned(rng: np.random.Generator, n: int, condition: float) -> np.ndarray:
+    """A transformation of n states with a given condition."""
+    one, other = (np.linalg.qr(rng.normal(size=(n, n)))[0] for _ in range(2))
+    return one * np.geomspace(1.0, condition, n) @ other
+
+
+def _verdict(a: list[list[float]]) -> str:
+    """Whether a plant grows or decays, or the frequency that stays, Hz to two digits."""
+    if plantpoles.fault(a) is not None:
+        return "grows"
+    found = re.search(r"\((\S+) Hz", plantpoles.note(a) or "")
+    return f"{float(found.group(1)):.2g} Hz" if found else "decays"
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e2, 1e4])
+@pytest.mark.parametrize(("blocks", "is_so"), OF_STATES.values(), ids=OF_STATES)
+def test_the_verdict_on_a_plant_is_the_same_in_all_coordinates(
+    blocks: list[list[list[float]]], is_so: str, condition: float
+) -> None:
+    rng = np.random.default_rng(39)
+    a = scipy.linalg.block_diag(*blocks)
+    for i in range(100):
+        by = _turned(rng, len(a), condition)
+        # Every other one also in units from micrometres to kilometres.
+        units = 10.0 ** rng.integers(-6, 4, len(a)) if i % 2 else np.ones(len(a))
+        turned = units[:, None] * (by @ a @ np.linalg.inv(by)) / units
+        assert _verdict(turned.tolist()) == is_so
+
+
+def test_double_integrator_written_with_few_digits_is_refused_with_a_hint() -> None:
+    rng = np.random.default_rng(2)
+    plant, hinted = scipy.linalg.block_diag(DOUBLE, [[-40.0]], [[-60.0]]), 0
+    for _ in range(20):
+        by = _turned(rng, 4, 2.0)
+        few = [[float(f"{v:.6g}") for v in row] for row in by @ plant @ np.linalg.inv(by)]
+        refused = plantpoles.fault(few)
+        assert refused is None or refused.endswith("write the numbers of a with all their digits")
+        hinted += refused is not None
+    assert hinted >= 5
+    (other,) = faults(_plant_of([[-30.0, 0.0], [0.0, 0.4]]))
+    assert "digits" not in other
+
+
+@pytest.mark.parametrize("a", ["5", "[[1, 2]]", '[["one"]]'])
+def test_matrix_that_a_message_on_a_plant_suggests_is_accepted(a: str) -> None:
+    (found, *_) = faults(with_plant(f"a = {a}\nb = [[1, 0], [0, 1]]\nc = [[1, 0], [0, 1]]"))
+    suggested = found[found.index(": [[") + 2 :]
+    accepted = rig(with_plant(f"a = {suggested}\nb = [[1, 0], [0, 1]]\nc = [[1, 0], [0, 1]]"))
+    assert accepted.plant is not None
+    assert accepted.notes == []
 
 
 def test_the_schema_knows_both_kinds_of_rigs() -> None:

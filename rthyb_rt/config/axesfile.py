@@ -122,6 +122,7 @@ class MatrixOf(Reader):
         most: maximum number of rows and columns.
         square, symmetric: whether it must be so.
         size: allowed magnitude of each number.
+        example: a matrix that is accepted, as written in a file.
     """
 
     what: str
@@ -129,13 +130,14 @@ class MatrixOf(Reader):
     square: bool = True
     symmetric: bool = False
     size: float = 1e12
+    example: str = "[[1, 0], [0, 1]]"
 
     def allowed(self) -> str:
         """Return what is allowed, in words."""
         form = "symmetric" if self.symmetric else "square" if self.square else "of equal rows"
         return (
             f"{self.what} must be a list of 1 to {self.most} rows of numbers up to {self.size:g}, "
-            f"{form}: [[1, 0], [0, 1]]"
+            f"{form}: {self.example}"
         )
 
     def read(self, value: object) -> Rows:
@@ -729,7 +731,9 @@ class Plant(Table):
     )
 
     file: Annotated[str, SOME_TEXT] | None = None
-    a: Annotated[Rows, MatrixOf("a", STATES_MAX, size=1e15)] | None = None
+    a: (
+        Annotated[Rows, MatrixOf("a", STATES_MAX, size=1e15, example="[[-20, 0], [0, -30]]")] | None
+    ) = None
     b: Annotated[Rows, MatrixOf("b", STATES_MAX, square=False, size=1e15)] | None = None
     c: Annotated[Rows, MatrixOf("c", STATES_MAX, square=False, size=1e15)] | None = None
     stroke_m: Annotated[float, Range("m", 1e-6, 100, "the stroke in each direction")] = 100.0
