@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import re
 import subprocess
 import sys
@@ -65,7 +66,7 @@ def corner(tmp_path_factory: pytest.TempPathFactory) -> str:
 @pytest.fixture(scope="module")
 def in_python() -> str:
     """The example in Python, importable under a name of its own."""
-    spec = importlib.util.spec_from_file_location("own_corner", OWN / "corner.py")
+    spec = importlib.util.spec_from_file_location("own_corner", OWN / "corner_in_python.py")
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -440,3 +441,27 @@ def test_a_test_file_of_the_examples_names_the_library_beside_it(
     test = config.load_test(path)
     assert test.numerical.library is not None
     assert test.numerical.library.file == str(tmp_path / "corner.so")
+
+
+def test_an_example_in_python_runs_where_it_was_started_beside_its_library(
+    corner: str, tmp_path: Path
+) -> None:
+    """As an installed command, which does not look for modules in the folder where it is."""
+    text = (OWN / "corner.toml").read_text("utf-8")
+    named = '[numerical.library]\nfile = "corner.so"\n\n[numerical.library.parameters]\n'
+    assert named in text
+    table = '[numerical.python]\nclass = "{}:Corner"\n\n[numerical.python.settings]\n'
+    (tmp_path / "corner.so").write_bytes(Path(corner).read_bytes())
+    for file in ("corner_in_python.py", "corner.toml"):
+        (tmp_path / file).write_text((OWN / file).read_text("utf-8"), encoding="utf-8")
+    (own_class,) = re.findall(r'#   class = "(\w+):Corner"', text)
+    (tmp_path / "mine.toml").write_text(text.replace(named, table.format(own_class)), "utf-8")
+    program = Path(sys.executable).with_name("rthyb")
+    environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+    for folder, expected in ((tmp_path, 0), (tmp_path.parent, 3)):
+        done = subprocess.run(
+            [program, "check", tmp_path / "mine.toml", "--set", "ground_motion.duration_s=1"],
+            cwd=folder, env=environment, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == expected, done.stderr
+    assert "start the program in the module's folder" in done.stderr

@@ -12,6 +12,7 @@ import functools
 import importlib
 import inspect
 import itertools
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -260,6 +261,18 @@ def _unreported(place: type[NumericalPart], kind: type[Own]) -> str | None:
     )
 
 
+def _imported(name: str) -> Any:
+    """Return the module, which may also be in the folder in which the program was started.
+
+    An installed command looks for modules beside itself, not there, unlike ``python -m``. The
+    folder stays the last place to look, because what a user's module imports later is there too.
+    """
+    here = os.getcwd()
+    if here not in sys.path:
+        sys.path.append(here)
+    return importlib.import_module(name)
+
+
 @dataclass(frozen=True)
 class OwnClass:
     """A user-defined class and the arguments with which it is created.
@@ -280,7 +293,7 @@ class OwnClass:
         """
         module_name, _, inner = self.name.partition(":")
         try:
-            module = sys.modules.get(module_name) or importlib.import_module(module_name)
+            module = sys.modules.get(module_name) or _imported(module_name)
         except ImportError as error:
             raise CoreError(
                 f'"{self.name}" cannot be imported ({error}); Python must be able to find the '
