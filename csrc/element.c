@@ -32,7 +32,7 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_STOPPER] = "000",
     [RTHYB_HYSTERESIS] = "+0+--+",
     [RTHYB_PINCHING] = "+0+--+0+",
-    [RTHYB_DEGRADATION] = "+0+--+0+",
+    [RTHYB_DEGRADATION] = "+0+--+0000",
     [RTHYB_MAXWELL] = "0+",
     [RTHYB_SECOND_MODE] = "0+0",
     [RTHYB_P_DELTA] = "0+",
@@ -68,6 +68,11 @@ static int within(double value, double low, double high)
     return value >= low && value <= high;
 }
 
+static int none_or_positive(double value)
+{
+    return value == 0.0 || value >= PARAM_MIN;
+}
+
 /* Conditions of a law on its parameters, in addition to their signs. */
 static int shape_ok(int32_t kind, const double *p)
 {
@@ -77,6 +82,9 @@ static int shape_ok(int32_t kind, const double *p)
     case RTHYB_POWER_DAMPING:
     case RTHYB_POWER_SPRING:
         return within(p[2], EXPONENT_MIN, EXPONENT_MAX);
+    case RTHYB_DEGRADATION: /* with travel, work, amplitude, or several of them */
+        return none_or_positive(p[7]) && none_or_positive(p[8]) && none_or_positive(p[9]) &&
+               p[7] + p[8] + p[9] > 0.0;
     case RTHYB_IWAN:
         return p[1] <= 1.0 && p[3] <= 1.0;
     case RTHYB_MENEGOTTO_PINTO:
@@ -107,10 +115,11 @@ int rthyb_element_init(rthyb_element *element, int32_t kind, const double *param
     const int hysteretic =
         kind == RTHYB_HYSTERESIS || kind == RTHYB_PINCHING || kind == RTHYB_DEGRADATION;
     if (hysteretic) {
-        element->params[8] = fmin(rthyb_bouc_wen_ceiling(params), RTHYB_DISPLACEMENT_MAX_M);
+        const double ceiling = fmin(rthyb_bouc_wen_ceiling(params), RTHYB_DISPLACEMENT_MAX_M);
+        element->params[RTHYB_BOUC_WEN_CEILING] = ceiling;
         if (kind != RTHYB_HYSTERESIS && params[6] > 1.0) /* depth or loss: a share */
             return RTHYB_E_ELEMENT;
-        if (!(element->params[8] > 0.0 && params[5] >= 0.1 && params[5] <= ETA_MAX))
+        if (!(ceiling > 0.0 && params[5] >= 0.1 && params[5] <= ETA_MAX))
             return RTHYB_E_ELEMENT;
     }
     if (kind == RTHYB_POWER_DAMPING && params[0] != 0.0) /* velocity per force at rest */

@@ -22,7 +22,9 @@ rthyb_friction_point rthyb_friction_for(const rthyb_element *e, double r, double
                                         const rthyb_friction_point *last, double solved, int most,
                                         int *left);
 
-/* Asymptotic value of the hysteretic variable of Eqn 4.2: A = (B + C) |z|^eta. */
+/* Asymptotic value of the hysteretic variable of Eqn 4.2: A = (B + C) |z|^eta; an element has it behind its
+ * own parameters. */
+enum { RTHYB_BOUC_WEN_CEILING = RTHYB_ELEMENT_PARAMS - 1 };
 double rthyb_bouc_wen_ceiling(const double *p);
 double rthyb_bouc_wen(rthyb_element *e, double x);
 double rthyb_iwan(const double *p, double *s, double x);

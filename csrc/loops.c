@@ -6,6 +6,8 @@
 #define STEPS_MAX 64
 #define STEP 0.05 /* of the ceiling of z: largest step along a loop */
 #define NEWTON_MAX 20
+#define TRAVEL_MAX_M 1e6
+#define WORK_MAX_J 1e15 /* largest work over which strength may be lost */
 
 static double power(double base, double exponent)
 {
@@ -38,30 +40,49 @@ static double bouc_wen_slope(const rthyb_element *e, double z, double du)
     const double slope = p[2] - (p[3] * toward + p[4]) * power(fabs(z), p[5]);
     if (e->kind != RTHYB_PINCHING)
         return slope;
-    const double r = z / (p[7] * p[8]);
+    const double r = z / (p[7] * p[RTHYB_BOUC_WEN_CEILING]);
     return slope * (1.0 - p[6] * exp(-r * r));
 }
 
+/* With a parameter of 0, the loss does not depend on this measure. */
+static double worn_by(double measure, double scale)
+{
+    return scale > 0.0 ? measure / scale : 0.0;
+}
+
+/* What is left after the travel s[2] (m), the work s[3] (J) and the largest displacement s[4] (m);
+ * each parameter is the one at which, without the others, 63 % of the loss has occurred. */
+static double strength_left(const double *p, const double *s)
+{
+    const double worn = worn_by(s[2], p[7]) + worn_by(s[3], p[8]) + worn_by(s[4], p[9]);
+    return 1.0 - p[6] * -expm1(-worn);
+}
+
 /* Eqn 4.1, 4.2: midpoint rule in steps of at most a twentieth of the ceiling of z. state: x of the
- * last call, z, travel. */
+ * last call, z; of a degrading loop travel, work, largest |x|. The work is that of the loop before
+ * degradation, and never decreases: k |z| times the distance. */
 double rthyb_bouc_wen(rthyb_element *e, double x)
 {
     const double *p = e->params;
     double *s = e->state;
-    const double du = x - s[0], ceiling = p[8];
+    const double du = x - s[0], ceiling = p[RTHYB_BOUC_WEN_CEILING];
     const int steps = steps_for(du, STEP * ceiling);
     const double h = steps > 1 ? du / steps : du;
-    double z = s[1];
+    double z = s[1], work = 0.0;
     for (int i = 0; i < steps && du != 0.0; i++) {
+        const double before = z;
         const double middle = clamp(z + 0.5 * h * bouc_wen_slope(e, z, du), -ceiling, ceiling);
         z = clamp(z + h * bouc_wen_slope(e, middle, du), -ceiling, ceiling);
+        work += p[0] * fabs(0.5 * (before + z) * h);
     }
     s[0] = x;
     s[1] = z;
     double strength = 1.0;
     if (e->kind == RTHYB_DEGRADATION) {
-        s[2] = fmin(s[2] + fabs(du), 1e6);
-        strength = 1.0 - p[6] * -expm1(-s[2] / p[7]);
+        s[2] = fmin(s[2] + fabs(du), TRAVEL_MAX_M);
+        s[3] = fmin(s[3] + work, WORK_MAX_J);
+        s[4] = fmax(s[4], fabs(x));
+        strength = strength_left(p, s);
     }
     return p[1] * p[0] * x + (1.0 - p[1]) * p[0] * strength * z;
 }

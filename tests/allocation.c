@@ -51,7 +51,7 @@ static const struct {
     {RTHYB_STOPPER, 3, {1e5, 2e-3, 0.5}},
     {RTHYB_HYSTERESIS, 6, {K_E, 0.02, 1.0, 300.0, 200.0, 1.3}},
     {RTHYB_PINCHING, 8, {K_E, 0.02, 1.0, 300.0, 200.0, 1.5, 0.6, 0.2}},
-    {RTHYB_DEGRADATION, 8, {K_E, 0.02, 1.0, 300.0, 200.0, 1.5, 0.3, 1.0}},
+    {RTHYB_DEGRADATION, 10, {K_E, 0.02, 1.0, 300.0, 200.0, 1.5, 0.3, 1.0, 1e3, 0.1}},
     {RTHYB_MAXWELL, 2, {1e5, 0.1}},
     {RTHYB_SECOND_MODE, 3, {500.0, 12.0, 0.02}},
     {RTHYB_P_DELTA, 2, {4e4, 3.0}},

@@ -216,4 +216,6 @@ def core_element(item: Table) -> ElementConfig:
         return core.ElementConfig(PYTHON, (), item.own)
     values = item.model_dump()
     kind = values.pop("element")
-    return core.element(kind, **{key: values[key] for key in core.ELEMENT_PARAMS[kind]})
+    absent = dict.fromkeys(core.ELEMENT_ABSENT.get(kind, ()), 0.0)
+    given = {key: values[key] for key in core.ELEMENT_PARAMS[kind] if values[key] is not None}
+    return core.element(kind, **(absent | given))

@@ -443,12 +443,38 @@ class PinchingElement(BoucWen):
     width_ratio: Annotated[float, Range("", 1e-3, 10, "pinched width over yield displacement")]
 
 
+def _lost_with_something(
+    travel_m: float | None, work_j: float | None, amplitude_m: float | None
+) -> str | None:
+    if travel_m is not None or work_j is not None or amplitude_m is not None:
+        return None
+    return (
+        "found no key with which the strength is lost; give travel_m (cumulative travel), "
+        "work_j (cumulative work of the loop), amplitude_m (largest displacement), or several"
+    )
+
+
 class DegradationElement(BoucWen):
-    """Bouc-Wen whose stiffness decreases with cumulative displacement."""
+    """Bouc-Wen whose stiffness decreases with travel, work or the largest displacement.
+
+    At least one of ``travel_m``, ``work_j`` and ``amplitude_m`` is needed.
+    """
+
+    checks: ClassVar[tuple[Condition, ...]] = (
+        *BoucWen.checks,
+        Condition("loss", ("travel_m", "work_j", "amplitude_m"), _lost_with_something),
+    )
 
     element: Literal["degradation"]
     loss: Annotated[float, Range("", 0, 1, "the share finally lost")]
-    travel_m: Annotated[float, Range("m", 1e-6, 1e6, "the travel over which it is lost")]
+    travel_m: Annotated[float, Range("m", 1e-6, 1e6, "the travel over which it is lost")] | None = (
+        None
+    )
+    work_j: Annotated[float, Range("J", 1e-6, 1e15, "the work over which it is lost")] | None = None
+    amplitude_m: (
+        Annotated[float, Range("m", 1e-6, 1e3, "the largest displacement over which it is lost")]
+        | None
+    ) = None
 
 
 class MaxwellElement(Table):

@@ -70,6 +70,7 @@ if TYPE_CHECKING:
         rows_of,
     )
     from rthyb_rt.core.settings import (
+        ELEMENT_ABSENT,
         ELEMENT_PARAMS,
         ControllerConfig,
         DenseConfig,
@@ -135,6 +136,7 @@ __all__ = [
     "DELAY_MAX",
     "DENSE_MAX",
     "ELEMENTS_MAX",
+    "ELEMENT_ABSENT",
     "ELEMENT_PARAMS",
     "FLAGS",
     "FLAG_NAMES",

@@ -349,7 +349,18 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
     "stopper": ("ks_n_per_m", "xs_m", "loss_s_per_m"),
     "hysteresis": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta"),
     "pinching": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta", "depth", "width_ratio"),
-    "degradation": ("k_n_per_m", "post_yield_ratio", "a", "b", "c", "eta", "loss", "travel_m"),
+    "degradation": (
+        "k_n_per_m",
+        "post_yield_ratio",
+        "a",
+        "b",
+        "c",
+        "eta",
+        "loss",
+        "travel_m",
+        "work_j",
+        "amplitude_m",
+    ),
     "maxwell": ("km_n_per_m", "tau_s"),
     "second_mode": ("m2_kg", "f2_hz", "zeta2"),
     "p_delta": ("gravity_load_n", "height_m"),
@@ -406,9 +417,15 @@ ELEMENT_DEFAULTS: Final[dict[str, dict[str, float]]] = {
     "stribeck": {"exponent": 2.0},
     "stopper": {"loss_s_per_m": 0.0},
     "gap_uneven": {"loss_s_per_m": 0.0},
+    "degradation": {"work_j": 0.0, "amplitude_m": 0.0},
 }
 """Parameters of an element that may be omitted, by kind: the last ones, so that a recording made
 before an element had them is completed with them."""
+
+ELEMENT_ABSENT: Final[dict[str, tuple[str, ...]]] = {
+    "degradation": ("travel_m", "work_j", "amplitude_m")
+}
+"""Parameters of an element whose key is absent from a rig file where they are 0, by kind."""
 
 
 def element(kind: str, /, **params: float) -> ElementConfig:

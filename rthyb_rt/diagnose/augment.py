@@ -107,6 +107,7 @@ def _specimen(elements: list[core.ElementConfig], rig: RigFile | None) -> list[s
         lines += [
             f"{key} = {value:.9g}"
             for key, value in zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True)
+            if value != 0.0 or key not in core.ELEMENT_ABSENT.get(item.kind, ())
         ]
     return lines
 
