@@ -27,7 +27,7 @@ enum rthyb_element_kind {
     RTHYB_STOPPER,           /* ks, xs, loss s/m */
     RTHYB_HYSTERESIS,        /* k, a, A, B, C, eta: Eqn 4.1-4.2 */
     RTHYB_PINCHING,          /* k, a, A, B, C, eta, depth, width */
-    RTHYB_DEGRADATION, /* k, a, A, B, C, eta, loss, travel m, work J, amplitude m (0: without) */
+    RTHYB_DEGRADATION,       /* k, a, A, B, C, eta, loss, travel m, work J, amplitude m */
     RTHYB_MAXWELL,           /* km, tau */
     RTHYB_SECOND_MODE,       /* m2, f2 Hz, zeta2 */
     RTHYB_P_DELTA,           /* gravity load, height */

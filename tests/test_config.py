@@ -17,7 +17,9 @@ from rthyb_rt import config, documents
 from rthyb_rt.config import lawtables
 from rthyb_rt.config.axesfile import JointIdentified
 from rthyb_rt.config.deriving_axes import derive_axes
+from rthyb_rt.config.own_tables import core_element
 from rthyb_rt.config.rigfile import HysteresisElement, RigFile, ServoHydraulic
+from rthyb_rt.diagnose import augment
 from rthyb_rt.errors import InputError, Problem
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -479,6 +481,44 @@ def test_specimen_of_no_or_too_many_elements_is_refused() -> None:
 def test_hysteresis_without_a_bounded_loop_is_refused(lines: str, complaint: str) -> None:
     text = RIG.replace('"stiffness"', '"hysteresis"') + f"post_yield_ratio = 0.1\n{lines}\n"
     assert complaint in str(refused_rig(text))
+
+
+WORN = RIG.replace('"stiffness"', '"degradation"') + (
+    "post_yield_ratio = 0.1\neta = 2\nxy_m = 0.01\nloss = 0.3\n"
+)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"travel_m": 2.0},
+        {"work_j": 500.0},
+        {"amplitude_m": 0.02},
+        {"travel_m": 2.0, "work_j": 500.0, "amplitude_m": 0.02},
+    ],
+)
+def test_a_loop_is_worn_by_travel_work_or_amplitude_whichever_the_rig_file_gives(
+    keys: dict[str, float],
+) -> None:
+    rig = config.parse_rig(WORN + "".join(f"{key} = {value}\n" for key, value in keys.items()))
+    (element,) = map(core_element, rig.specimen)
+    names = ("travel_m", "work_j", "amplitude_m")
+    assert element.params[-3:] == tuple(keys.get(name, 0.0) for name in names)
+    written = config.dump(rig)
+    assert config.parse_rig(written) == rig
+    assert [name for name in names if name in written] == list(keys)
+    head = RIG[: RIG.index("[[specimen]]")]
+    again = config.parse_rig("\n".join([head, *augment._specimen([element], None)]))
+    assert [core_element(item) for item in again.specimen] == [element]
+
+
+def test_a_loop_that_loses_strength_with_nothing_is_refused_with_the_three_keys() -> None:
+    (where, message) = next(iter(refused_rig(WORN).items()))
+    assert where == "rig.toml:8: specimen.0.travel_m"
+    assert all(name in message for name in ("travel_m", "work_j", "amplitude_m"))
+    for line in ("travel_m = 0", "work_j = 0", "work_j = -3", "amplitude_m = 2000", "work_j = nan"):
+        found = refused_rig(f"{WORN}{line}\n")
+        assert list(found) == [f"rig.toml:15: specimen.0.{line.split()[0]}"]
 
 
 def test_friction_that_is_weaker_at_rest_is_refused() -> None:

@@ -219,6 +219,97 @@ def test_degradation_takes_strength_away_with_the_distance_travelled() -> None:
     assert strength[-1] < 0.8
 
 
+ELASTIC = {
+    "k_n_per_m": K, "post_yield_ratio": 0.0, "a": 1.0, "b": 1e-15, "c": 0.0, "eta": 1.0,
+    "loss": 0.4,
+}  # fmt: skip
+"""A loop that does not yield within the displacements of a test."""
+
+
+@pytest.mark.parametrize("cycles", [1, 5])
+@pytest.mark.parametrize(
+    "of",
+    [
+        {"travel_m": 0.3},
+        {"travel_m": 0.0, "work_j": 2000.0},
+        {"travel_m": 0.0, "amplitude_m": 0.02},
+        {"travel_m": 0.3, "work_j": 2000.0, "amplitude_m": 0.02},
+    ],
+)
+def test_cycles_of_one_amplitude_wear_a_loop_by_travel_work_and_amplitude(
+    of: dict[str, float], cycles: int
+) -> None:
+    amplitude = 0.01
+    turns = np.arange(500 * cycles + 26) / 500.0  # ends on the way up, beyond the last full cycle
+    x = amplitude * np.sin(2 * np.pi * turns)
+    element = core.CoreElement(core.element("degradation", **ELASTIC, **of))
+    force = element.run(x)
+    full = 500 * cycles
+    travel, work = 4 * amplitude * cycles, 4 * cycles * K * amplitude**2 / 2
+    measures = {"travel_m": travel + x[-1], "work_j": work + K * x[-1] ** 2 / 2}
+    worn = sum(measures.get(key, amplitude) / scale for key, scale in of.items() if scale)
+    assert abs(force[full]) < 1e-9 * K * amplitude  # unloaded: what is lost is strength, not work
+    assert force[-1] == pytest.approx(K * x[-1] * (1 - 0.4 * (1 - np.exp(-worn))), rel=1e-9)
+    found = [float(value) for value in element.state()[2:5]]
+    assert found == pytest.approx([measures["travel_m"], measures["work_j"], amplitude], rel=1e-9)
+
+
+def test_a_loop_that_yields_loses_strength_with_the_work_it_has_done() -> None:
+    t = time_s(3.0)
+    x = np.array([two_sines(time)[0] for time in t])
+    z = bouc_wen_by_scipy(two_sines, t, 1.5)
+    work = np.abs(z) * np.abs(np.gradient(x, t))  # of the loop that is not worn
+    work = K * scipy.integrate.cumulative_trapezoid(work, t, initial=0.0)
+    largest = np.maximum.accumulate(np.abs(x))
+    strength = 1.0 - 0.4 * (1.0 - np.exp(-work / 4e4 - largest / 0.1))
+    shape = SECTION_4_2 | {"eta": 1.5, "loss": 0.4, "travel_m": 0.0}
+    found = run("degradation", x, **shape, work_j=4e4, amplitude_m=0.1)
+    expected = 0.02 * K * x + 0.98 * K * strength * z
+    assert np.max(np.abs(found - expected)) < 1e-3 * np.max(np.abs(expected))
+    assert strength[-1] < 0.8
+
+
+def test_the_work_of_a_loop_does_not_depend_on_the_samples_of_the_motion() -> None:
+    shape = SECTION_4_2 | {"eta": 1.5, "loss": 0.4, "travel_m": 0.0, "work_j": 2e4}
+    corners = np.array([0.0, 0.03, -0.03, 0.02, 0.0])
+    coarse, fine = (core.CoreElement(core.element("degradation", **shape)) for _ in range(2))
+    coarse.run(corners)
+    fine.run(np.interp(np.arange(0.0, 4.0, 1e-3), np.arange(5), corners))
+    assert coarse.state()[3] == pytest.approx(fine.state()[3], rel=5e-3)
+
+
+def test_degradation_with_travel_alone_is_what_it_was() -> None:
+    x = smooth_motion(3.0, 1, peak_m=0.02)
+    plain = SECTION_4_2 | {"eta": 1.5, "post_yield_ratio": 0.0}
+    loop = core.CoreElement(core.element("hysteresis", **plain)).run(x)
+    travel = np.cumsum(np.abs(np.diff(x, prepend=0.0)))
+    worn = core.CoreElement(core.element("degradation", **plain, loss=0.4, travel_m=0.5)).run(x)
+    np.testing.assert_allclose(worn, loop * (1.0 + 0.4 * np.expm1(-travel / 0.5)), rtol=1e-13)
+
+
+def test_travel_and_work_of_a_wild_motion_end_at_their_ceilings() -> None:
+    shape = ELASTIC | {"k_n_per_m": 1e15, "loss": 1.0, "travel_m": 0.0, "work_j": 1.0}
+    element = core.CoreElement(core.element("degradation", **shape))
+    for x in [999.0, np.nan, np.inf, 1e300, -999.0, -np.inf] * 2000:
+        assert np.isfinite(element.force(x, 0.0, 0.0, H))
+    assert list(element.state()[2:5]) == [1e6, 1e15, 999.0]
+
+
+@pytest.mark.parametrize(
+    "of",
+    [
+        {"travel_m": 0.0},
+        {"travel_m": 0.0, "work_j": 0.0, "amplitude_m": 0.0},
+        {"travel_m": 0.5, "work_j": 1e-300},
+        {"travel_m": 0.5, "amplitude_m": 1e-300},
+        {"travel_m": 1e-300, "work_j": 1.0},
+    ],
+)
+def test_degradation_with_nothing_or_over_next_to_nothing_is_refused(of: dict[str, float]) -> None:
+    with pytest.raises(core.CoreError):
+        core.CoreElement(core.element("degradation", **SECTION_4_2, eta=1.5, loss=0.4, **of))
+
+
 def test_first_loading_with_eta_1_is_an_exponential_and_unloading_another() -> None:
     u = np.linspace(0.0, 0.02, 2001)
     plastic = SECTION_4_2 | {"post_yield_ratio": 0.0, "eta": 1.0}
@@ -477,6 +568,8 @@ NOT_NEGATIVE = [
     ("hysteresis", "post_yield_ratio"),
     ("pinching", "depth"),
     ("degradation", "loss"),
+    ("degradation", "work_j"),
+    ("degradation", "amplitude_m"),
     ("maxwell", "km_n_per_m"),
     ("second_mode", "m2_kg"),
     ("second_mode", "zeta2"),
@@ -563,6 +656,8 @@ def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() ->
         ("lugre", {"fc_n": 1e-300, "fs_n": 1e-300}),
         ("p_delta", {"height_m": 1e-300}),
         ("hysteresis", {"b": 1e15, "c": -1e15, "eta": 100.0}),
+        ("degradation", {"k_n_per_m": 1e15, "work_j": 1e-15, "amplitude_m": 1e-15}),
+        ("degradation", {"k_n_per_m": 1e15, "b": 0.0, "c": 0.0, "travel_m": 0.0, "work_j": 1e15}),
         ("power_damping", {"force_n": 1e15, "at_m_per_s": 1e-15, "exponent": 10.0}),
         ("power_damping", {"width_m_per_s": 1e-15, "at_m_per_s": 1e15, "exponent": 0.05}),
         ("power_spring", {"force_n": -1e15, "at_m": 1e-15, "exponent": 10.0}),

@@ -546,6 +546,20 @@ RECORDED = {
         ),
         4,
     ),
+    "degradation": (
+        core.element(
+            "degradation",
+            k_n_per_m=2e6,
+            post_yield_ratio=0.1,
+            a=1.0,
+            b=2e4,
+            c=1e4,
+            eta=1.5,
+            loss=0.6,
+            travel_m=0.01,
+        ),
+        8,
+    ),
 }
 
 
@@ -681,6 +695,24 @@ def test_a_saved_part_goes_on_as_if_nothing_had_been() -> None:
         assert one.step(float(AG[i]), 2e4) == other.step(float(AG[i]), 2e4)
     with pytest.raises(core.CoreError, match="a state of 3 bytes, which does not belong"):
         one.restore(b"abc")
+
+
+def test_a_saved_part_keeps_what_its_storeys_have_lost() -> None:
+    worn = core.element(
+        "degradation",
+        k_n_per_m=K_E, post_yield_ratio=0.1, a=1.0, b=300.0, c=200.0, eta=1.5, loss=0.6,
+        travel_m=0.0, work_j=200.0, amplitude_m=0.01,
+    )  # fmt: skip
+    config = building(joints=(Joint(2, 3, worn, K_E),), **RAYLEIGH)
+    one, other = SparsePart(config), SparsePart(config)
+    whole = SparsePart(building(joints=(Joint(2, 3, BOUC_WEN, K_E),), **RAYLEIGH))
+    for i in range(500):
+        one.step(float(AG[i]), 1e4)
+        whole.step(float(AG[i]), 1e4)
+    other.restore(one.save())
+    found = [one.step(float(AG[i]), 2e4) for i in range(500, 900)]
+    assert found == [other.step(float(AG[i]), 2e4) for i in range(500, 900)]
+    assert found != [whole.step(float(AG[i]), 2e4) for i in range(500, 900)]
 
 
 def test_a_path_has_time_stand_still() -> None:

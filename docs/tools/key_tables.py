@@ -217,6 +217,12 @@ MEANINGS: dict[str, str] = {
     "LugreElement.fs_n": "the static friction",
     "PowerDampingElement.at_m_per_s": "velocity at which the force is force_n; with 1, force_n is "
     "the coefficient C in N (s/m)^a",
+    "DegradationElement.travel_m": "the travel over which it is lost; at least one of travel_m, "
+    "work_j and amplitude_m is required; absent: not with travel",
+    "DegradationElement.work_j": "the work of the loop over which it is lost; absent: not with "
+    "work",
+    "DegradationElement.amplitude_m": "the largest displacement over which it is lost; absent: "
+    "not with amplitude",
     "RcColumnElement.ultimate_m": "displacement at which `strength_lost_at_ultimate` is reached",
     "RcColumnElement.energy_j": "work of the yielding part at which the two energy-dependent "
     "losses reach the values below",

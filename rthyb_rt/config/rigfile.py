@@ -449,8 +449,9 @@ def _lost_with_something(
     if travel_m is not None or work_j is not None or amplitude_m is not None:
         return None
     return (
-        "found no key with which the strength is lost; give travel_m (cumulative travel), "
-        "work_j (cumulative work of the loop), amplitude_m (largest displacement), or several"
+        "found none of travel_m, work_j and amplitude_m; give at least one: with travel_m, the "
+        "strength is lost over cumulative travel, with work_j over cumulative work of the loop, "
+        "with amplitude_m over the largest displacement"
     )
 
 
@@ -462,7 +463,7 @@ class DegradationElement(BoucWen):
 
     checks: ClassVar[tuple[Condition, ...]] = (
         *BoucWen.checks,
-        Condition("loss", ("travel_m", "work_j", "amplitude_m"), _lost_with_something),
+        Condition("travel_m", ("travel_m", "work_j", "amplitude_m"), _lost_with_something),
     )
 
     element: Literal["degradation"]
