@@ -131,7 +131,8 @@ def test_page_has_a_figure_for_every_direction_and_asks_nothing_of_the_network(
     assert cli.main(["check", str(FRAME), "--plot", str(page)]) == 0
     assert f"Page      {page}" in capsys.readouterr().out
     html = page.read_text("utf-8")
-    assert html.count("<svg ") == 4
+    assert html.count("<svg ") == 5
+    assert "Mode shapes" in html
     assert "Predicted tracking of theta" in html
     assert "://" not in html.replace("http://www.w3.org/", "")
 
@@ -140,6 +141,7 @@ def test_what_is_not_known_is_said_in_place_of_a_figure() -> None:
     bare = rt.Rig("two-axis-frame").with_({"identified": None})
     test = rt.Test(FRAME, rig=bare, controller={"type": "none"})
     plots = rt.check(test).plots()
-    assert set(plots) == {"stability", "nyquist", "tracking-0", "tracking-1"}
-    assert all(one.figure is None for one in plots.values())
+    assert set(plots) == {"stability", "nyquist", "tracking-0", "tracking-1", "modes"}
+    assert all(one.figure is None for key, one in plots.items() if key != "modes")
+    assert plots["modes"].figure is not None
     assert "response of the axes is not known" in plots["nyquist"].note

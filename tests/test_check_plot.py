@@ -15,6 +15,7 @@ from rthyb_rt.api import files
 from rthyb_rt.api.running import prepared
 from rthyb_rt.checking import curves
 from rthyb_rt.checking.check_figures import figures_of
+from rthyb_rt.checking.plates import plates
 from rthyb_rt.lab.experiment import Setup
 
 
@@ -135,4 +136,22 @@ def test_rig_without_a_known_response_and_many_storeys_say_why_there_is_no_figur
     assert plots["stability"].figure is not None
     many = rt.check(rt.Test("ten-storeys")).plots()
     assert "one degree of freedom" in many["stability"].note
+    assert many["modes"].figure is not None
     assert files.file_of_rig(bare).identified is None
+
+
+@pytest.mark.parametrize("name", ["ten-storeys", "frame-three-storeys", "two-actuator-frame"])
+def test_a_structure_has_its_mode_shapes_drawn_before_it_runs(name: str) -> None:
+    check = rt.check(rt.Test(name, ground_motion={"duration_s": 1.0}))
+    drawn = check.plots()["modes"]
+    assert drawn.figure is not None
+    (axes,) = drawn.figure.axes
+    curves = [line for line in axes.lines if line.get_marker() == "o"]
+    found = [text.get_text().partition(" Hz")[0] for text in axes.get_xticklabels()]
+    expected = [float(row[1].partition(" Hz")[0]) for row in check.table if row[0][:5] == "Mode "]
+    assert 3 <= len(curves) == len(found) <= 5
+    assert [float(one) for one in found] == pytest.approx(expected[: len(found)], rel=0.006)
+
+
+def test_one_degree_of_freedom_has_no_mode_shape(setup: Setup) -> None:
+    assert [plate.key for plate in plates(setup)] == ["stability", "nyquist", "tracking"]

@@ -141,6 +141,27 @@ def test_drifts_and_shears_are_recorded_by_name(ten: tuple[experiment.Setup, Any
     assert np.all(np.array(apart) < 0.05 * peak)
 
 
+def test_the_way_from_one_floor_to_another_is_recorded_by_name() -> None:
+    record = ["x_5 - x_2", "x_5", "x_2", "x_2 - x_3", "drift_3"]
+    test = rt.Test("ten-storeys", ground_motion={"duration_s": 2.0}, numerical={"record": record})
+    rec = rt.run(test)
+    assert np.abs(rec["x_5_less_x_2"]).max() > 1e-3
+    assert rec["x_5_less_x_2"] == pytest.approx(rec["x_5"] - rec["x_2"], abs=1e-15)
+    assert rec["x_2_less_x_3"] == pytest.approx(-rec["drift_3"], abs=1e-15)
+    assert rec.plot.recorded("x_5_less_x_2").note
+
+
+@pytest.mark.parametrize("name", ["x_6 - x_1", "x_1 - x_6", "x_2 - x_2", "x_0 - x_1", "x_2-x_1"])
+def test_a_way_between_floors_that_there_is_not_is_refused_with_those_that_there_are(
+    name: str,
+) -> None:
+    text = STOREYS.replace("damping =", f'record = ["x_1", "{name}"]\ndamping =')
+    with pytest.raises(InputError) as caught:
+        structure(text + "specimen = [1]\n")
+    for words in ("numerical.record.1", f'found "{name}"', "x_1 to x_5", '"x_2 - x_1"'):
+        assert words in str(caught.value)
+
+
 def test_a_reference_that_is_asked_for_again_is_as_it_was(
     ten: tuple[experiment.Setup, Any],
 ) -> None:

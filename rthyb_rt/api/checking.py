@@ -69,7 +69,7 @@ class Check:
         """Plot ``stability`` (delays), ``nyquist`` (loop) and ``tracking`` (expected tracking).
 
         On a rig with several axes, ``tracking-0``, ``tracking-1`` and so on are those of each
-        direction.
+        direction. With a structure given by storeys or matrices, ``modes`` are its mode shapes.
 
         Raises:
             InputError: matplotlib is not installed.

@@ -63,6 +63,7 @@ _KEPT_REFERENCES: Final = 2
 _NAMED: Final = 5
 """Number of degrees of freedom that a message names."""
 _DIFFERENCE: Final = re.compile(r"(.+?)\s+-\s+(.+)")
+_FLOORS: Final = re.compile(r"x_([1-9]\d{0,2}) - x_([1-9]\d{0,2})")
 
 
 @dataclass(frozen=True, eq=False)
@@ -749,13 +750,19 @@ def _storey_responses(
         wanted = [f"{what}_{s}" for what in ("drift", "shear") for s in few]
     found = []
     for i, name in enumerate(wanted):
+        floors = _FLOORS.fullmatch(name)
+        if floors is not None and floors[1] != floors[2] and max(map(int, floors.groups())) <= n:
+            upper, lower = map(int, floors.groups())
+            terms = ((upper - 1, 1.0), (lower - 1, -1.0))
+            found.append(Response(f"x_{upper}_less_x_{lower}", "m", terms))
+            continue
         match = re.fullmatch(r"(x|drift|shear)_([1-9]\d*)", name)
         storey = int(match[2]) if match else 0
         if match is None or storey > n:
             raise InputError(
                 f"found {written(name)}; with {n} storeys the quantities are x_1 to x_{n} "
-                f"(displacement relative to the ground), drift_1 to drift_{n}, and shear_1 to "
-                f"shear_{n}",
+                "(displacement relative to the ground), the difference of two of them "
+                f'("x_2 - x_1"), drift_1 to drift_{n}, and shear_1 to shear_{n}',
                 f"numerical.record.{i}",
             )
         if match[1] == "x":
