@@ -421,13 +421,15 @@ def with_friction(element: core.ElementConfig, **settings: Any) -> SparseConfig:
     return building(LIGHT, SHEARS, **(given | settings))
 
 
-def of_radau(law: Law, t: Floats, rtol: float = 1e-7, atol: float = 1e-10) -> Floats:
+def of_radau(
+    law: Law, t: Floats, rtol: float = 1e-7, atol: float = 1e-10, factor: float = 1.0
+) -> Floats:
     """Displacements of the floors of `with_friction`, (n, floors)."""
     m = np.diag(LIGHT)
 
     def rate(now: float, s: Floats) -> Floats:
         x, v = s[:FLOORS], s[FLOORS:]
-        force = -m * pulse(now) - SHEARS @ x - 0.5 * m * v
+        force = -m * factor * pulse(now) - SHEARS @ x - 0.5 * m * v
         slip = np.diff(v, prepend=0.0)[:3]
         friction = np.array([law(u) for u in slip])
         force[:3] -= friction

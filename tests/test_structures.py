@@ -202,7 +202,7 @@ def test_a_friction_damper_in_the_next_storey_does_not_shake_the_actuator(tmp_pa
     rec = virtual_time.run(setup)
     count = 4 * 1024
     rows = rec.samples[rec.samples["state"] == 4][:count]
-    drift = _with_damper(setup, count)
+    drift = drift_with_damper(setup, count)
     assert np.abs(drift).max() > 0.004
     assert np.abs(rows["x_num_m"] - drift).max() < 0.015 * np.abs(drift).max()
     joints = setup.derived.structure.reference(
@@ -267,7 +267,7 @@ def test_the_advice_on_steep_friction_makes_it_just_not_too_steep(
     assert noted(changed(factor / less**3)) != ""
 
 
-def _with_damper(setup: experiment.Setup, count: int) -> Any:
+def drift_with_damper(setup: experiment.Setup, count: int) -> Any:
     """Drift of the first storey by SciPy: Bouc-Wen in storeys 1 to 3, friction in the second."""
     structure = setup.derived.structure
     part, n = structure.part, structure.part.size
