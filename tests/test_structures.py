@@ -31,7 +31,7 @@ from rthyb_rt.config.structures import MatrixFile
 from rthyb_rt.core import CoreError, sparse
 from rthyb_rt.core.numerical_parts import SparsePart
 from rthyb_rt.errors import InputError
-from rthyb_rt.lab import experiment, virtual_time
+from rthyb_rt.lab import axes_experiment, experiment, virtual_time
 from rthyb_rt.lab.realtime import station_replay
 from rthyb_rt.record import recording
 from rthyb_rt.report import figures, frequency
@@ -616,6 +616,40 @@ def test_a_vertical_mode_of_a_frame_is_shown_as_vertical(tmp_path: Path) -> None
             assert way == "z"
             assert mode.effective_mass < 1e-6
     assert vertical
+
+
+def test_modes_of_a_frame_whose_labels_tell_no_directions_are_drawn_within_the_figure() -> None:
+    """The frame of the example: 3 horizontal displacements, 12 vertical ones, 14 rotations."""
+    test = config.load_test(EXAMPLE.with_name("two-actuator-frame.toml"))
+    rig = config.load_any_rig(config.shipped_rig("two-axis-frame"))
+    assert isinstance(rig, config.AxesRig)
+    group = axes_experiment.prepare(test, rig).group
+    assert group is not None
+    found = group.derived.structure
+    assert isinstance(found, SparseStructure)
+    drawn = structure_figures.modes(found)
+    assert drawn.figure is not None
+    (axes,) = drawn.figure.axes
+    curves = [line for line in axes.lines if line.get_marker() == "o"]
+    names = [text.get_text() for text in axes.get_xticklabels()]
+    floors = [int(found.labels.index(name)) for name in ("13", "26", "x")]
+    for i, (curve, mode, name) in enumerate(zip(curves, found.modes(), names, strict=False)):
+        x = np.asarray(curve.get_xdata()) - 2.5 * i
+        assert np.abs(x).max() == pytest.approx(1.0)
+        # Sway is where the ground motion's mass is: the third and fourth modes have none of it.
+        if mode.effective_mass > 1e-3:
+            assert x == pytest.approx(np.array(mode.shape)[floors])
+            assert "\n" not in name
+        else:
+            assert len(x) == 12
+            assert name.endswith("\nin other directions")
+    assert [one.effective_mass > 1e-3 for one in found.modes()[:5]] == [
+        True,
+        True,
+        False,
+        False,
+        True,
+    ]
 
 
 # ---- what is refused ----------------------------------------------------------------------------

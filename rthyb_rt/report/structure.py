@@ -30,6 +30,7 @@ AnyQuantity = TypeVar("AnyQuantity", bound=Response | Recorded | Channel)
 
 SHOWN_MODES = 5
 SHOWN_CURVES = 3
+_UNNAMED = "other directions"
 _STILL = 1e-6
 """Part of a mode shape that is rounding."""
 _COLOURS = (draw.BLUE, draw.ORANGE, draw.GREEN, draw.PURPLE, draw.RED)
@@ -64,6 +65,7 @@ def modes(structure: Structure | SparseStructure) -> draw.Plate:
     (axes,) = paper.axes
     for i, (mode, (at, _)) in enumerate(zip(shown, drawn, strict=True)):
         shape = np.array(mode.shape)[at]
+        shape /= max(1.0, np.abs(shape).max())  # its scale may be that of another direction
         x, y = (np.append(0.0, v) if grounded else v for v in (shape, heights[: at.size]))
         axes.axvline(2.5 * i, color=draw.GREY, linewidth=0.4)
         axes.plot(2.5 * i + x, y, color=_COLOURS[i], linewidth=1.0, marker="o", markersize=2.0)
@@ -71,7 +73,7 @@ def modes(structure: Structure | SparseStructure) -> draw.Plate:
     axes.set_ylim(0.0 if grounded else 0.5, float(heights.max()) * 1.04 + 0.04)
     axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
     names = [
-        f"{number(m.frequency_hz, 3)} Hz, {percent(m.damping_ratio, 2)}{way and f', in {way}'}"
+        f"{number(m.frequency_hz, 3)} Hz, {percent(m.damping_ratio, 2)}" + (way and f"\nin {way}")
         for m, (_, way) in zip(shown, drawn, strict=True)
     ]
     axes.set_xticks([2.5 * i for i in range(len(shown))], names)
@@ -93,13 +95,20 @@ def _moving(structure: Structure | SparseStructure, shape: Floats) -> tuple[NDAr
     """Return the degrees of freedom to draw of a mode, and what they are if not as excited.
 
     These are the displacements that the ground motion excites, unless others move more. Rotations
-    are drawn only of a mode without displacements.
+    are drawn only of a mode without displacements. Degrees of freedom whose direction is not known
+    are drawn if they have more than half of the mode's kinetic energy, and then those with mass.
     """
     every = np.arange(shape.size)
     if not isinstance(structure, SparseStructure) or structure.heights_m:
         return every, ""
     excited = np.intersect1d(np.flatnonzero(structure.influence), structure.translations)
-    ways = {"": excited} | {way or "others": at for way, at in structure.along.items()}
+    ways = {"": excited} | {way: at for way, at in structure.along.items() if way}
+    # What no label names may be rotations, which do not compare with displacements: energies do.
+    mass = structure.joined.mass_kg.matrix()
+    heavy = np.array([i for i in structure.along.get("", ()) if mass[i, i] > 0.0], dtype=np.intp)
+    energies = shape * (mass @ shape)
+    if energies[heavy].sum() > 0.5 * energies.sum():
+        return heavy, _UNNAMED
     moves = {way: float(np.abs(shape[at]).max(initial=0.0)) for way, at in ways.items()}
     displacing = {way: moves[way] for way, at in ways.items() if way not in ROTATIONS}
     if max(displacing.values()) > _STILL:
