@@ -23,7 +23,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run install reproduce test test-long test-opensees test-vm test-systemd test-live soak sanitize fuzz \
+.PHONY: help run install reproduce test test-long test-opensees test-fortran test-vm test-systemd test-live soak sanitize fuzz \
         fuzz-station tsan validate-realtime proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
         benchmark-rths-short benchmark-marths bench lint docs man wheels test-aarch64 clean
 
@@ -34,6 +34,7 @@ help:
 	@echo 'make test       the test suite'
 	@echo 'make test-long  the long tests: each takes a second or more, some a minute'
 	@echo 'make test-opensees  structures held against OpenSees, which is installed for it'
+	@echo 'make test-fortran  a numerical part in Fortran, whose compiler is installed for it'
 	@echo 'make test-vm    the tests that need a kernel with SocketCAN, in a guest machine'
 	@echo 'make test-systemd  the service as systemd runs it, in a guest machine'
 	@echo 'make test-live  the live view in chromium: moving curves, hold, stop, a trip'
@@ -107,6 +108,14 @@ test-opensees: $(TEST_READY)
 	    },{ echo 'Install what OpenSees needs: sudo apt-get install libblas3 liblapack3'; exit 1; })
 	@$(BIN)/python -c 'import openseespy.opensees'
 	@$(BIN)/python -m pytest tests/test_numerical_sparse.py tests/test_openseesmodel.py -k opensees
+
+# Without a Fortran compiler the example in Fortran is skipped elsewhere.
+FORTRAN = command -v gfortran >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing gfortran' \
+    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
+    --no-install-recommends gfortran >/dev/null; },{ echo 'Install gfortran: sudo apt-get install gfortran'; exit 1; })
+test-fortran: $(TEST_READY)
+	@$(FORTRAN)
+	@$(BIN)/python -m pytest tests/test_own_library.py -k "fortran or examples"
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,
 # busybox-static, can-utils, iproute2). The core is built here first: in the guest nothing is.

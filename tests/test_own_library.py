@@ -162,8 +162,9 @@ def test_without_a_mass_on_the_specimen_the_reference_is_the_programs_own(tmp_pa
     np.testing.assert_array_equal(one["x_ref_m"][good], other["x_ref_m"][good])
 
 
-def test_the_examples_may_run_in_real_time(tmp_path: Path) -> None:
-    test = of_test(in_c(tmp_path), parameters=parameters())
+@pytest.mark.parametrize("example", [in_c, in_fortran])
+def test_the_examples_may_run_in_real_time(tmp_path: Path, example: Callable[[Path], str]) -> None:
+    test = of_test(example(tmp_path), parameters=parameters())
     setup = experiment.prepare(
         files.file_of_test(test), files.file_of_rig(test.rig), real_time=True
     )
