@@ -14,6 +14,7 @@ import pytest
 
 import rthyb_rt as rt
 from rthyb_rt import core
+from rthyb_rt.config import timescale
 from rthyb_rt.core import own, own_methods
 from rthyb_rt.lab import experiment
 
@@ -539,6 +540,30 @@ def test_object_in_place_of_one_of_its_keys_is_told_with_its_table(
     with pytest.raises(rt.InputError, match="it stands for its whole table") as caught:
         SHORT.with_(**tables)
     assert form in str(caught.value)
+
+
+def test_an_element_of_ones_own_is_accepted_in_a_list_and_a_law_or_a_part_is_not() -> None:
+    accepted = SHORT.with_(rig={"specimen": [own_parts.Spring(6e5)]})
+    assert accepted.rig["specimen"][0]["settings"] == {"k_n_per_m": 6e5}
+    for other, place in (
+        (own_parts.Inverse(0.014), "a control law; give it as controller=Inverse"),
+        (own_parts.Oscillator(4220.0), "a numerical part; give it as numerical=Oscillator"),
+    ):
+        with pytest.raises(rt.InputError, match=f"which is {place}"):
+            SHORT.with_(rig={"specimen": [other]})
+
+
+def test_an_element_of_ones_own_is_accepted_in_true_time_only() -> None:
+    test = SHORT.with_(rig={"specimen": [own_parts.Spring(4737410.0)]})
+    checked = rt.check(test.with_({"test.time_scale": 1}))
+    assert checked.document["figures"]
+    with pytest.raises(rt.InputError, match=r"Spring, a class in Python, .*remove one of the two"):
+        rt.check(test.with_({"test.time_scale": 2}))
+    element = core.ElementConfig("python", (), own.spelled(own_parts.Spring(6e5)))
+    assert timescale.slowed(element, 1.0) is element
+    assert timescale.rate_dependent(element)
+    with pytest.raises(core.CoreError, match="Spring behaves in stretched time is not known"):
+        timescale.slowed(element, 2.0)
 
 
 def test_a_period_that_is_not_the_parts_own_is_noted() -> None:

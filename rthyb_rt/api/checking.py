@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from functools import cached_property
+from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, overload
 
 from rthyb_rt.api import files
 from rthyb_rt.api.files import Place, Rig, Test, path_of
@@ -20,13 +21,53 @@ if TYPE_CHECKING:
     from rthyb_rt.checking.examined_rig import ExaminedRig
 
 
-class Check:
+_Found = TypeVar("_Found", bound="Examined | ExaminedAxes | ExaminedRig")
+
+
+class _Result(Generic[_Found]):
+    """What the check of a test and that of a rig have in common."""
+
+    def __init__(self, found: _Found) -> None:
+        self._found = found
+
+    @property
+    def warnings(self) -> list[str]:
+        """Problems that should be corrected first; for a rig, what real time is refused for."""
+        return list(self._found.warnings)
+
+    @property
+    def notes(self) -> list[str]:
+        """Information; for a rig, what a test must provide or what is still to be identified."""
+        return list(self._found.notes)
+
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """The complete result, as in ``rthyb check --json``, with ``--rig`` for a rig alone.
+
+        None stands for a number that JSON does not have: a delay margin without limit.
+        """
+        document: dict[str, Any] = finite(self._found.document())
+        return document
+
+    @property
+    def table(self) -> list[tuple[str, str, str]]:
+        """All tables of the command line in one: quantity, value, meaning."""
+        return [row for rows in self._found.tables() for row in rows]
+
+    def _repr_html_(self) -> str:
+        lines = [f"<p>{escape(repr(self)[1:-1])}</p>"]
+        lines += [f"<p><b>Warning:</b> {escape(text)}</p>" for text in self.warnings]
+        lines += [f"<p>Note: {escape(text)}</p>" for text in self.notes]
+        return "".join([*lines, html_table(self.table)])
+
+
+class Check(_Result["Examined | ExaminedAxes"]):
     """Result of the check of a test that has no errors."""
 
     def __init__(self, found: Examined | ExaminedAxes) -> None:
         if isinstance(found, (Test, Rig, str)):
             raise InputError(f"found {files.in_words(found)}; give it to check(test)", "Check")
-        self._found = found
+        super().__init__(found)
 
     @cached_property
     def figures(self) -> dict[str, Any]:
@@ -40,30 +81,6 @@ class Check:
             name: document[name] for name in ("modes_hz", "modes", "axes", "directions")
         }
         return Named(figures, "figure", where="check")
-
-    @property
-    def warnings(self) -> list[str]:
-        """Problems that should be corrected before the test is run."""
-        return list(self._found.warnings)
-
-    @property
-    def notes(self) -> list[str]:
-        """Information that requires no action."""
-        return list(self._found.notes)
-
-    @cached_property
-    def document(self) -> dict[str, Any]:
-        """The complete result, as in ``rthyb check --json``: figures, loop, limits, link.
-
-        None stands for a number that JSON does not have: a delay margin without limit.
-        """
-        document: dict[str, Any] = finite(self._found.document())
-        return document
-
-    @property
-    def table(self) -> list[tuple[str, str, str]]:
-        """All tables of the command line in one: quantity, value, meaning."""
-        return [row for rows in self._found.tables() for row in rows]
 
     def plots(self) -> dict[str, Plot]:
         """Plot ``stability`` (delays), ``nyquist`` (loop) and ``tracking`` (expected tracking).
@@ -102,54 +119,15 @@ class Check:
             f"{len(self.warnings)} warnings, {len(self.notes)} notes>"
         )
 
-    def _repr_html_(self) -> str:
-        return _as_html(self)
 
-
-class RigCheck:
+class RigCheck(_Result["ExaminedRig"]):
     """Result of the check of a rig without a test, whose file has no errors."""
-
-    def __init__(self, found: ExaminedRig) -> None:
-        self._found = found
-
-    @property
-    def warnings(self) -> list[str]:
-        """What real time will be refused for."""
-        return list(self._found.warnings)
-
-    @property
-    def notes(self) -> list[str]:
-        """What a test on this rig must provide, or what remains to be identified."""
-        return list(self._found.notes)
-
-    @cached_property
-    def document(self) -> dict[str, Any]:
-        """The complete result, as in ``rthyb check --rig RIG --json``."""
-        document: dict[str, Any] = finite(self._found.document())
-        return document
-
-    @property
-    def table(self) -> list[tuple[str, str, str]]:
-        """All tables of the command line in one: quantity, value, meaning."""
-        return [row for rows in self._found.tables() for row in rows]
 
     def __repr__(self) -> str:
         return (
             f"<RigCheck {self._found.name}: no errors, {len(self.warnings)} warnings, "
             f"{len(self.notes)} notes>"
         )
-
-    def _repr_html_(self) -> str:
-        return _as_html(self)
-
-
-def _as_html(found: Check | RigCheck) -> str:
-    from html import escape
-
-    lines = [f"<p>{escape(repr(found)[1:-1])}</p>"]
-    lines += [f"<p><b>Warning:</b> {escape(text)}</p>" for text in found.warnings]
-    lines += [f"<p>Note: {escape(text)}</p>" for text in found.notes]
-    return "".join([*lines, html_table(found.table)])
 
 
 def _check_rig(rig: Rig | Place) -> RigCheck:
