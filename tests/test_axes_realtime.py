@@ -15,6 +15,7 @@ from test_axes_tests import RIG, TEST
 
 import rthyb_rt as rt
 from rthyb_rt import config, core
+from rthyb_rt.analysis import several_axes
 from rthyb_rt.cli import connecting
 from rthyb_rt.config import AxesRig
 from rthyb_rt.core import loop, wire
@@ -169,6 +170,8 @@ def test_fault_on_one_axis_ends_the_test_for_all_and_is_told_with_its_name(
     assert (station["cause"], station["state"]) == (cause, state)
     if state == "TRIPPED":
         assert rec.meta["end_reason"].endswith(f" of axis {axis}")
+    said = " ".join(one.text for one in several_axes.notices(several_axes.summarize(rec)))
+    assert ("A reading that is not a number was received" in said) == (cause == "not_finite")
     assert_replays(rec)
     other = AXES[1 - AXES.index(axis)]
     running = rec.samples["state"] == core.RUNNING

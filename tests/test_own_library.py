@@ -12,10 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from realtime_bench import Bench
 
 import rthyb_rt as rt
 from rthyb_rt import core
+from rthyb_rt.analysis import summary
 from rthyb_rt.api import files
+from rthyb_rt.core import loop
 from rthyb_rt.core.numerical_parts import Part
 from rthyb_rt.core.own_library import LibraryConfig, tried
 from rthyb_rt.lab import experiment
@@ -283,6 +286,32 @@ def test_senseless_displacements_never_leave_it_and_are_noted(build: Build, what
         return
     assert code != 0
     assert x == (1e3 if what in ("inf", "huge") else before[-1][0])
+
+
+LATER = "*x = 0; if (s->n > 1200) *x = NAN"
+"""After the steps of the trial, in the middle of the test."""
+
+
+def test_library_without_a_number_in_real_time_is_named_with_what_to_do(build: Build) -> None:
+    rec = Bench({"numerical.library.file": build("frame", ANSWER=LATER)}).run()
+    assert rec.meta["end_reason"] == "tripped: a value was not a number"
+    trip = rec.samples[np.argmax(rec.samples["cause"] == core.CAUSES.index("not_finite"))]
+    said = summary.notices(summary.summarize(rec))[1].text
+    assert "The numerical part is your own, frame.so: check it first" in said
+    assert f"acceleration was {trip['ag_mps2']:.4g} m/s²" in said
+    assert trip["ag_mps2"] != 0.0
+    assert f"force {trip['f_meas_n']:.4g} N" in said
+    assert "run the test in virtual time, where the part may print" in said
+    assert "sensor" not in said
+
+
+def test_reading_without_a_number_is_not_blamed_on_the_library(build: Build) -> None:
+    part = {"numerical.library.file": build(ANSWER="*x = 0")}
+    rec = Bench(part, faults=(loop.Fault("not-finite", 1000, 5),)).run()
+    assert rec.meta["end_reason"] == "tripped: a value was not a number"
+    said = summary.notices(summary.summarize(rec))[1].text
+    assert "was received from the drive: check the sensor" in said
+    assert "part.so" not in said
 
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), 1e300])

@@ -492,6 +492,42 @@ def test_lost_link_says_whether_the_cable_or_a_sensor_is_to_be_looked_at(
     assert end_reasons.remedy("completed", rows, core.FS_HZ) == ""
 
 
+NO_NUMBER = core.CAUSES.index("not_finite")
+OF_AXIS_2 = NO_NUMBER | 2 << 8
+OF_SENSOR_1 = NO_NUMBER | 1 << 12
+
+
+@pytest.mark.parametrize(
+    ("cause", "reading", "flags", "said"),
+    [
+        (NO_NUMBER, (np.nan, 7.0), "fresh", "received from the drive"),
+        (NO_NUMBER, (0.0, np.inf), "fresh", "received from the drive"),
+        (NO_NUMBER, (np.nan, np.nan), "lost", "received from the drive"),
+        (OF_AXIS_2, (1e-3, 7.0), "fresh", "received from the drive"),
+        (OF_SENSOR_1, (1e-3, 7.0), "fresh", "received from the drive"),
+        (NO_NUMBER, (1e-3, 7.0), "fresh", "computed from readings that were numbers: check the"),
+        # Nothing arrived, with one axis, and with several.
+        (NO_NUMBER, (0.0, 0.0), "lost", "computed from readings that were numbers: check the"),
+        (NO_NUMBER, (np.nan, 0.0), "lost", "computed from readings that were numbers: check the"),
+        # Of a version that did not record the cause of a row.
+        (0, (1e-3, 7.0), "fresh", "received from the drive or computed: check the sensors first"),
+    ],
+)
+def test_value_that_is_not_a_number_is_told_as_received_or_as_computed(
+    cause: int, reading: tuple[float, float], flags: str, said: str
+) -> None:
+    rows = np.zeros(60, core.RECORD_DTYPE)
+    rows["state"], rows["state"][50:] = STATE["RUNNING"], STATE["TRIPPED"]
+    rows["cause"][49:], rows["flags"][49] = cause, FLAG[flags]
+    rows["x_read_m"][49], rows["f_read_n"][49] = reading
+    # What comes after the trip says nothing of it.
+    rows["x_read_m"][50:] = np.nan if np.isfinite(reading).all() else 0.0
+    found = end_reasons.remedy("not_finite", rows, core.FS_HZ)
+    assert said in found
+    own = end_reasons.remedy("not_finite", rows, core.FS_HZ, "frame.so")
+    assert ("frame.so" in own) == ("computed from" in said)
+
+
 def test_every_end_that_lies_outside_the_test_says_what_to_do() -> None:
     names = core.CAUSES
     # Behind the limits of one axis stand the causes that only several axes have.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import PurePath
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -377,8 +378,17 @@ def live(rec: RecordedTest) -> Live | None:
         link_delay_ms=None if samples < 0 else 1e3 * samples / rec.fs_hz,
         missed_rows=sum(last - first + 1 for first, last in facts["missed_rows"]),
         privileges=tuple(facts["privileges"]),
-        remedy=end_reasons.remedy(str(facts["cause"]), rec.samples, rec.fs_hz),
+        remedy=end_reasons.remedy(
+            str(facts["cause"]), rec.samples, rec.fs_hz, _own_part(rec.test_toml)
+        ),
     )
+
+
+def _own_part(test_toml: str) -> str:
+    """Return the file name of the library or FMU that is the numerical part of a test, or ""."""
+    test = documents.toml_if_valid(test_toml)
+    files = (_get(test, "numerical", kind, "file") for kind in ("library", "fmu"))
+    return next((PurePath(file).name for file in files if isinstance(file, str)), "")
 
 
 def _motion(rec: RecordedTest) -> NDArray[np.bool_]:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.core import FLAGS, STATES, STATUS
+from rthyb_rt.core import CAUSES, FLAGS, STATES, STATUS, placed_cause
 from rthyb_rt.errors import RthybError
 
 WORDS: Final[dict[str, str]] = {
@@ -159,18 +159,51 @@ def end_reason(state: str, cause: str, *, moved: bool = True, of: str = "") -> s
     return f"ramped out: {words}" if moved else f"ended before anything moved: {words}"
 
 
-def remedy(cause: str, samples: NDArray[np.void], fs_hz: float) -> str:
+def remedy(cause: str, samples: NDArray[np.void], fs_hz: float, own_part: str = "") -> str:
     """Return what to do about an end; "" if it is due to the test, or the cause already says it.
 
     Args:
         cause: cause in the words of the station.
         samples: rows of the test, (n,).
         fs_hz: rows per second.
+        own_part: file name of the library or FMU that is the numerical part; "" if there is none.
     """
     text = REMEDIES.get(cause, "")
-    if cause != "link_lost":
-        return text
-    return _unusable(samples, max(1, round(_LOST_S * fs_hz))) or text
+    if cause == "link_lost":
+        return _unusable(samples, max(1, round(_LOST_S * fs_hz))) or text
+    if cause == "not_finite":
+        return _no_number(samples, own_part) or text
+    return text
+
+
+def _no_number(samples: NDArray[np.void], own_part: str) -> str:
+    """Return where a value that is not a number came from; "" if the trip was not recorded."""
+    latched = np.flatnonzero((samples["cause"] & 255) == CAUSES.index("not_finite"))
+    if not latched.size:
+        return ""
+    row = samples[latched[0]]
+    place = placed_cause(int(row["cause"]))
+    # A pair that is only missing, of one axis of several, has no displacement and a force of 0.
+    missing = bool(row["flags"] & FLAGS["lost"]) and row["f_read_n"] == 0.0
+    read = np.isfinite(row["x_read_m"]) and np.isfinite(row["f_read_n"])
+    if place.axis is not None or place.sensor is not None or not (read or missing):
+        return (
+            "A reading that is not a number was received from the drive: check the sensor, its "
+            "connector, and what the drive sends for a sensor that has failed."
+        )
+    if not own_part:
+        return (
+            "A value that is not a number was computed from readings that were numbers: check the "
+            "limits and the controller of the test."
+        )
+    return (
+        "A value that is not a number was computed from readings that were numbers. The numerical "
+        f"part is your own, {own_part}: check it first, for a division by zero, a square root or "
+        "logarithm of a negative number, and a response that grows without bound. The ground "
+        f"acceleration was {row['ag_mps2']:.4g} m/s², the measured force "
+        f"{row['f_meas_n']:.4g} N. To find the step, run the test in virtual time, where the "
+        "part may print its values."
+    )
 
 
 def _unusable(samples: NDArray[np.void], ticks: int) -> str:
