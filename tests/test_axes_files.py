@@ -500,6 +500,52 @@ def test_the_verdict_on_a_plant_is_the_same_in_all_coordinates(
         assert _verdict(turned.tolist()) == is_so
 
 
+def _drifting(seconds: float, frequency_hz: float = 0.0) -> list[list[float]]:
+    """A motion that grows by a factor of e in this time, with a frequency or without one."""
+    if not frequency_hz:
+        return [[1.0 / seconds]]
+    return _oscillating(frequency_hz, -1.0 / (2.0 * np.pi * frequency_hz * seconds))
+
+
+BESIDE: dict[str, list[list[list[float]]]] = {
+    "nothing": [], "an integrator": [[[0.0]]], "two integrators in series": [DOUBLE],
+    "an undamped motion": [_oscillating(3.0, 0.0)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("frequency_hz", [0.0, 3.0])
+@pytest.mark.parametrize("beside", BESIDE.values(), ids=BESIDE)
+@pytest.mark.parametrize(
+    ("seconds", "condition", "times"), [(100.0, 1e4, 5.0), (1000.0, 1e2, 3000.0)]
+)
+def test_slow_growth_is_told_from_rounding_with_the_margin_that_is_stated(
+    seconds: float,
+    condition: float,
+    times: float,
+    beside: list[list[list[float]]],
+    frequency_hz: float,
+) -> None:
+    """By how much more than its rounding a must change, so that the growth might be none."""
+    rng = np.random.default_rng(39)
+    a = scipy.linalg.block_diag(_drifting(seconds, frequency_hz), *beside, *FAST)
+    for _ in range(40):
+        by = _turned(rng, len(a), condition)
+        turned = (by @ a @ np.linalg.inv(by)).tolist()
+        assert plantpoles.growing(turned, times * 2.0**-51)
+
+
+def test_slower_growth_in_ill_conditioned_states_has_no_such_margin() -> None:
+    """As the guide says of [plant]."""
+    rng = np.random.default_rng(39)
+    a = scipy.linalg.block_diag(_drifting(1000.0), DOUBLE, *FAST)
+    found = set()
+    for _ in range(100):
+        by = _turned(rng, len(a), 1e4)
+        turned = (by @ a @ np.linalg.inv(by)).tolist()
+        found.add(bool(plantpoles.growing(turned, 3.0 * 2.0**-51)))
+    assert found == {True, False}
+
+
 def test_double_integrator_written_with_few_digits_is_refused_with_a_hint() -> None:
     rng = np.random.default_rng(2)
     plant, hinted = scipy.linalg.block_diag(DOUBLE, [[-40.0]], [[-60.0]]), 0
