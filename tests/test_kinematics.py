@@ -3,10 +3,13 @@ what is refused."""
 
 from __future__ import annotations
 
+import importlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
+from bench import pins
 from kernels import Floats
 
 from rthyb_rt.core import CoreError
@@ -102,6 +105,42 @@ def test_two_steps_of_newton_find_the_pose_of_the_readings() -> None:
         found, code = body.pose(axes)
         assert code == 0
         assert np.abs(found - wanted).max() < 1e-12
+
+
+def test_make_bench_prints_how_exactly_the_pose_of_three_pinned_axes_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.syspath_prepend(str(Path(__file__).parent / "bench"))
+    (figure,) = importlib.import_module("bench.bench").kinematics_figures()
+    assert figure.name == "kinematics of pins, 60 mm and 80 mrad: largest closing error"
+    assert (figure.unit, figure.target, figure.verdict) == ("m", 1e-12, "ok")
+    assert figure.measured > 0.0
+
+
+def test_the_closing_error_of_a_solution_that_is_not_exact_shows() -> None:
+    way = pins.grid()
+    assert np.abs(way).max(axis=0) == pytest.approx([0.06, 0.06, 0.08])
+    assert (np.abs(np.diff(way, axis=0)) <= np.array([5e-4, 5e-4, 1e-3]) * (1 + 1e-9)).all()
+    at_rest = Kinematics(pins=pins.PINS, coordinates=["x", "y", "theta"])
+    # The constant slopes at rest, and one step of Newton from the pose of the sample before.
+    straight = pins.measure(lambda axes: np.linalg.solve(at_rest.jacobian(), axes.T).T)
+    assert straight.axis_m > 1e-3
+    assert straight.translation_m > 1e-3
+
+    def one_step(axes: Floats) -> Floats:
+        before, found = np.zeros(3), []
+        for row in axes:
+            slopes = np.stack(
+                [(pins.displacements(before + d)[0] - pins.displacements(before - d)[0]) / 2e-6
+                 for d in 1e-6 * np.eye(3)[:, None, :]], axis=1,
+            )  # fmt: skip
+            off = row - pins.displacements(before[None])[0]
+            before = before + np.linalg.solve(slopes.astype(float), off.astype(float))
+            found.append(before)
+        return np.array(found)
+
+    once = pins.measure(one_step, points=3)
+    assert 1e-9 < once.axis_m < 1e-5
 
 
 def test_a_leap_of_sixty_millimetres_is_found_by_the_second_reading() -> None:

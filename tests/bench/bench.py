@@ -1,4 +1,4 @@
-"""Computing times of rthyb on this machine, compared with targets.
+"""Computing times of rthyb on this machine, and the error of its kinematics, compared with targets.
 
 Prints the machine's properties and a table, and writes both to runs/bench-<UTC>.json. An absolute
 time depends on the machine as much as on the program, so a figure above its target is only marked;
@@ -25,6 +25,7 @@ import interface
 import long_recording
 import loops
 import numpy as np
+import pins
 import punctuality
 import screen
 import structures
@@ -444,6 +445,19 @@ def structure_figures() -> list[Figure]:
     ]  # fmt: skip
 
 
+def kinematics_figures() -> list[Figure]:
+    """Hold the poses of three pinned axes against their lengths in a second formulation."""
+    c = pins.measure()
+    size = f"{1e3 * pins.MOST_M:.0f} mm and {1e3 * pins.MOST_RAD:.0f} mrad"
+    errors = f"of x and y {c.translation_m:.2g} m, of theta {c.rotation_rad:.2g} rad"
+    return [
+        Figure(
+            f"kinematics of pins, {size}: largest closing error", c.axis_m, "m", 1e-12,
+            note=f"{c.poses} poses along a grid; largest error {errors}",
+        )
+    ]  # fmt: skip
+
+
 def screen_figures() -> list[Figure]:
     """Time the live view from a sample to the screen, if a browser is installed."""
     missing = screen.missing()
@@ -504,6 +518,7 @@ def main() -> None:
         *loop_figures(),
         *timing_figures(),
         *structure_figures(),
+        *kinematics_figures(),
         *screen_figures(),
         *commands,
     ]
