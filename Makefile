@@ -23,7 +23,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help run install reproduce test test-long test-opensees test-fortran test-vm test-systemd test-live soak sanitize fuzz \
+.PHONY: help run install reproduce test test-long test-opensees gfortran test-fortran test-vm test-systemd test-live soak sanitize fuzz \
         fuzz-station tsan validate-realtime proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
         benchmark-rths-short benchmark-marths bench lint docs man wheels test-aarch64 clean
 
@@ -110,11 +110,13 @@ test-opensees: $(TEST_READY)
 	@$(BIN)/python -m pytest tests/test_numerical_sparse.py tests/test_openseesmodel.py -k opensees
 
 # Without a Fortran compiler the example in Fortran is skipped elsewhere.
-FORTRAN = command -v gfortran >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing gfortran' \
-    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
-    --no-install-recommends gfortran >/dev/null; },{ echo 'Install gfortran: sudo apt-get install gfortran'; exit 1; })
-test-fortran: $(TEST_READY)
-	@$(FORTRAN)
+gfortran:
+	@command -v gfortran >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing gfortran' \
+	    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
+	    --no-install-recommends gfortran >/dev/null; \
+	    } || { echo 'gfortran could not be installed: see above'; exit 1; },{ \
+	    echo 'Install gfortran: sudo apt-get install gfortran'; exit 1; })
+test-fortran: gfortran $(TEST_READY)
 	@$(BIN)/python -m pytest tests/test_own_library.py -k "fortran or examples"
 
 # The guest is Debian's user-mode Linux, fetched into build/vm (Debian: user-mode-linux,

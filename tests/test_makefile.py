@@ -1,4 +1,4 @@
-"""`make test` with a stand-in for Python that notes its calls and fails in one part."""
+"""`make test` and the pass of CI with stand-ins that note their calls and fail in one part."""
 
 from __future__ import annotations
 
@@ -50,3 +50,62 @@ def test_a_failure_in_one_part_does_not_hide_the_others(
     assert (done.returncode != 0) == bool(named)
     said = [line for line in done.stdout.splitlines() if line.startswith("Failed:")]
     assert said == ([named] if named else [])
+
+
+TOOLS = ("cat", "cksum", "expr", "find", "grep", "make", "sed", "sh", "sort", "uname")
+
+
+@pytest.mark.parametrize(
+    ("user", "said"),
+    [
+        (0, "gfortran could not be installed: see above"),
+        (1000, "Install gfortran: sudo apt-get install gfortran"),
+    ],
+)
+def test_no_fortran_compiler_and_none_to_be_had_is_told(
+    user: int, said: str, tmp_path: Path
+) -> None:
+    for tool in TOOLS:
+        (tmp_path / tool).symlink_to(str(shutil.which(tool)))
+    for name, does in {"id": f"echo {user}", "apt-get": "echo no network >&2; exit 100"}.items():
+        script(tmp_path / name, does)
+    done = subprocess.run(
+        ["make", "--no-print-directory", "gfortran"],
+        cwd=ROOT, env={"PATH": str(tmp_path)}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert done.stdout.splitlines()[-1] == said
+    assert ("no network" in done.stderr) == (user == 0)
+
+
+@pytest.mark.parametrize(
+    ("failing", "passes", "runs"),
+    [("nothing", True, True), ("gfortran", True, False), ("test-fortran", False, True)],
+)
+def test_ci_passes_where_no_fortran_compiler_can_be_had_and_says_so(
+    failing: str, passes: bool, runs: bool, tmp_path: Path
+) -> None:
+    (tmp_path / ".ci").mkdir()
+    (tmp_path / "bin").mkdir()
+    shutil.copy(ROOT / ".ci" / "run", tmp_path / ".ci" / "run")
+    script(tmp_path / "bin" / "make", 'echo "$*" >> "$CALLS"; test "$2" != "$FAILING"')
+    script(tmp_path / "bin" / "sleep", "true")
+    calls = tmp_path / "calls"
+    done = subprocess.run(
+        [tmp_path / ".ci" / "run"],
+        env={
+            "PATH": f"{tmp_path / 'bin'}:/usr/bin:/bin", "CALLS": str(calls), "FAILING": failing
+        },
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    made = [line.split()[1] for line in calls.read_text().splitlines()]
+    assert (done.returncode == 0) == passes, done.stdout
+    assert made.count("test-fortran") == runs
+    assert made.count("test-aarch64") == passes
+    assert ("make test-fortran left out: there is no gfortran" in done.stdout) == (not runs)
+
+
+def script(path: Path, does: str) -> None:
+    """Write a program of the shell."""
+    path.write_text(f"#!/bin/sh\n{does}\n")
+    path.chmod(0o755)
