@@ -25,7 +25,7 @@ export PATH := $(PATH):$(CURDIR)/$(BIN)
 .NOTPARALLEL:
 .PHONY: help run install reproduce test test-long test-opensees gfortran test-fortran test-vm test-systemd test-live soak sanitize fuzz \
         fuzz-station tsan validate-realtime proof validate-diagnosis validate-diagnosis-short validate-policy benchmark-rths \
-        benchmark-rths-short benchmark-marths bench lint docs man wheels test-aarch64 clean
+        benchmark-rths-short benchmark-marths bench bench-pairs lint docs man wheels test-aarch64 clean
 
 help:
 	@echo 'make run        a whole hybrid test on the built-in ground motion'
@@ -51,6 +51,7 @@ help:
 	@echo 'make benchmark-rths-short  the goals of the law inverse on it, held; three minutes'
 	@echo 'make benchmark-marths  the benchmark of two actuators, into docs; ten minutes (JOBS=2)'
 	@echo 'make bench      computing times beside the facts of this machine'
+	@echo 'make bench-pairs  the time of a sample beside that of another checkout (WITH=../older, PAIRS=9)'
 	@echo 'make lint       formatters, linters, type checker, compiler warnings'
 	@echo 'make docs       the guide as a web site in build/site; broken links are errors'
 	@echo 'make man        the manual page, after a change to the help of a command'
@@ -148,6 +149,12 @@ test-live: $(TEST_READY)
 
 bench: $(TEST_READY)
 	@$(BIN)/python tests/bench/bench.py
+
+# Another checkout of the program, such as one of an older version: make bench-pairs WITH=../older
+PAIRS := 9
+bench-pairs: $(READY)
+	@test -n '$(WITH)' || { echo 'Name the folder of the other checkout: make bench-pairs WITH=../older'; exit 1; }
+	@$(BIN)/python tests/bench/pairs.py '$(WITH)' --pairs $(PAIRS)
 
 # What of C was clean and has not changed since is not looked at again: that takes most of the time.
 C_IS_CLEAN = build/lint/clean-$(word 1,$(shell cat $(C_FILES) csrc/CMakeLists.txt .clang-tidy | cksum))

@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import driver
 import interface
 import long_recording
 import loops
@@ -107,22 +108,6 @@ def _hypervisor_flag() -> str:
 
 
 # ---- the C driver -------------------------------------------------------------------------------
-
-
-def run_c_driver() -> list[dict[str, Any]]:
-    """Build tests/bench/bench_core.c with the core's own flags and run it; return its rows."""
-    path = os.pathsep.join((os.environ.get("PATH", os.defpath), str(Path(sys.executable).parent)))
-    for command in (
-        ["cmake", "-S", ROOT / "csrc", "-B", BUILD, "-DRTHYB_PYTHON=OFF", "-DRTHYB_BENCH=ON"],
-        ["cmake", "--build", BUILD],
-    ):
-        done = subprocess.run(
-            command, env={**os.environ, "PATH": path}, capture_output=True, text=True, check=False
-        )
-        if done.returncode:
-            raise SystemExit(f"the C driver was not built:\n{done.stdout}{done.stderr}")
-    out = subprocess.run([BUILD / "bench_core"], capture_output=True, text=True, check=True)
-    return json.loads(out.stdout)["rows"]
 
 
 def c_figures(rows: list[dict[str, Any]]) -> list[Figure]:
@@ -435,6 +420,10 @@ def structure_figures() -> list[Figure]:
             "structure: linear, 3024 DOF, a step", t.large_us, "us", 300.0,
             note=f"slender; {t.squat_us:.0f} in 12 wide storeys",
         ),
+        Figure(
+            "structure: force to command, 1 DOF", t.one_us, "us",
+            note="one call from Python included; beside another checkout: make bench-pairs",
+        ),
         Figure("structure: force to command, 3024 over 1 DOF", t.answer_us, "us", 5.0),
         Figure(
             "structure: the same, 32 floors with steep friction slipping, over 1 DOF", t.slip_us,
@@ -507,7 +496,7 @@ def main() -> None:
     print("\nMeasuring for four minutes ...\n", flush=True)
     # First, while this process is small: a child's peak includes its memory before exec.
     commands = [*command_figures(), *diagnosis_figures(), *interface_figures()]
-    rows = run_c_driver()
+    rows = driver.rows(driver.build(ROOT, BUILD))
     ratio = loops.counting_ratio()
     figures = [
         *c_figures(rows),

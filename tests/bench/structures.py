@@ -31,7 +31,8 @@ class Times:
         large_us: a step of a linear 3-D frame with 3024 degrees of freedom.
         squat_us: the same number of degrees of freedom, in 12 wide storeys.
         large_mb: memory of the arrays and state of the former.
-        answer_us: from force to command with 3024 degrees of freedom, in excess of that of one.
+        one_us: from force to command with one degree of freedom, the call from Python included.
+        answer_us: the same with 3024 degrees of freedom, in excess of that of one.
         slip_us: likewise with 32 storeys, each with steep friction, in a rough motion in which many
             begin to slip or stop at once; median of the hundredth of the ticks with the most work.
         slip_most_us: the same for the law of friction for which it is longest, a Stribeck curve.
@@ -43,6 +44,7 @@ class Times:
     large_us: float
     squat_us: float
     large_mb: float
+    one_us: float
     answer_us: float
     slip_us: float
     slip_most_us: float
@@ -182,6 +184,7 @@ def main() -> None:
                 "large_us": large_both - large_answer,
                 "squat_us": squat_both,
                 "large_mb": (kept + large.state_bytes) / 1e6,
+                "one_us": one_answer,
                 "answer_us": max(large_answer - one_answer, 0.0),
                 "slip_us": _slipping_us(dry) - one_answer,
                 "slip_most_us": _slipping_us(curve) - one_answer,
