@@ -332,6 +332,30 @@ def test_without_it_a_time_offset_would_have_to_stand_in() -> None:
     assert decided(naive).best.names == ("coulomb",)
 
 
+def test_an_effect_is_not_measured_against_what_the_load_cell_adds() -> None:
+    """Crosstalk explains nearly all, and follows another channel instead of the motion."""
+    loud = of("crosstalk", chi2=3000.0)
+    two, three = (
+        of("crosstalk", "time_skew", chi2=1260.0),
+        of("crosstalk", "inertia", "time_skew", chi2=1060.0),
+    )
+    others = (
+        of("crosstalk", "inertia", chi2=2800.0), of("inertia", "time_skew", chi2=18_500.0),
+        of("inertia", chi2=19_500.0), of("time_skew", chi2=18_800.0),
+    )  # fmt: skip
+    choice = decided(evidence(loud, two, three, *others, exact=False))
+    assert choice.best.names == three.names
+    # In place of crosstalk, a law of the specimen: its form may leave as much.
+    spring = [
+        replace(h, parts=tuple(part("cubic") if p.name == "crosstalk" else p for p in h.parts))
+        for h in (loud, two, three, others[0])
+    ]
+    choice = decided(evidence(*spring, *others[1:], exact=False))
+    assert choice.best.names == ("cubic", "time_skew")
+    (ruling,) = [r for r in choice.ledger if r.rule == "share" and r.part == "inertia"]
+    assert ruling.found == 200.0 < ruling.wanted
+
+
 def test_what_a_load_cell_does_by_itself_follows_no_law() -> None:
     """At the noise, it counts what an effect brings beside all smooth forms of the other law.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import diagnose_cases as cases
 import numpy as np
 import pytest
+from scipy import stats
 
 from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import ComputedMotion
@@ -51,11 +52,29 @@ def test_contact_that_spreads_is_the_mean_over_its_clearances(width_m):
     np.testing.assert_allclose(springs.met(x - 3e-3, width_m), mean, atol=2e-8)
 
 
+@pytest.mark.parametrize("scale_m", [1e-5, 3e-4])
+def test_contact_of_rough_surfaces_is_the_mean_over_its_clearances(scale_m):
+    x = np.linspace(-8e-3, 8e-3, 301)
+    places = stats.logistic(3e-3, scale_m).ppf((np.arange(20_000) + 0.5) / 20_000)
+    mean = np.mean(np.maximum(x[:, None] - places, 0.0), axis=1)
+    np.testing.assert_allclose(springs.met(x - 3e-3, scale_m, "rough"), mean, atol=2e-8)
+
+
+# Eight springs in the place of a parabola of curvature 1 / (2 width), a fourth of it apart; and at
+# the last of eight on rough surfaces, whose share is 1/16 to 15/16, the tail that is left.
+SPREADS, ROUGH = 1.0 / 256.0, np.log(16.0 / 15.0)
+
+
 @pytest.mark.parametrize(
-    ("name", "trial", "beta"),
-    [("stopper", Trial((4e-3, 8e-4), "spread"), 3e5), ("gap", Trial((1e-3, 4e-4), "spread"), 1.0)],
+    ("name", "trial", "beta", "off"),
+    [
+        ("stopper", Trial((4e-3, 8e-4), "spread"), 3e5, SPREADS),
+        ("gap", Trial((1e-3, 4e-4), "spread"), 1.0, SPREADS),
+        ("stopper", Trial((4e-3, 4e-4), "rough"), 3e5, ROUGH),
+        ("gap", Trial((1e-3, 1e-4), "rough"), 1.0, ROUGH),
+    ],
 )
-def test_contact_that_spreads_becomes_springs_of_a_rig_file(name, trial, beta, tmp_path):
+def test_contact_that_spreads_becomes_springs_of_a_rig_file(name, trial, beta, off, tmp_path):
     _, toml = cases.write(tmp_path, cases.channels())
     x, v, a = cases.moved(cases.command())
     t = np.arange(x.size) / cases.FS
@@ -64,10 +83,9 @@ def test_contact_that_spreads_becomes_springs_of_a_rig_file(name, trial, beta, t
     fitted = beta * effect.columns(ctx, trial)[0]
     elements = effect.elements(ctx, trial, np.array([beta]))
     found = sum(core.CoreElement(one).run(x, v, a, 1.0 / cases.FS) for one in elements)
-    # Eight springs in the place of a parabola of curvature 1 / (2 width), a fourth of it apart.
-    width = trial.theta[1]
-    np.testing.assert_allclose(found, fitted, atol=(width / 4.0) ** 2 / (16.0 * width) * K)
-    wide = Trial((1e-3, 2e-3), "spread")
+    slope = K if name == "gap" else beta
+    np.testing.assert_allclose(found, fitted, atol=off * trial.theta[1] * slope)
+    wide = Trial((1e-3, 2e-3), trial.variant)
     assert effect.elements(ctx, wide, np.array([beta])) is None
 
 
@@ -83,6 +101,18 @@ def test_stop_on_surfaces_that_are_not_parallel_is_one_stop(tmp_path):
     assert found.params["xs_m"] == pytest.approx(4e-3, rel=0.02)
     assert found.params["ks_N_m"] == pytest.approx(4e5, rel=0.02)
     assert "met over" in found.form
+
+
+@pytest.mark.long
+def test_no_spring_hardens_beside_a_stop_with_a_corner_of_a_form_of_its_own(tmp_path):
+    """A hyperbola, which neither of the two corners is; without them, it would be "unknown"."""
+
+    def corner(depth):
+        return 0.5 * (depth + np.hypot(depth, 1e-4))
+
+    d = diagnosed(tmp_path, lambda x: 1e7 * (corner(x - 4e-3) - corner(-x - 4e-3)))
+    assert (d.verdict, d.effects) == ("explained", ["stopper"])
+    assert d.candidates[0].params["xs_m"] == pytest.approx(4e-3, rel=0.002)
 
 
 @pytest.mark.long

@@ -7,6 +7,7 @@ from dataclasses import replace
 import diagnose_cases as cases
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import (
@@ -75,6 +76,30 @@ def test_a_motion_late_by_its_own_speed_follows_the_closed_form(kappa_s2_m):
     turns = np.abs(np.cos(w * t)) < 0.05  # there the velocity has a corner
     speed, inside = np.gradient(exact, t), ~turns & (np.abs(t - begins) > 0.01) & (t > 0.05) & known
     assert motion.v[inside] == pytest.approx(speed[inside], abs=0.02 * size * w)
+
+
+# Between two rows the acceleration is taken to be straight; behind a command in steps it is not.
+@pytest.mark.parametrize(("hold", "off"), [("foh", 0.03), ("zoh", 0.15)])
+def test_acceleration_of_a_motion_late_by_its_speed_is_that_of_the_instant(hold, off):
+    """Against differences on a grid 64 times as fine: within a row it changes by its own size."""
+    fine, kappa_s2_m = 64, 0.05
+    u = cases.command()[:3000]
+    model = ActuatorModel(0.0047, 60.0, 1.5, kappa_s2_m=kappa_s2_m, kappa_of="motion", hold=hold)
+    motion = actuator(model, u, cases.FS)
+    rows = np.arange(fine * (u.size - 1) + 1) / fine
+    between = np.interp(rows, np.arange(u.size), u) if hold == "foh" else u[rows.astype(int)]
+    before = actuator(replace(model, kappa_s2_m=0.0), between, fine * cases.FS)
+    step = 1.0 / (fine * cases.FS)
+    by = kappa_s2_m * np.abs(before.v) / step
+    late = CubicHermiteSpline(np.arange(rows.size), before.x, before.v * step)(
+        np.maximum(np.arange(rows.size) - by, 0.0)
+    )
+    exact = np.gradient(np.gradient(late, step), step)[::fine]
+    inside = (np.abs(motion.v) > 0.1 * np.max(np.abs(motion.v))) & (np.arange(u.size) > 20)
+    inside[-20:] = False
+    assert inside.sum() > 1000
+    error = (motion.a - exact)[inside]
+    assert np.sqrt(np.mean(error**2)) < off * np.std(exact)
 
 
 @pytest.mark.parametrize("where", ["command", "actuator"])

@@ -12,9 +12,11 @@ from diagnose_cases import F_STD, FS, C, K, M, command, moved
 from scipy import signal
 from scipy.stats import chi2, norm
 
+from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, engine, steady
 from rthyb_rt.diagnose.case import Case, Floats, Model
+from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
@@ -100,6 +102,32 @@ def test_wear_by_another_law_of_travel_is_no_change_of_its_numbers(power: float)
     assert max(found.values()) < POLICY.changed_numbers
 
 
+def worn_by(variant: str, x: Floats, force: Floats) -> Floats:
+    """Share of what a specimen goes through in all, at every row: by its work or its amplitude."""
+    step = np.abs(np.diff(x, prepend=x[0]))
+    most = np.maximum.accumulate(np.abs(x))
+    gone = np.cumsum(np.abs(force) * step) if "work" in variant else most
+    return gone / gone[-1]
+
+
+@pytest.mark.parametrize("variant", ["loop, work", "loop, amplitude"])
+def test_wear_by_work_or_by_amplitude_is_told_from_wear_by_travel(variant: str) -> None:
+    """Its loss, and that the same element of a rig file has this force."""
+    problem, fit = fitted(
+        lambda t, x, v: 0.2 * K * x * np.expm1(-worn_by(variant, x, K * x) / 0.4),
+        "degradation", kind="steps",
+    )  # fmt: skip
+    (member,), (beta,) = fit.members, fit.betas
+    assert member.trial.variant == variant
+    assert beta[0] == pytest.approx(0.2, rel=0.03)
+    elements = member.effect.elements(problem.ctx, member.trial, beta)
+    assert elements is not None
+    x, v, a = problem.ctx.x, problem.ctx.v, problem.ctx.a
+    force = core.CoreElement(elements[0]).run(x, v, a, 1.0 / FS)
+    exact = K * x + beta[0] * member.effect.columns(problem.ctx, member.trial)[0]
+    np.testing.assert_allclose(force, exact, atol=2e-3 * K * float(np.max(np.abs(x))))
+
+
 def test_a_spring_that_breaks_at_once_does_not_wear() -> None:
     found = changes_of(lambda t, x, v: -0.1 * K * x * (t > 4.0), "degradation")
     assert max(found, key=found.__getitem__) == SECOND_HALF
@@ -112,6 +140,22 @@ def test_a_damper_that_warms_by_some_per_cent_is_still_that_damper(share: float)
     assert max(found.values()) < POLICY.changed_numbers
     worn = changes_of(lambda t, x, v: 2e3 * v * (1.0 - 0.4 * (t > 4.0)), "viscous")
     assert worn[SECOND_HALF] > POLICY.changed_numbers
+
+
+@pytest.mark.parametrize(("width_m_per_s", "judged"), [(1e-4, 4), (0.02, 5)])
+def test_width_of_a_jump_between_two_rows_is_no_number_of_a_law(
+    width_m_per_s: float, judged: int
+) -> None:
+    """It decides the force while the actuator rests, which dry friction does not determine."""
+
+    def rubs(t: Floats, x: Floats, v: Floats) -> Floats:
+        return (90.0 + 80.0 * np.exp(-np.abs(v / 0.08))) * np.tanh(v / width_m_per_s)
+
+    problem, _ = fitted(rubs, "viscous")
+    law = Member(effects.catalogue()["stribeck"], Trial((0.08, 1.0, width_m_per_s)))
+    fit = refine(problem, [law])
+    assert fit is not None
+    assert {c.count for c in steady.changes(problem, fit)} == {judged}
 
 
 def coloured(problem: ResidualProblem, fit: Fit, pole: float) -> tuple[ResidualProblem, Fit]:

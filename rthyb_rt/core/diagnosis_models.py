@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from rthyb_rt.core.settings import init_element
 from rthyb_rt.errors import RthybError
 
 Floats = NDArray[np.float64]
+Rows = NDArray[np.intp]
 Hold = Literal["zoh", "foh"]
 
 
@@ -99,6 +100,8 @@ def actuator(
     Raises:
         SimulationError: a setting is out of range, or the motion diverged.
     """
+    if model.kappa_of == "motion" and model.kappa_s2_m != 0.0 and np.size(x_cmd_m) > 1:
+        return _late_by_speed(model, np.asarray(x_cmd_m, dtype=np.float64), fs_hz, before)
     first = _compiled(before[1] if before else model, fs_hz)
     u = np.ascontiguousarray(x_cmd_m, dtype=np.float64)
     x, v, a = np.empty_like(u), np.empty_like(u), np.empty_like(u)
@@ -113,34 +116,83 @@ def actuator(
     if model.jumps:
         v = np.diff(x, prepend=x[0]) * fs_hz
         a = np.diff(v, prepend=v[0]) * fs_hz
-    moved = ComputedMotion(x, v, a)
-    if model.kappa_of == "motion" and model.kappa_s2_m != 0.0:
-        return _late_by_speed(moved, model.kappa_s2_m, fs_hz, before[0] if before else 0.0)
-    return moved
+    return ComputedMotion(x, v, a)
+
+
+FINEST = 8
+"""Parts of a row, at most, at which a motion is simulated that is late by its own velocity."""
 
 
 def _late_by_speed(
-    on_time: ComputedMotion, kappa_s2_m: float, fs_hz: float, row: float
+    model: ActuatorModel, u: Floats, fs_hz: float, before: tuple[float, ActuatorModel] | None
 ) -> ComputedMotion:
     """Return ``x(t) = x0(t - kappa |v0(t)|)`` from a row on, and its derivatives.
 
-    Between the rows, x0 is the cubic that has the displacements and velocities of both.
+    By the chain rule, with ``T' = 1 - kappa sgn(v0) a0``: ``v = v0(T) T'`` and
+    ``a = a0(T) T'^2 - v0(T) kappa sgn(v0) j0``. Between two rows, or two of their parts, x0 and v0
+    are the cubics that have the values and slopes of both, and a0 is straight: parts are so short
+    that a0 hardly bends in one, after the command has changed its slope.
     """
-    n = on_time.x.size
-    x, v = np.empty(n), np.empty(n)
+    row = before[0] if before else 0.0
+    on_time, jerk, parts = _on_time(model, u, fs_hz, before)
+    fine_hz, last = fs_hz * parts, on_time.x.size - 1
+    n = u.size
+    x, v, a = np.empty(n), np.empty(n), np.empty(n)
     for first in range(0, n, BLOCK):  # in blocks: a long recording has no dozen copies
-        at = np.arange(first, min(first + BLOCK, n))
-        own, speed = on_time.v[at], np.where(at >= row, kappa_s2_m * np.abs(on_time.v[at]), 0.0)
-        place = np.clip(at - speed * fs_hz, 0.0, n - 1.0)
-        i = np.minimum(place.astype(np.intp), max(n - 2, 0))
-        j, s = np.minimum(i + 1, n - 1), place - i
-        x0, x1, v0, v1 = on_time.x[i], on_time.x[j], on_time.v[i] / fs_hz, on_time.v[j] / fs_hz
-        x[at] = x0 + s * (
-            v0 + s * (3.0 * (x1 - x0) - 2.0 * v0 - v1 + s * (2.0 * (x0 - x1) + v0 + v1))
-        )
-        growth = np.where(speed != 0.0, kappa_s2_m * np.sign(own) * on_time.a[at], 0.0)
-        v[at] = (on_time.v[i] + s * (on_time.v[j] - on_time.v[i])) * (1.0 - growth)
-    return ComputedMotion(x, v, np.gradient(v) * fs_hz if n > 1 else on_time.a)
+        rows = np.arange(first, min(first + BLOCK, n))
+        at = rows * parts
+        own = on_time.v[at]
+        kappa = np.where(rows >= row, model.kappa_s2_m, 0.0)
+        place = np.clip(at - kappa * np.abs(own) * fine_hz, 0.0, last)
+        i = np.minimum(place.astype(np.intp), max(last - 1, 0))
+        j, s = np.minimum(i + 1, last), place - i
+        way = kappa * np.sign(own)
+        pace = 1.0 - way * on_time.a[at]
+        then = _between(on_time.v, on_time.a / fine_hz, i, j, s)
+        x[rows] = _between(on_time.x, on_time.v / fine_hz, i, j, s)
+        v[rows] = then * pace
+        a[rows] = (on_time.a[i] + s * (on_time.a[j] - on_time.a[i])) * pace**2
+        a[rows] -= then * way * jerk[at]
+    return ComputedMotion(x, v, a)
+
+
+def _on_time(
+    model: ActuatorModel, u: Floats, fs_hz: float, before: tuple[float, ActuatorModel] | None
+) -> tuple[ComputedMotion, Floats, int]:
+    """Return the motion without that delay at parts of rows, its jerk, m/s^3, and parts a row."""
+    # A lag forgets a change of the command's slope within 1 / (2 zeta w).
+    rate = 4.0 * np.pi * model.zeta * model.f_hz
+    parts = 1 if model.jumps else int(np.clip(np.ceil(4.0 * rate / fs_hz), 1, FINEST))
+    at = np.arange(parts * (u.size - 1) + 1) / parts
+    finer = u if parts == 1 else u[at.astype(np.intp)]
+    if parts > 1 and model.hold == "foh":
+        finer = np.interp(at, np.arange(u.size), u)
+    early = (before[0] * parts, replace(before[1], kappa_s2_m=0.0)) if before else None
+    moved = actuator(replace(model, kappa_s2_m=0.0), finer, fs_hz * parts, early)
+    return moved, _jerk(model, finer, moved, fs_hz * parts), parts
+
+
+def _jerk(model: ActuatorModel, u: Floats, moved: ComputedMotion, fs_hz: float) -> Floats:
+    """Return the derivative of an actuator's acceleration at every row, (n,), m/s^3.
+
+    Of ``x'' = w^2 (u - x) - 2 zeta w x'``. A command of straight lines changes its slope at every
+    row, so that this derivative jumps there: it is no difference of accelerations of the rows.
+    """
+    w = 2.0 * np.pi * model.f_hz
+    slope = np.zeros(u.size)
+    if model.hold == "foh":
+        late = (model.delay_s + model.shift_s) * fs_hz
+        at = np.floor(np.arange(u.size) - late).astype(np.intp)
+        within = (at >= 0) & (at < u.size - 1)
+        slope[within] = model.gain * np.diff(u)[at[within]] * fs_hz
+    return np.asarray(w**2 * (slope - moved.v) - 2.0 * model.zeta * w * moved.a)
+
+
+def _between(y: Floats, slope: Floats, i: Rows, j: Rows, s: Floats) -> Floats:
+    """Return the cubic between rows i and j, at s from 0 to 1, with its slope per row at both."""
+    y0, y1, d0, d1 = y[i], y[j], slope[i], slope[j]
+    bend = 3.0 * (y1 - y0) - 2.0 * d0 - d1
+    return np.asarray(y0 + s * (d0 + s * (bend + s * (2.0 * (y0 - y1) + d0 + d1))))
 
 
 def _compiled(model: ActuatorModel, fs_hz: float) -> Any:

@@ -57,6 +57,11 @@ class SetMember:
     offset_s: float = 0.0
     settles_rad: float = 0.0
 
+    @property
+    def additive(self) -> bool:
+        """Whether the load cell adds it to the force of the specimen."""
+        return self.sensor and not self.carries
+
 
 @dataclass(frozen=True)
 class Hypothesis:
@@ -329,27 +334,33 @@ class Court:
     def explained(self, of: Hypothesis, which: int) -> float:
         """Return the misfit explained by a set, of the kind that one of its effects can explain.
 
-        As a reduction of chi-squared; for damping in a free decay, that of all damping laws in the
-        set.
+        As a reduction of chi-squared. What a law leaves because of its form is in proportion to
+        its own force, and a force that the load cell adds depends on time or on another channel:
+        what it explains is no measure for another effect. For damping in a free decay, that of all
+        damping laws in the set.
         """
-        whole = self.null.chi2 - of.chi2
-        if not (self.setting.swings and of.parts[which].dissipates):
-            return whole
-        spring = tuple(i for i, p in enumerate(of.parts) if not p.dissipates)
-        without = self.ask("part", of, spring) if spring else self.null
-        return whole if without is None else without.chi2 - of.chi2
+        if self.setting.swings and of.parts[which].dissipates:
+            apart = tuple(i for i, p in enumerate(of.parts) if not p.dissipates)
+        elif self.setting.judged == "force":
+            apart = tuple(i for i, p in enumerate(of.parts) if p.additive and i != which)
+        else:
+            apart = ()
+        without = self.of(of, apart)
+        return (self.null if without is None else without).chi2 - of.chi2
+
+    def of(self, of: Hypothesis, which: tuple[int, ...]) -> Hypothesis | None:
+        """Return a set of some effects of another one; None if that is not a physical law."""
+        if not which:
+            return self.null
+        known = self.by_names.get(tuple(sorted(n for i in which for n in of.parts[i].names)))
+        if known is not None:
+            return known
+        found: Hypothesis | None = self.ask("part", of, which)
+        return found
 
     def less(self, of: Hypothesis, which: int) -> Hypothesis | None:
         """Return a set without one of its effects; None if that is not a physical law."""
-        if len(of.parts) == 1:
-            return self.null
-        known = self.by_names.get(of.without(which))
-        if known is not None:
-            return known
-        found: Hypothesis | None = self.ask(
-            "part", of, tuple(i for i in range(len(of.parts)) if i != which)
-        )
-        return found
+        return self.of(of, tuple(i for i in range(len(of.parts)) if i != which))
 
     def times(self, of: Hypothesis) -> float:
         """Return the multiple of its price that an effect of a set must earn."""
@@ -449,7 +460,7 @@ def _of_no_form(court: Court, of: Hypothesis, which: int) -> bool:
     """
     part, policy, n = of.parts[which], court.policy, court.setting.rows
     at_noise = of.chi2 - n < policy.excess_as_noise * n
-    if not part.sensor or part.carries or court.setting.judged != "force":
+    if not part.additive or court.setting.judged != "force":
         return False
     if not at_noise or court.setting.naive:
         return False

@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
@@ -74,11 +75,13 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
         return ()
     # The nuisance parameters are the same for the entire recording.
     own = unfiltered_slopes(problem, fit)
+    seen = _resolved(problem, fit)
+    own = own[:, seen]
     design, prior = with_forms(problem, fit, slopes)
     design, prior = _with_instants(problem, fit, design, prior)
     shapes = sum(len(m.trial.theta) for m in fit.members)
     # Change of each parameter: for shapes, of the logarithm.
-    numbers = np.abs(np.concatenate([np.ones(shapes), *fit.betas]))
+    numbers = np.abs(np.concatenate([np.ones(shapes), *fit.betas]))[seen]
     held = np.diag(np.maximum(POLICY.changed_within * numbers, 1e-150) ** -2.0)
     common = _Common.of(design, prior, fit.residual)
 
@@ -93,6 +96,25 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     return tuple(
         Change(part, min(map(fall, shares)), own.shape[1]) for part, shares in _parts(problem)
     )
+
+
+def _resolved(problem: ResidualProblem, fit: Fit) -> NDArray[np.bool_]:
+    """Return which parameters of a set, (p,), more than single readings depend on.
+
+    The width of a step over velocity that the motion passes between two rows is none: it only sets
+    the readings in which the force jumps, which are left open anyway, and the force at rest, which
+    dry friction does not determine.
+    """
+    v = problem.ctx.v
+    turns = np.flatnonzero(v[:-1] * v[1:] < 0.0)
+    passed = float(np.median(np.abs(np.diff(v)[turns]))) if turns.size else 0.0
+    out = []
+    for member in fit.members:
+        effect, trial = member.effect, member.trial
+        wider = effect.rounded(trial, passed)
+        alike = wider.variant == trial.variant and len(wider.theta) == len(trial.theta)
+        out += [not alike or a == b for a, b in zip(trial.theta, wider.theta, strict=False)]
+    return np.array(out + [True] * sum(b.size for b in fit.betas))
 
 
 @dataclass(frozen=True)
@@ -325,6 +347,7 @@ def _parts(problem: ResidualProblem) -> list[tuple[str, tuple[Floats, ...]]]:
         ),
         ("large displacements", half(np.abs(x))),
         ("fast motion", half(np.abs(v))),
+        ("motion that slows down", (upper(-v * problem.ctx.a, 0.0),)),
         ("displacements to one side", half(x)),
         ("motion in one direction", one_way),
     ]

@@ -404,17 +404,28 @@ class Pinching(Effect):
 
 
 SOONEST = 0.01
-"""Least travel in which stiffness is lost, relative to the total; with less, it was never there."""
+"""Least travel, or work, in which stiffness is lost, relative to the total; with less, it was never
+there."""
+WORN = ("loop", "loop, work", "loop, amplitude")
+"""Forms of degradation: with travel; with work (Park & Ang, J. Struct. Eng. 111, 1985); with the
+largest displacement so far, as damage by Sivaselvan & Reinhorn, J. Eng. Mech. 126, 2000."""
 
 
 class Degradation(Effect):
-    """Stiffness that is lost with cumulative displacement."""
+    """Stiffness that is lost with what the specimen has gone through.
+
+    Variants: with the travel, of the loop or of the whole spring; of the loop, with the absolute
+    work of its force, or with the largest displacement so far.
+    """
 
     name = "degradation"
     plain = "degradation"
     phrase = "a stiffness that loses {loss:%} over {travel_m} of travel"
     params = (Param("loss", "", 0.0, 1.0), Param("travel_m", "m", 1e-9, 1e6))
-    equation = "the loop's force times 1 - loss (1 - exp(-travel / travel_m))"
+    equation = (
+        "the loop's force times 1 - loss (1 - exp(-travel / travel_m)); or with its work, or the "
+        "largest displacement, instead of travel"
+    )
     fingerprint = "residual in phase with displacement that grows during the test"
     static = True
     many_springs = True
@@ -426,12 +437,32 @@ class Degradation(Effect):
     signs = "+"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return travels from a fiftieth of the path to three times the path."""
+        """Return travels and works from a fiftieth of the total to three times, and amplitudes."""
         if not ctx.model.k:
             return []
-        path = float(ctx.travel[-1]) or 1.0
-        variants = ("loop", "all") if ctx.model.bouc_wen else ("loop",)
-        return [Trial((float(s),), v) for v in variants for s in path * np.geomspace(0.02, 3.0, 9)]
+        whole = ["all"] if ctx.model.bouc_wen else []
+        return [
+            Trial((float(size),), v)
+            for v in (*WORN[:1], *whole, *WORN[1:])
+            for size in self._total(ctx, v) * np.geomspace(0.02, 3.0, 9)
+            if v != WORN[2] or size > 0.1 * ctx.x_range
+        ]
+
+    @staticmethod
+    def _gone_through(ctx: Context, variant: str) -> Floats:
+        """Return the travel, m, the work, J, or the largest displacement so far, m, (n,)."""
+        if variant == WORN[1]:
+            part = np.abs(_loop_part(ctx))
+            step = np.abs(np.diff(ctx.x, prepend=ctx.x[0]))
+            return np.cumsum(0.5 * (part + np.r_[part[0], part[:-1]]) * step)
+        return np.maximum.accumulate(np.abs(ctx.x)) if variant == WORN[2] else ctx.travel
+
+    @staticmethod
+    def _total(ctx: Context, variant: str) -> float:
+        """Return how much of it there is in a recording with the ranges of this one."""
+        if variant == WORN[2]:
+            return ctx.x_range
+        return float(Degradation._gone_through(ctx, variant)[-1]) or 1.0
 
     def settings(
         self, ctx: Context, trial: Trial
@@ -441,36 +472,52 @@ class Degradation(Effect):
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep it different from a spring that is softer from the start."""
-        path = float(ctx.travel[-1]) or 1.0
-        return [(SOONEST * path, 1e3 * path)]
+        total = self._total(ctx, trial.variant)
+        return [((0.1 if trial.variant == WORN[2] else SOONEST) * total, 1e3 * total)]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the lost force per unit loss."""
-        part = _loop_part(ctx) if trial.variant == "loop" else ctx.spring
-        return [part * np.expm1(-ctx.travel / trial.theta[0])]
+        part = ctx.spring if trial.variant == "all" else _loop_part(ctx)
+        return [part * np.expm1(-self._gone_through(ctx, trial.variant) / trial.theta[0])]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False if more than everything is lost."""
         return bool(0.0 < beta[0] <= 1.2)
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return loss and travel."""
-        return {"loss": float(beta[0]), "travel_m": trial.theta[0]}
+        """Return the loss, and the travel; for another form, that in which it is lost here."""
+        loss = {"loss": float(beta[0])}
+        if trial.variant not in WORN[1:]:
+            return loss | {"travel_m": trial.theta[0]}
+        worn = self._gone_through(ctx, trial.variant)
+        at = min(int(np.searchsorted(worn, trial.theta[0])), worn.size - 1)
+        beyond = max(trial.theta[0] / max(float(worn[at]), 1e-300), 1.0)
+        return loss | {"travel_m": max(float(ctx.travel[at]) * beyond, 1e-9)}
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return which force is reduced."""
-        return "of the loop, with travel" if trial.variant == "loop" else "of all, with travel"
+        """Return which force is reduced, and by what."""
+        at = trial.theta[0]
+        forms = {
+            WORN[1]: f"of the loop, with its work, loss (1 - exp(-work / {at:.3g} J))",
+            WORN[2]: f"of the loop, with the largest displacement, loss (1 - exp(-x / {at:.3g} m))",
+            "all": "of all, with travel",
+        }
+        return forms.get(trial.variant, "of the loop, with travel")
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return a loop of the model's own spring that degrades."""
         bw = ctx.model.bouc_wen
         alpha, xy, n = (bw.alpha, bw.xy, bw.n) if bw else (0.0, 1e3, 1.0)
         b, c = (bw.gamma, bw.beta) if bw else (0.5, 0.5)
+        at = {"travel_m": 0.0, "work_j": 0.0, "amplitude_m": 0.0}
+        # The element's work is that of k z, of which the loop is the part 1 - alpha.
+        keys = {WORN[1]: ("work_j", 1.0 / (1.0 - alpha)), WORN[2]: ("amplitude_m", 1.0)}
+        key, per = keys.get(trial.variant, ("travel_m", 1.0))
+        at[key] = trial.theta[0] * per
         return [
             core.element(
                 "degradation", k_n_per_m=ctx.model.k, post_yield_ratio=alpha, a=1.0,
-                b=b / xy**n, c=c / xy**n, eta=n, loss=min(float(beta[0]), 1.0),
-                travel_m=trial.theta[0],
+                b=b / xy**n, c=c / xy**n, eta=n, loss=min(float(beta[0]), 1.0), **at,
             )
         ]  # fmt: skip
 

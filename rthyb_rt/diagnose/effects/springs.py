@@ -248,27 +248,49 @@ def _exponential(x: Floats, trial: Trial) -> Floats:
 
 PARTS = 8
 """Number of springs that represent a distributed contact in a rig file."""
+CORNERS = ("spread", "rough")
+"""How the clearance of a contact is distributed: evenly, or by a logistic distribution, whose tails
+are exponential like those of rough surfaces (Greenwood & Williamson, Proc. R. Soc. A 295, 1966)."""
+LIKE = (0.5, 1.0, 2.0)
+"""Widths of the other corner that are compared, relative to that of equal standard deviation."""
 
 
-def met(depth: Floats, width: float) -> Floats:
-    """Return the depth of a contact whose clearance is distributed evenly by +-width, (n,), m.
+def met(depth: Floats, width: float, corner: str = CORNERS[0]) -> Floats:
+    """Return the depth of a contact whose clearance is distributed, (n,), m.
 
     Surfaces that are not parallel touch at one end first: the result is the mean over the
-    clearances, a parabola between no contact and full contact.
+    clearances. If they are distributed evenly by +-width, it is a parabola between no contact and
+    full contact; by a logistic distribution of scale `width`, its integral.
     """
+    if corner == CORNERS[1]:
+        return np.asarray(width * np.logaddexp(0.0, depth / width))
     within = (depth + width) ** 2 / (4.0 * width)
     return np.where(depth < -width, 0.0, np.where(depth < width, within, depth))
 
 
-def spread(middle: float, width: float) -> Floats:
+def spread(middle: float, width: float, corner: str = CORNERS[0]) -> Floats:
     """Return clearances that represent such a contact, (`PARTS`,), m."""
-    return middle + width * (2.0 * (np.arange(PARTS) + 0.5) / PARTS - 1.0)
+    share = (np.arange(PARTS) + 0.5) / PARTS
+    if corner == CORNERS[1]:
+        return middle + width * np.log(share / (1.0 - share))
+    return middle + width * (2.0 * share - 1.0)
+
+
+def _corners(trial: Trial) -> list[Trial]:
+    """Return the contact with its clearance distributed in the other ways, of similar widths."""
+    at = trial.theta[0]
+    if trial.variant not in CORNERS:  # sharp: any corner that is not much wider than this
+        return [Trial((at, 0.1 * part * at), c) for c in CORNERS for part in LIKE]
+    # Standard deviations: width / sqrt(3) of the even one, pi width / sqrt(3) of the logistic one.
+    per = np.pi if trial.variant == CORNERS[1] else 1.0 / np.pi
+    (other,) = set(CORNERS) - {trial.variant}
+    return [Trial((at, float(per * part * trial.theta[1])), other) for part in LIKE]
 
 
 class Gap(Effect):
     """Backlash or dead band in the specimen's connection.
 
-    In variant "spread", the dead band does not end at the same displacement everywhere.
+    In the variants of `CORNERS`, the dead band does not end at the same displacement everywhere.
     """
 
     name = "gap"
@@ -298,8 +320,16 @@ class Gap(Effect):
         return [
             *even,
             *uneven,
-            *(Trial((float(g), 0.3 * float(g)), "spread") for g in gaps[3:-1:3]),
+            *(
+                Trial((float(g), width * float(g)), corner)
+                for corner, width in zip(CORNERS, (0.3, 0.1), strict=True)
+                for g in gaps[3:-1:3]
+            ),
         ]
+
+    def kin(self, trial: Trial) -> Sequence[Trial]:
+        """Return the dead band with other corners."""
+        return _corners(trial) if trial.variant in ("deadband", *CORNERS) else ()
 
     def settings(
         self, ctx: Context, trial: Trial
@@ -310,9 +340,9 @@ class Gap(Effect):
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force that the spring loses."""
         half = trial.theta[0]
-        if trial.variant == "spread":
-            width = trial.theta[1]
-            moved = met(ctx.x - half, width) - met(-ctx.x - half, width)
+        if trial.variant in CORNERS:
+            corner = (trial.theta[1], trial.variant)
+            moved = met(ctx.x - half, *corner) - met(-ctx.x - half, *corner)
         elif trial.variant != "play":
             moved = ctx.x - np.clip(ctx.x, -trial.theta[-1], half)
         else:
@@ -321,7 +351,7 @@ class Gap(Effect):
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the gap; half its width if the two sides differ."""
-        ends = trial.theta[:1] if trial.variant == "spread" else trial.theta
+        ends = trial.theta[:1] if trial.variant in CORNERS else trial.theta
         return {"gap_m": float(np.mean(ends))}
 
     def form(self, ctx: Context, trial: Trial) -> str:
@@ -329,8 +359,10 @@ class Gap(Effect):
         if trial.variant == "uneven":
             up, down = trial.theta
             return f"dead band from {-down:.4g} to {up:.4g} m, the spring beyond"
-        if trial.variant == "spread":
+        if trial.variant == CORNERS[0]:
             return f"dead band that ends over +-{trial.theta[1]:.4g} m, the spring beyond"
+        if trial.variant == CORNERS[1]:
+            return f"dead band with rough ends, {trial.theta[1]:.4g} m, the spring beyond"
         if trial.variant == "deadband":
             return "dead band, the spring beyond +-gap"
         return "play, the spring behind +-gap"
@@ -343,10 +375,10 @@ class Gap(Effect):
         out = [core.element("stiffness", k_n_per_m=-k)]
         if trial.variant == "deadband":
             return [*out, core.element("gap", k_n_per_m=k, gap_m=trial.theta[0])]
-        if trial.variant == "spread":
-            if trial.theta[1] > trial.theta[0]:
+        if trial.variant in CORNERS:
+            gaps = list(map(float, spread(trial.theta[0], trial.theta[1], trial.variant)))
+            if min(gaps) < 0.0:
                 return None
-            gaps = map(float, spread(*trial.theta))
             return [*out, *(core.element("gap", k_n_per_m=k / PARTS, gap_m=g) for g in gaps)]
         up, down = trial.theta
         return [
@@ -358,7 +390,7 @@ class Gap(Effect):
 
 
 class Stopper(Effect):
-    """A stop beyond a displacement; in variant "spread" not at the same one everywhere.
+    """A stop beyond a displacement; in the variants of `CORNERS` not at the same one everywhere.
 
     Variants "impact": the contact loses energy in proportion to its depth (Hunt & Crossley, J.
     Appl. Mech. 42, 1975). With an elastic stop, damping and time would have to represent that.
@@ -384,7 +416,11 @@ class Stopper(Effect):
         sides = ("both", "up", "down")
         elastic = [
             *(Trial((float(xs),), side) for side in sides for xs in at),
-            *(Trial((float(xs), 0.2 * float(xs)), "spread") for xs in at[1:-2:3]),
+            *(
+                Trial((float(xs), width * float(xs)), corner)
+                for corner, width in zip(CORNERS, (0.2, 0.07), strict=True)
+                for xs in at[1:-2:3]
+            ),
         ]
         if nominal_time(ctx.model):  # a loss for each m/s would refer to velocities of that time
             return elastic
@@ -392,6 +428,10 @@ class Stopper(Effect):
             Trial((float(xs), 0.2 / ctx.v_range), f"impact {side}") for side in sides for xs in at
         ]
         return [*elastic, *lossy]
+
+    def kin(self, trial: Trial) -> Sequence[Trial]:
+        """Return the elastic stop on both sides with other corners."""
+        return _corners(trial) if trial.variant in ("both", *CORNERS) else ()
 
     @staticmethod
     def _impact(trial: Trial) -> bool:
@@ -410,7 +450,7 @@ class Stopper(Effect):
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the stop within the motion."""
         second = []
-        if trial.variant == "spread":
+        if trial.variant in CORNERS:
             second = [(1e-3 * ctx.x_range, ctx.x_range)]
         elif self._impact(trial):
             second = [(0.01 / ctx.v_range, 3.0 / ctx.v_range)]
@@ -419,8 +459,9 @@ class Stopper(Effect):
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the penetration of the stop."""
         xs = trial.theta[0]
-        if trial.variant == "spread":
-            return [met(ctx.x - xs, trial.theta[1]) - met(-ctx.x - xs, trial.theta[1])]
+        if trial.variant in CORNERS:
+            corner = (trial.theta[1], trial.variant)
+            return [met(ctx.x - xs, *corner) - met(-ctx.x - xs, *corner)]
         up, down = np.maximum(ctx.x - xs, 0.0), np.minimum(ctx.x + xs, 0.0)
         if self._impact(trial):
             up = up * np.maximum(1.0 + trial.theta[1] * ctx.v, 0.0)
@@ -433,8 +474,10 @@ class Stopper(Effect):
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return its sides."""
-        if trial.variant == "spread":
+        if trial.variant == CORNERS[0]:
             return f"both sides, met over +-{trial.theta[1]:.4g} m"
+        if trial.variant == CORNERS[1]:
+            return f"both sides, met on rough surfaces, {trial.theta[1]:.4g} m"
         sides = {"up": "upwards only", "down": "downwards only"}.get(
             self._side(trial), "both sides"
         )
@@ -448,10 +491,10 @@ class Stopper(Effect):
         loss = trial.theta[1] if self._impact(trial) else 0.0
         if self._side(trial) == "both":
             return [core.element("stopper", ks_n_per_m=ks, xs_m=xs, loss_s_per_m=loss)]
-        if trial.variant == "spread":
-            if trial.theta[1] > xs:
+        if trial.variant in CORNERS:
+            places = list(map(float, spread(trial.theta[0], trial.theta[1], trial.variant)))
+            if min(places) < 0.0:
                 return None
-            places = map(float, spread(*trial.theta))
             return [core.element("stopper", ks_n_per_m=ks / PARTS, xs_m=at) for at in places]
         up, down = (ks, 0.0) if self._side(trial) == "up" else (0.0, ks)
         return [
