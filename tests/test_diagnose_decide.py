@@ -48,7 +48,7 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
 
 ANSWERS = {
     "held_out": 0.9, "size": 0.5, "left": 0.5, "driven": (60.0, 60.0, 60.0),
-    "driven_together": 180.0, "slow_noise": 1.0, "beyond_forms": 1e9,
+    "driven_together": 180.0, "slow_noise": 1.0, "beyond_forms": 1e9, "own_size": 0.1,
 }  # fmt: skip
 
 
@@ -332,6 +332,36 @@ def test_without_it_a_time_offset_would_have_to_stand_in() -> None:
     assert decided(naive).best.names == ("coulomb",)
 
 
+def test_two_effects_that_cancel_earn_the_price_of_both_beside_a_third_one() -> None:
+    """At one frequency a spring and a mass cancel, so that each of them seems to be needed."""
+    several = (
+        of("inertia", "stiffness", chi2=1044.0), of("lugre", "stiffness", chi2=9000.0),
+        of("inertia", "lugre", chi2=9000.0), of("inertia", chi2=1065.0), of("lugre", chi2=9000.0),
+    )  # fmt: skip
+    spring = of("stiffness", chi2=1045.0)
+    all_three = of("inertia", "lugre", "stiffness", chi2=1000.0)
+    choice = decided(evidence(spring, *several, all_three, null=1500.0))
+    assert choice.best.names == ("stiffness",)
+    (ruling,) = {r for r in choice.ledger if r.rule == "together"}
+    assert ruling.found < ruling.wanted
+    # Better by the price of both, counted as beside others, all three are named.
+    better = replace(all_three, chi2=950.0)
+    assert decided(evidence(spring, *several, better, null=1500.0)).best is better
+
+
+def test_an_effect_beside_another_is_as_large_as_one_alone() -> None:
+    """At a low noise, 13 g earn 300 beside a second mass of 16 kg, an error of its formula."""
+    seen = evidence(
+        of("second_mode", chi2=1300.0), of("inertia", chi2=18_000.0),
+        of("inertia", "second_mode", chi2=1000.0),
+    )  # fmt: skip
+    assert decided(seen).best.names == ("inertia", "second_mode")
+    choice = decided(seen, own_size=1e-4)
+    assert choice.best.names == ("second_mode",)
+    (ruling,) = {r for r in choice.ledger if r.rule == "small"}
+    assert (ruling.found, ruling.wanted) == (1e-4, POLICY.least_force)
+
+
 def test_an_effect_is_not_measured_against_what_the_load_cell_adds() -> None:
     """Crosstalk explains nearly all, and follows another channel instead of the motion."""
     loud = of("crosstalk", chi2=3000.0)
@@ -456,7 +486,8 @@ def test_what_is_not_known_is_asked_for_and_nothing_else() -> None:
         return {"part": of("gap", chi2=5000.0)}.get(need.what, 0.5)
 
     assert gathered(evidence(pair), POLICY, answer).best is pair
-    assert [n.what for n in asked] == ["part", "part", "size", "left", "held out"]
+    each = ["part", "own size"]
+    assert [n.what for n in asked] == [*each, *each, "size", "left", "held out"]
 
 
 def test_a_model_of_free_stiffness_is_asked_for_yielding_in_the_place_of_bristles() -> None:

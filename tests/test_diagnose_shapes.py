@@ -142,6 +142,19 @@ def test_spring_beside_a_loop_does_not_yield_with_it(tmp_path):
     assert "beside" in d.candidates[0].form
 
 
+def test_a_spring_beside_a_loop_is_no_tolerance_of_the_stated_one(tmp_path):
+    """What it explains is not measured against a tolerance, but against what the others explain."""
+    _, toml = cases.write(tmp_path, cases.channels(), cases.baseline() + LOOP)
+    model = reading.read_model(toml)
+    motion = ComputedMotion(*cases.moved(cases.command()))
+    t = np.arange(motion.x.size) / cases.FS
+    ctx = Context(model, motion, t, K * motion.x, {})
+    law = effects.catalogue()["stiffness"]
+    assert {trial.variant: law.restates(trial) for trial in law.trials(ctx)} == {
+        "": True, "beside": False
+    }  # fmt: skip
+
+
 def sliders(x: np.ndarray, yields_m: np.ndarray, k_n_per_m: float) -> np.ndarray:
     """The force of parallel springs that slip at these displacements, (n,), N."""
     slip, force = np.zeros(yields_m.size), np.empty_like(x)

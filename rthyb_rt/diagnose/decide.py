@@ -22,7 +22,7 @@ CLOSER = 3
 """Number of sets, best first, for which yielding is tried in place of bristles."""
 What = Literal[
     "part", "yielding", "beyond forms", "drift", "driven", "driven together", "driven more", "size",
-    "left", "held out", "zero", "slow noise",
+    "own size", "left", "held out", "zero", "slow noise",
 ]  # fmt: skip
 
 
@@ -209,12 +209,12 @@ class Need:
             imposes (chi-squared, a number for each; empty if nothing moves); "driven together",
             what those of ``which`` earn together (likewise, one number); "driven more", what the
             one in ``which`` earns beyond its simpler law (likewise); "size", its force relative
-            to the recorded force; "left", the rms difference from the recorded force with the set,
-            as a multiple of that of the model as given; "held out", the fraction of its gain that
-            is confirmed on rows to which it was not fitted; "zero", how far a constant force or a
-            drift deflects the spring, in standard deviations of the displacement noise in its data
-            sheet; "slow noise", the power of the slowest lines of what it leaves, as a multiple of
-            the noise power.
+            to the recorded force; "own size", that of one effect; "left", the rms difference from
+            the recorded force with the set, as a multiple of that of the model as given; "held
+            out", the fraction of its gain that is confirmed on rows to which it was not fitted;
+            "zero", how far a constant force or a drift deflects the spring, in standard deviations
+            of the displacement noise in its data sheet; "slow noise", the power of the slowest
+            lines of what it leaves, as a multiple of the noise power.
         of: the set.
         which: indices of the effects concerned.
     """
@@ -400,6 +400,8 @@ def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
             return court.refuse("needed", of, part=part.name, found=own, wanted=wanted)
         if not several:
             continue
+        if not _large_enough(court, of, i):
+            return False
         least = court.share(of) * court.explained(of, i)
         # A change of a stated value shows against its tolerance, not in the residual.
         by_force = part.stated and court.setting.judged == "force"
@@ -412,7 +414,36 @@ def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
         # this is no evidence: there an offset absorbs errors in the form of a law.
         if court.setting.naive or court.strained(of) or not court.strained(less):
             return court.refuse("share", of, part=part.name, found=own, wanted=least)
+    return _needed_together(court, of)
+
+
+def _needed_together(court: Court, of: Hypothesis) -> bool:
+    """Return whether any two effects of three earn the price of both beside the third one.
+
+    Two that cancel, such as a spring and a mass at one frequency, each seem to earn a great deal:
+    without one of them, the other one is far too large.
+    """
+    for i, part in enumerate(of.parts if len(of.parts) > 2 else ()):
+        alone = court.of(of, (i,))
+        if alone is None:
+            continue
+        own = alone.chi2 - of.chi2
+        wanted = court.times(of) * (of.price - part.price)
+        if own < wanted:
+            return court.refuse("together", of, found=own, wanted=wanted, against=part.names)
     return True
+
+
+def _large_enough(court: Court, of: Hypothesis, which: int) -> bool:
+    """Return whether an effect beside others is as large as one must be that is reported alone.
+
+    A tiny one may earn its price at a low noise: the error of a formula, or of a simulation.
+    """
+    if court.setting.judged != "force":
+        return True
+    size, least = court.ask("own size", of, (which,)), court.policy.least_force
+    part = of.parts[which].name
+    return size > least or court.refuse("small", of, part=part, found=size, wanted=least)
 
 
 def _no_form(court: Court, of: Hypothesis, which: int, less: Hypothesis) -> bool:

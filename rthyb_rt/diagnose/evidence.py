@@ -127,7 +127,7 @@ class Gathered:
             price(self.problem, effect, own),
             own,
             effect.late,
-            member.name in self.fitter.stated and not effect.late,
+            member.name in self.fitter.stated and effect.restates(member.trial),
             effect.sensor,
             effect.carries,
             effect.dissipates,
@@ -185,6 +185,8 @@ class Gathered:
             return left(problem, fit)
         if need.what == "slow noise":
             return slow_power(problem, fit)
+        if need.what == "own size":
+            return size(problem, fit, need.which)
         return size(problem, fit) if need.what == "size" else self.held_out(fit)
 
     def _refined(self, members: list[Member]) -> Hypothesis | None:

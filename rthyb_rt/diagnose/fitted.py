@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from rthyb_rt.diagnose.case import Floats
@@ -51,9 +53,10 @@ def contribution(problem: ResidualProblem, fit: Fit, member: int) -> Floats:
     return np.asarray(np.sum(parts, axis=0))
 
 
-def size(problem: ResidualProblem, fit: Fit) -> float:
-    """Return the size of a set relative to the recorded force."""
-    total = sum(contribution(problem, fit, i) for i in range(len(fit.members)))
+def size(problem: ResidualProblem, fit: Fit, which: Sequence[int] | None = None) -> float:
+    """Return the size of a set, or of some of its effects, relative to the recorded force."""
+    some = range(len(fit.members)) if which is None else which
+    total = sum(contribution(problem, fit, i) for i in some)
     rows = problem.rows
     force = problem.estimate.force[rows]
     return float(np.std(np.asarray(total)[rows]) + abs(np.mean(np.asarray(total)[rows]))) / max(

@@ -686,10 +686,11 @@ def _sweep(
             names = tuple(sorted(n for m in rest for n in m.effect.names))
             if names not in fitter.by_names:
                 fitter.fit(rest)
-    # For three effects, a pair in the same forms: another form would require the third effect.
+    # The parts of the best sets once more, from the shapes that they have there: another form would
+    # require the effect left out, and a part that was refined into another minimum would, too.
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
-    for fit in [f for f in ranked[:2] if len(f.members) == 3]:
-        for i in range(3):
+    for fit in [f for f in ranked[:2] if len(f.members) > 1]:
+        for i in range(len(fit.members)):
             fitter.fit(fit.members[:i] + fit.members[i + 1 :])
 
 

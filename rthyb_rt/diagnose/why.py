@@ -286,6 +286,10 @@ DROPPED = {
     "be due to the form of the laws",
     "form": "{part}, added to the others in any form that their laws may have, improves "
     "chi-squared by {found}, but must improve it by {wanted}",
+    "together": "improves chi-squared by {found} more than {against}, but must improve it by "
+    "{wanted} more",
+    "small": "{part}, added to the others, has a force of only {found} of the whole; less than "
+    "{wanted} is not reported",
     "normal offset": "{part} is no larger than is normal between two channels",
     "off zero": "deflects the spring by no more than the possible zero error of the displacement "
     "sensor",
@@ -319,9 +323,11 @@ def _dropped(search: forces.Search) -> list[Decision]:
     nan, out = float("nan"), []
     for ruling in [first[names] for names in dict.fromkeys(r.names for r in search.ledger)
                    if names in first and names not in kept][:MOST]:  # fmt: skip
+        share = ruling.rule == "small"
         why = DROPPED[ruling.rule].format(
             part=called(ruling.part) if ruling.part else "",
-            found=_gain(ruling.found), wanted=count(ruling.wanted), against=_words(ruling.against),
+            found=(_percent if share else _gain)(ruling.found),
+            wanted=(_percent if share else count)(ruling.wanted), against=_words(ruling.against),
         )  # fmt: skip
         out.append(Decision("force", ruling.names, "dropped", (), nan, nan, nan, why))
     return out

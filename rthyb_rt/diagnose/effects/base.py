@@ -326,6 +326,10 @@ class Effect:
         """Return whether the coefficients are physically possible; signs are already checked."""
         return True
 
+    def restates(self, trial: Trial) -> bool:
+        """Return whether it only changes a number that the model states, if that is its effect."""
+        return not self.late
+
     def borders(self, trial: Trial) -> str:
         """Return the name of the law to which a fitted shape has degenerated; empty: none."""
         return ""

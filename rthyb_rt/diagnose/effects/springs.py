@@ -63,6 +63,10 @@ class Stiffness(Effect):
         }
         return forms.get(trial.variant, "f = dk_ratio k x")
 
+    def restates(self, trial: Trial) -> bool:
+        """Return whether it changes the stated stiffness; a spring beside a loop is one more."""
+        return not self.late and trial.variant != "beside"
+
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False if nothing would remain of the spring."""
         return bool(beta[0] > -1.0) or not ctx.model.k
