@@ -332,6 +332,17 @@ def test_without_it_a_time_offset_would_have_to_stand_in() -> None:
     assert decided(naive).best.names == ("coulomb",)
 
 
+def test_a_small_effect_beside_loud_crosstalk_earns_its_price_beside_other_forms() -> None:
+    """What crosstalk leaves by a form of its own is no dashpot."""
+    seen = evidence(
+        of("crosstalk", chi2=5000.0), of("crosstalk", "viscous", chi2=4940.0),
+        of("viscous", chi2=9e5), null=1e6,
+    )  # fmt: skip
+    choice = decided(seen, beyond_forms=0.0)
+    assert choice.best.names == ("crosstalk",)
+    assert [r.part for r in choice.ledger if r.rule == "form"] == ["viscous"]
+
+
 def test_two_effects_that_cancel_earn_the_price_of_both_beside_a_third_one() -> None:
     """At one frequency a spring and a mass cancel, so that each of them seems to be needed."""
     several = (

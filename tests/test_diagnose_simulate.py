@@ -102,6 +102,33 @@ def test_acceleration_of_a_motion_late_by_its_speed_is_that_of_the_instant(hold,
     assert np.sqrt(np.mean(error**2)) < off * np.std(exact)
 
 
+@pytest.mark.parametrize(
+    "model",
+    [
+        ActuatorModel(3.0 / cases.FS, 1e5, 1.0, jumps=True),
+        ActuatorModel(3.0 / cases.FS, 1e4, 200.0),
+        ActuatorModel(0.004, 40.0, 1.0, vmax_m_s=0.03, vmax_of="command"),
+        ActuatorModel(0.004, 40.0, 1.0, vmax_m_s=0.03, vmax_of="actuator"),
+    ],
+    ids=["a delay in steps", "one slow pole", "a limited command", "a limited actuator"],
+)
+def test_a_motion_late_by_its_speed_that_no_lag_smooths_accelerates_by_its_differences(model):
+    """Where the command bends, the lag's own equation has another acceleration for an instant."""
+    late = replace(model, kappa_s2_m=0.02, kappa_of="motion")
+    motion = actuator(late, cases.command(), cases.FS)
+    np.testing.assert_array_equal(motion.a, np.gradient(motion.v) * cases.FS)
+    assert np.std(motion.a) < 3.0 * np.std(np.gradient(np.gradient(motion.x))) * cases.FS**2
+
+
+@pytest.mark.parametrize(
+    "bad", [{"kappa_s2_m": np.nan}, {"kappa_s2_m": np.inf}, {"f_hz": np.nan}, {"zeta": np.nan}]
+)
+def test_a_delay_by_speed_that_is_no_number_is_refused(bad):
+    model = ActuatorModel(0.004, 40.0, 1.0, kappa_s2_m=0.02, kappa_of="motion")
+    with pytest.raises(SimulationError):
+        actuator(replace(model, **bad), cases.command(), cases.FS)
+
+
 @pytest.mark.parametrize("where", ["command", "actuator"])
 def test_a_velocity_limit_is_kept(where):
     u = cases.command()

@@ -15,8 +15,8 @@ from scipy.stats import chi2, norm
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, engine, steady
-from rthyb_rt.diagnose.case import Case, Floats, Model
-from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.case import Case, Floats, Model, ModelBoucWen
+from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
@@ -126,6 +126,22 @@ def test_wear_by_work_or_by_amplitude_is_told_from_wear_by_travel(variant: str) 
     force = core.CoreElement(elements[0]).run(x, v, a, 1.0 / FS)
     exact = K * x + beta[0] * member.effect.columns(problem.ctx, member.trial)[0]
     np.testing.assert_allclose(force, exact, atol=2e-3 * K * float(np.max(np.abs(x))))
+
+
+def test_wear_by_amplitude_that_was_reached_at_the_start_is_told_with_some_travel() -> None:
+    """A body let go from 6 mm: what it loses by 3 mm was lost before the first row."""
+    t = np.arange(2000) / FS
+    x = 6e-3 * np.cos(9.0 * t)
+    motion = ComputedMotion(x, -54e-3 * np.sin(9.0 * t), -81.0 * x)
+    model = Model("drive", FS, k=K, c=C, moving_mass=M, k_tol=0.01, f_std=F_STD)
+    ctx = Context(model, motion, t, K * motion.x, {})
+    law = effects.catalogue()["degradation"]
+    told = law.report(ctx, Trial((3e-3,), "loop, amplitude"), np.array([0.2]))
+    assert told["travel_m"] == ctx.travel[1] > 0.0
+    yields = replace(model, bouc_wen=ModelBoucWen(1.0, 2e-3, 2.0, 0.5, 0.5))
+    ctx = Context(yields, motion, t, K * motion.x, {})
+    assert law.elements(ctx, Trial((30.0,), "loop, work"), np.array([0.2])) is None
+    assert law.elements(ctx, Trial((3e-3,), "all"), np.array([0.2])) is not None
 
 
 def test_a_spring_that_breaks_at_once_does_not_wear() -> None:

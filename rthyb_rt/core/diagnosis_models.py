@@ -133,6 +133,10 @@ def _late_by_speed(
     are the cubics that have the values and slopes of both, and a0 is straight: parts are so short
     that a0 hardly bends in one, after the command has changed its slope.
     """
+    if not np.isfinite(model.kappa_s2_m):
+        raise SimulationError(
+            f"the actuator {model} cannot be simulated: kappa_s2_m must be a finite number"
+        )
     row = before[0] if before else 0.0
     on_time, jerk, parts = _on_time(model, u, fs_hz, before)
     fine_hz, last = fs_hz * parts, on_time.x.size - 1
@@ -151,25 +155,30 @@ def _late_by_speed(
         then = _between(on_time.v, on_time.a / fine_hz, i, j, s)
         x[rows] = _between(on_time.x, on_time.v / fine_hz, i, j, s)
         v[rows] = then * pace
-        a[rows] = (on_time.a[i] + s * (on_time.a[j] - on_time.a[i])) * pace**2
-        a[rows] -= then * way * jerk[at]
-    return ComputedMotion(x, v, a)
+        if jerk is not None:
+            a[rows] = (on_time.a[i] + s * (on_time.a[j] - on_time.a[i])) * pace**2
+            a[rows] -= then * way * jerk[at]
+    return ComputedMotion(x, v, a if jerk is not None else np.gradient(v) * fs_hz)
 
 
 def _on_time(
     model: ActuatorModel, u: Floats, fs_hz: float, before: tuple[float, ActuatorModel] | None
-) -> tuple[ComputedMotion, Floats, int]:
-    """Return the motion without that delay at parts of rows, its jerk, m/s^3, and parts a row."""
-    # A lag forgets a change of the command's slope within 1 / (2 zeta w).
-    rate = 4.0 * np.pi * model.zeta * model.f_hz
-    parts = 1 if model.jumps else int(np.clip(np.ceil(4.0 * rate / fs_hz), 1, FINEST))
+) -> tuple[ComputedMotion, Floats | None, int]:
+    """Return the motion without that delay at parts of rows, its jerk, m/s^3, and parts a row.
+
+    No jerk if the motion does not follow the equation of the lag from row to row: in steps, at a
+    velocity limit, or if the lag forgets a change of the command's slope within a part of a row.
+    """
+    rate = 4.0 * np.pi * model.zeta * model.f_hz  # it does so within 1 / (2 zeta w)
+    smooth = not model.jumps and model.vmax_m_s == 0.0 and rate <= FINEST * fs_hz
+    parts = int(np.clip(np.ceil(4.0 * rate / fs_hz), 1, FINEST)) if smooth else 1
     at = np.arange(parts * (u.size - 1) + 1) / parts
     finer = u if parts == 1 else u[at.astype(np.intp)]
     if parts > 1 and model.hold == "foh":
         finer = np.interp(at, np.arange(u.size), u)
     early = (before[0] * parts, replace(before[1], kappa_s2_m=0.0)) if before else None
     moved = actuator(replace(model, kappa_s2_m=0.0), finer, fs_hz * parts, early)
-    return moved, _jerk(model, finer, moved, fs_hz * parts), parts
+    return moved, _jerk(model, finer, moved, fs_hz * parts) if smooth else None, parts
 
 
 def _jerk(model: ActuatorModel, u: Floats, moved: ComputedMotion, fs_hz: float) -> Floats:

@@ -331,20 +331,26 @@ class Court:
         """Return the fraction of the explained misfit that each effect must explain alone."""
         return of_size(self.policy.needed_share, len(of.names)) * self.blurred
 
+    def whole(self, of: Hypothesis, which: int) -> float:
+        """Return the misfit explained by a set, as a reduction of chi-squared.
+
+        For damping in a free decay, that of all damping laws in the set.
+        """
+        if not (self.setting.swings and of.parts[which].dissipates):
+            return self.null.chi2 - of.chi2
+        without = self.of(of, tuple(i for i, p in enumerate(of.parts) if not p.dissipates))
+        return (self.null if without is None else without).chi2 - of.chi2
+
     def explained(self, of: Hypothesis, which: int) -> float:
         """Return the misfit explained by a set, of the kind that one of its effects can explain.
 
-        As a reduction of chi-squared. What a law leaves because of its form is in proportion to
-        its own force, and a force that the load cell adds depends on time or on another channel:
-        what it explains is no measure for another effect. For damping in a free decay, that of all
-        damping laws in the set.
+        What a law leaves because of its form is in proportion to its own force, and a force that
+        the load cell adds depends on time or on another channel: what it explains is no measure for
+        the share of another effect.
         """
-        if self.setting.swings and of.parts[which].dissipates:
-            apart = tuple(i for i, p in enumerate(of.parts) if not p.dissipates)
-        elif self.setting.judged == "force":
-            apart = tuple(i for i, p in enumerate(of.parts) if p.additive and i != which)
-        else:
-            apart = ()
+        apart = tuple(i for i, p in enumerate(of.parts) if p.additive and i != which)
+        if self.setting.judged != "force" or not apart:
+            return self.whole(of, which)
         without = self.of(of, apart)
         return (self.null if without is None else without).chi2 - of.chi2
 
@@ -465,7 +471,7 @@ def _past_forms(court: Court, of: Hypothesis, which: int, own: float) -> bool:
     policy, setting = court.policy, court.setting
     if setting.judged != "force" or setting.naive:
         return True
-    if own >= policy.other_form * court.explained(of, which):
+    if own >= policy.other_form * court.whole(of, which):
         return True
     part, found = of.parts[which], court.ask("beyond forms", of, (which,))
     wanted = part.price * court.times(of)

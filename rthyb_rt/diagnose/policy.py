@@ -113,7 +113,7 @@ class Policy:
         3.5, "standard deviations", "physics",
         "Maximum change of a set's parameters in one part of the recording that is attributed to "
         "chance.",
-        "by chance, one in four thousand; for five parts, one in nine hundred",
+        "by chance, one in four thousand; for six parts, one in seven hundred",
     )  # fmt: skip
     changed_within: float = _entry(
         0.05, "fraction of the parameter", "judgement",

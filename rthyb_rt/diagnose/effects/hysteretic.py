@@ -492,7 +492,10 @@ class Degradation(Effect):
         worn = self._gone_through(ctx, trial.variant)
         at = min(int(np.searchsorted(worn, trial.theta[0])), worn.size - 1)
         beyond = max(trial.theta[0] / max(float(worn[at]), 1e-300), 1.0)
-        return loss | {"travel_m": max(float(ctx.travel[at]) * beyond, 1e-9)}
+        # A recording may begin at a displacement that is beyond that amplitude.
+        travelled = ctx.travel[ctx.travel > 0.0]
+        first = float(travelled[0]) if travelled.size else ctx.x_range
+        return loss | {"travel_m": max(float(ctx.travel[at]) * beyond, first)}
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return which force is reduced, and by what."""
@@ -511,9 +514,12 @@ class Degradation(Effect):
         b, c = (bw.gamma, bw.beta) if bw else (0.5, 0.5)
         at = {"travel_m": 0.0, "work_j": 0.0, "amplitude_m": 0.0}
         # The element's work is that of k z, of which the loop is the part 1 - alpha.
-        keys = {WORN[1]: ("work_j", 1.0 / (1.0 - alpha)), WORN[2]: ("amplitude_m", 1.0)}
-        key, per = keys.get(trial.variant, ("travel_m", 1.0))
-        at[key] = trial.theta[0] * per
+        if trial.variant == WORN[1] and alpha >= 1.0:
+            return None
+        per = 1.0 / (1.0 - alpha) if trial.variant == WORN[1] else 1.0
+        at[{WORN[1]: "work_j", WORN[2]: "amplitude_m"}.get(trial.variant, "travel_m")] = (
+            trial.theta[0] * per
+        )
         return [
             core.element(
                 "degradation", k_n_per_m=ctx.model.k, post_yield_ratio=alpha, a=1.0,
