@@ -280,6 +280,20 @@ def spread(middle: float, width: float, corner: str = CORNERS[0]) -> Floats:
     return middle + width * (2.0 * share - 1.0)
 
 
+def _both_sides(x: Floats, trial: Trial) -> Floats:
+    """Return the depth of such a contact on both sides, signed, (n,), m."""
+    at, width = trial.theta
+    return met(x - at, width, trial.variant) - met(-x - at, width, trial.variant)
+
+
+def _places(trial: Trial) -> list[float] | None:
+    """Return the clearances that represent it in a rig file, m; None if it is met at zero."""
+    at, width = trial.theta
+    places = [float(place) for place in spread(at, width, trial.variant)]
+    met_at_zero = width > at if trial.variant == CORNERS[0] else min(places) < 0.0
+    return None if met_at_zero else places
+
+
 def _corners(trial: Trial) -> list[Trial]:
     """Return the contact with its clearance distributed in the other ways, of similar widths."""
     at = trial.theta[0]
@@ -345,8 +359,7 @@ class Gap(Effect):
         """Return the force that the spring loses."""
         half = trial.theta[0]
         if trial.variant in CORNERS:
-            corner = (trial.theta[1], trial.variant)
-            moved = met(ctx.x - half, *corner) - met(-ctx.x - half, *corner)
+            moved = _both_sides(ctx.x, trial)
         elif trial.variant != "play":
             moved = ctx.x - np.clip(ctx.x, -trial.theta[-1], half)
         else:
@@ -380,8 +393,8 @@ class Gap(Effect):
         if trial.variant == "deadband":
             return [*out, core.element("gap", k_n_per_m=k, gap_m=trial.theta[0])]
         if trial.variant in CORNERS:
-            gaps = list(map(float, spread(trial.theta[0], trial.theta[1], trial.variant)))
-            if min(gaps) < 0.0:
+            gaps = _places(trial)
+            if gaps is None:
                 return None
             return [*out, *(core.element("gap", k_n_per_m=k / PARTS, gap_m=g) for g in gaps)]
         up, down = trial.theta
@@ -464,8 +477,7 @@ class Stopper(Effect):
         """Return the penetration of the stop."""
         xs = trial.theta[0]
         if trial.variant in CORNERS:
-            corner = (trial.theta[1], trial.variant)
-            return [met(ctx.x - xs, *corner) - met(-ctx.x - xs, *corner)]
+            return [_both_sides(ctx.x, trial)]
         up, down = np.maximum(ctx.x - xs, 0.0), np.minimum(ctx.x + xs, 0.0)
         if self._impact(trial):
             up = up * np.maximum(1.0 + trial.theta[1] * ctx.v, 0.0)
@@ -496,8 +508,8 @@ class Stopper(Effect):
         if self._side(trial) == "both":
             return [core.element("stopper", ks_n_per_m=ks, xs_m=xs, loss_s_per_m=loss)]
         if trial.variant in CORNERS:
-            places = list(map(float, spread(trial.theta[0], trial.theta[1], trial.variant)))
-            if min(places) < 0.0:
+            places = _places(trial)
+            if places is None:
                 return None
             return [core.element("stopper", ks_n_per_m=ks / PARTS, xs_m=at) for at in places]
         up, down = (ks, 0.0) if self._side(trial) == "up" else (0.0, ks)
