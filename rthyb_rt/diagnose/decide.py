@@ -337,9 +337,8 @@ class Court:
         For damping in a free decay, that of all damping laws in the set.
         """
         if not (self.setting.swings and of.parts[which].dissipates):
-            return self.null.chi2 - of.chi2
-        without = self.of(of, tuple(i for i, p in enumerate(of.parts) if not p.dissipates))
-        return (self.null if without is None else without).chi2 - of.chi2
+            return self._beyond(of, ())
+        return self._beyond(of, tuple(i for i, p in enumerate(of.parts) if not p.dissipates))
 
     def explained(self, of: Hypothesis, which: int) -> float:
         """Return the misfit explained by a set, of the kind that one of its effects can explain.
@@ -351,6 +350,10 @@ class Court:
         apart = tuple(i for i, p in enumerate(of.parts) if p.additive and i != which)
         if self.setting.judged != "force" or not apart:
             return self.whole(of, which)
+        return self._beyond(of, apart)
+
+    def _beyond(self, of: Hypothesis, apart: tuple[int, ...]) -> float:
+        """Return what a set explains that some of its effects, if physical alone, do not."""
         without = self.of(of, apart)
         return (self.null if without is None else without).chi2 - of.chi2
 
