@@ -20,7 +20,15 @@ from rthyb_rt.config.limits import WATCHED, Limits, resolve
 from rthyb_rt.config.lines import KeyLines
 from rthyb_rt.config.numerical import Labels, Matrices, Numbers, Place, Square
 from rthyb_rt.config.own_tables import Settings
-from rthyb_rt.config.rigfile import BoucWen, LinkTable, RigFile, Sensors, ServoHydraulic, assumable
+from rthyb_rt.config.rigfile import (
+    BoucWen,
+    DegradationElement,
+    LinkTable,
+    RigFile,
+    Sensors,
+    ServoHydraulic,
+    assumable,
+)
 from rthyb_rt.config.structures import Counts, Each, Terms
 from rthyb_rt.config.testfile import AxisLaw, Controller, Numerical, TestFile
 from rthyb_rt.errors import InputError
@@ -142,6 +150,8 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         data["specimen"] = [*data["specimen"][:3], {"element": "inertia", "m_kg": 29.13}]
     if issubclass(model, BoucWen):
         data.update(xy_m=None, b=draw(st.floats(1, 1e6)), c=draw(st.floats(0, 1e6)))
+    if model is DegradationElement and not any(map(data.get, LOST_WITH)):
+        data[draw(st.sampled_from(LOST_WITH))] = draw(st.floats(1e-6, 1e3))
     if "fs_n" in data:
         data["fs_n"] = max(data["fs_n"], data["fc_n"])
     if "ultimate_m" in data:
@@ -180,6 +190,9 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
             data[place[0]] = None
     return data
 
+
+LOST_WITH = ("travel_m", "work_j", "amplitude_m")
+"""Of these a degrading loop needs at least one."""
 
 ONE_DEGREE: dict[str, Any] = {"storeys": None, "damping": None, "nonlinear": [], "record": None}
 
