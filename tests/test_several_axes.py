@@ -15,13 +15,15 @@ from test_axes_tests import RIG, TEST
 
 from rthyb_rt import config
 from rthyb_rt.analysis import several_axes as measured
+from rthyb_rt.comparing import courses, of_axis
 from rthyb_rt.config import AxesRig
 from rthyb_rt.config.axes_reference import joint_model, reference_of
 from rthyb_rt.config.deriving_axes import derive_axes
 from rthyb_rt.core import RUNNING
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import axes_experiment, realtime, virtual_time
-from rthyb_rt.record import recording
+from rthyb_rt.live.sources import PastSource
+from rthyb_rt.record import recording, ring
 from rthyb_rt.record.recording import RecordedTest
 
 ROOT = Path(__file__).parents[1]
@@ -164,6 +166,111 @@ def test_any_axis_and_any_direction_ends_the_test_for_all(
     # Both drives brake by themselves: neither goes on.
     for name in rec.axis_names:
         assert np.ptp(rec.axis(name)["x_meas_m"][-20:]) < 1e-4
+
+
+# ---- recordings whose first rows were overwritten ------------------------------------------------
+
+
+def recovered(rec: RecordedTest, folder: Path, rows: int) -> RecordedTest:
+    """What is recovered from a ring for so many rows that the test was pushed to."""
+    made = ring.Ring.create(folder, rec, capacity=rows)
+    made.push(rec.samples)
+    made.close()
+    return ring.recover(made.path).recording
+
+
+def told(rec: RecordedTest) -> str:
+    return " ".join(notice.text for notice in measured.notices(measured.summarize(rec)))
+
+
+def test_a_recovered_test_with_all_rows_is_measured_as_before(tmp_path: Path) -> None:
+    rec = conducted()
+    again = recovered(rec, tmp_path, 32768)
+    assert measured.summarize(again).as_json() == measured.summarize(rec).as_json()
+    assert "lacks" not in told(again)
+
+
+def test_a_test_whose_first_rows_were_overwritten_is_compared_with_the_rest_of_its_reference(
+    tmp_path: Path,
+) -> None:
+    rec = conducted()
+    rest = recovered(rec, tmp_path, 16384)
+    assert rest.reference is None
+    whole, s = measured.summarize(rec), measured.summarize(rest)
+    lost = whole.rows - s.rows
+    assert lost > 2000
+    assert s.signals.first == lost
+    assert s.signals.reference is not None
+    assert whole.signals.reference is not None
+    assert np.array_equal(s.signals.reference.x, whole.signals.reference.x[lost:])
+    assert np.array_equal(s.signals.reference.axis_m, whole.signals.reference.axis_m[lost:])
+    for j, one in enumerate(s.directions):
+        apart = whole.signals.x_meas[lost:, j] - whole.signals.reference.x[lost:, j]
+        assert one.response_peak == np.abs(apart).max()
+        assert one.response_nrmse is not None
+        assert one.response_nrmse < 0.03
+    assert s.attention == ()
+    assert f"lacks the first {lost / 1024:.4g} s of the test" in told(rest)
+    expected, seen = (
+        values[lost:, 1] for values in (whole.signals.reference.axis_m, whole.signals.measured_m)
+    )
+    nrmse = np.sqrt(np.mean((seen - expected) ** 2) / np.mean(expected**2))
+    course = of_axis.recorded(rest, None, "right")
+    assert course.measures["response_nrmse"] == pytest.approx(nrmse, rel=1e-9)
+
+
+def test_rows_cut_from_a_recording_by_hand_are_placed_as_well() -> None:
+    rec = conducted()
+    running = np.flatnonzero(rec.running())
+    cut = replace(rec, samples=rec.samples[running[1000] : running[5000]])
+    assert cut.reference is not None
+    assert measured.summarize(cut).signals.first == 1000
+
+
+def test_rows_of_which_the_ground_motion_tells_no_place_have_no_reference(tmp_path: Path) -> None:
+    """Of the free vibration alone, of every second row, and of a ground that repeats itself."""
+    rec = conducted()
+    running = np.flatnonzero(rec.running())
+    quiet = recovered(rec, tmp_path, 4096)
+    assert quiet.running().sum() > 1000
+    torn = replace(rec, samples=rec.samples[running[1000:5000:2]], reference=None)
+    first = rec.samples[running[:2048]]
+    again = replace(rec, samples=first, reference=None, ag_mps2=np.tile(rec.ag_mps2[:2048], 2))
+    for one in (quiet, torn, again):
+        s = measured.summarize(one)
+        assert (s.signals.first, s.signals.reference) == (None, None)
+        assert {d["response_nrmse"] for d in s.as_json()["directions"].values()} == {None}
+        assert s.attention == ()
+        assert "its ground motion does not tell which" in told(one)
+        assert of_axis.recorded(one, None, "right").measures["response_nrmse"] is None
+        with pytest.raises(InputError, match="has no reference simulation to compare with"):
+            courses.beside_reference(one, of_axis.recorded(one, "run", "right"))
+
+
+def test_without_a_reference_verdict_table_and_live_view_say_so(tmp_path: Path) -> None:
+    quiet = recovered(conducted(), tmp_path, 4096)
+    quiet.meta["end_reason"] = "completed"
+    s = measured.summarize(quiet)
+    assert "there is no reference simulation to compare" in measured.verdict(s)
+    rows = {row.label: row.value for row in measured.table(s)}
+    assert rows["ground-floor: response"] == rows["first-floor: response"]
+    assert rows["first-floor: response"] == "no reference simulation"
+    assert not any("NRMSE" in label and "response" in label for label in rows)
+    attention = PastSource(quiet).status()["attention"]
+    assert any("lacks rows of the test" in text for text in attention)
+
+
+def test_the_report_without_a_reference_draws_what_was_measured(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    from rthyb_rt.report import axes_report
+
+    quiet = recovered(conducted(), tmp_path, 4096)
+    plates = {plate.key: plate for plate in axes_report.draw_all(quiet, measured.summarize(quiet))}
+    assert plates["direction-1"].svg
+    assert plates["difference-1"].svg == ""
+    for key in ("direction-1", "difference-1"):
+        assert axes_report.NO_REFERENCE in plates[key].note
+    assert axes_report.NO_REFERENCE in axes_report.render(quiet)
 
 
 # ---- compensation by matrices --------------------------------------------------------------------

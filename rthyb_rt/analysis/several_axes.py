@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rthyb_rt import config
 from rthyb_rt.analysis import measures, summary
 from rthyb_rt.analysis.attention import AxesJudge, Finding
+from rthyb_rt.analysis.motion_rows import first_instant
 from rthyb_rt.analysis.notices import (
     Notice,
     axis_attention_in_words,
@@ -70,18 +71,18 @@ class OfDirection:
         name, turns: its name, and whether it is a rotation.
         peak: of the command of the numerical part.
         tracking_nrmse: rms(measured - command) / rms(command).
-        response_nrmse: rms(measured - reference) / rms(reference).
-        response_peak: greatest of these differences.
-        reference_peak: of the reference.
+        response_nrmse: rms(measured - reference) / rms(reference); None: no reference.
+        response_peak: greatest of these differences; None: no reference.
+        reference_peak: of the reference; None: no reference.
     """
 
     name: str
     turns: bool
     peak: float
     tracking_nrmse: float
-    response_nrmse: float
-    response_peak: float
-    reference_peak: float
+    response_nrmse: float | None
+    response_peak: float | None
+    reference_peak: float | None
 
 
 @dataclass(frozen=True)
@@ -107,12 +108,14 @@ class Signals:
     """Signals over the n rows of the test proper.
 
     Attributes:
-        time_s: (n,).
+        time_s: from the first row on, (n,).
+        first: instant of the first row, in samples from the start of the ground motion; more than 0
+            if the first rows of the test are lost; None: it cannot be found.
         wanted_m, command_m, measured_m, force_n: of the axes, (n, axes) each.
         opposing_n: the part of ``force_n`` without resultant, (n, axes); None: no redundant
             actuators.
         x_num, x_meas: along the interface, (n, directions) each.
-        reference: at the same rows.
+        reference: at the same rows; None: it is not known which rows of the reference these are.
         sensors: values of the sensors without an actuator, and those that would follow from pose
             and force along the interface, (2, n, sensors); displacements first.
     """
@@ -124,7 +127,8 @@ class Signals:
     force_n: Floats
     x_num: Floats
     x_meas: Floats
-    reference: AxesReference
+    first: int | None
+    reference: AxesReference | None
     opposing_n: Floats | None = None
     sensors: Floats = field(default_factory=lambda: np.empty((2, 0, 0)))
 
@@ -213,7 +217,7 @@ def summarize(rec: RecordedTest) -> AxesSummary:
     )
     states = rec.samples["state"]
     judge = axes_judge(rig, whole, rec.fs_hz)
-    judge.add(samples, signals.reference.axis_m)
+    judge.add(samples, None if signals.reference is None else signals.reference.axis_m)
     return AxesSummary(
         test.test.name,
         test.test.description,
@@ -287,7 +291,7 @@ def _signals(rec: RecordedTest, rig: AxesRig, whole: AxesReference) -> Signals:
             "measure",
             "recording",
         )
-    parts = {key: getattr(whole, key)[:n] for key in AxesReference.__dataclass_fields__}
+    first = first_instant(rec)
     samples = rec.samples[running]
     x_num = np.column_stack(
         [samples["x_num_m"], *(samples[f"x_num_m_{j}"] for j in range(1, len(rig.directions)))]
@@ -313,7 +317,8 @@ def _signals(rec: RecordedTest, rig: AxesRig, whole: AxesReference) -> Signals:
         columns["f_meas_n"],
         x_num,
         pose,
-        AxesReference(**parts),
+        first,
+        None if first is None else whole.rows(first, n),
         _opposing(rig, columns["f_meas_n"]) if rig.is_redundant else None,
         np.stack([read, given]),
     )
@@ -348,21 +353,17 @@ def _of_axis(rec: RecordedTest, signals: Signals, i: int, name: str, by_law: boo
 
 
 def _of_direction(signals: Signals, j: int, name: str, turns: bool) -> OfDirection:
-    asked, measured, reference = (
-        signals.x_num[:, j], signals.x_meas[:, j], signals.reference.x[:, j],
-    )  # fmt: skip
-    return OfDirection(
-        name,
-        turns,
-        _peak(asked),
-        measures.tracking_nrmse(asked, measured),
-        measures.tracking_nrmse(reference, measured),
-        _peak(measured - reference),
-        _peak(reference),
-    )
+    asked, measured = signals.x_num[:, j], signals.x_meas[:, j]
+    response: tuple[float | None, float | None, float | None] = (None, None, None)
+    if signals.reference is not None:
+        expected = signals.reference.x[:, j]
+        nrmse = measures.tracking_nrmse(expected, measured)
+        response = (nrmse, _peak(measured - expected), _peak(expected))
+    tracking = measures.tracking_nrmse(asked, measured)
+    return OfDirection(name, turns, _peak(asked), tracking, *response)
 
 
-def size_of(value: float, turns: bool) -> str:
+def size_of(value: float | None, turns: bool) -> str:
     """Return a displacement or a rotation with its unit."""
     return quantity(value, "mrad" if turns else "mm", 1e3)
 
@@ -379,10 +380,7 @@ def table(s: AxesSummary) -> list[SummaryRow]:
             SummaryRow(f"{one.name}: peak", size_of(one.peak, one.turns), "of the command"),
             SummaryRow(f"{one.name}: tracking, NRMSE", percent(one.tracking_nrmse),
                 "rms(measured − command) / rms(command)"),
-            SummaryRow(f"{one.name}: response, NRMSE", percent(one.response_nrmse),
-                "rms(measured − reference) / rms(reference)"),
-            SummaryRow(f"{one.name}: largest difference", size_of(one.response_peak, one.turns),
-                f"of a reference of {size_of(one.reference_peak, one.turns)}"),
+            *_response_rows(one),
         ]  # fmt: skip
     for axis in s.axes:
         rows += [
@@ -418,6 +416,37 @@ def table(s: AxesSummary) -> list[SummaryRow]:
     return rows + live_rows(s.live)
 
 
+def _response_rows(one: OfDirection) -> list[SummaryRow]:
+    if one.response_nrmse is None:
+        return [SummaryRow(f"{one.name}: response", "no reference simulation", "")]
+    return [
+        SummaryRow(f"{one.name}: response, NRMSE", percent(one.response_nrmse),
+            "rms(measured − reference) / rms(reference)"),
+        SummaryRow(f"{one.name}: largest difference", size_of(one.response_peak, one.turns),
+            f"of a reference of {size_of(one.reference_peak, one.turns)}"),
+    ]  # fmt: skip
+
+
+def _placing_notices(s: AxesSummary) -> list[Notice]:
+    """Return a notice about lost rows of the test proper, which the results do not contain."""
+    first = s.signals.first
+    if first is None:
+        text = (
+            "The recording lacks rows of the test, and its ground motion does not tell which: the "
+            "response is not compared with the reference simulation, and all other results are "
+            "those of the rows that it has."
+        )
+    elif first:
+        text = (
+            f"The recording lacks the first {number(first / s.fs_hz, 4)} s of the test: all "
+            "results are those of the rest, whose time begins at 0. Its ground motion shows which "
+            "part of the reference simulation belongs to it."
+        )
+    else:
+        return []
+    return [Notice("alarm", text)]
+
+
 def notices(s: AxesSummary) -> list[Notice]:
     """Return the notices, the most serious first."""
     found = []
@@ -425,6 +454,7 @@ def notices(s: AxesSummary) -> list[Notice]:
         found.append(Notice("alarm", f"The test did not complete: {s.end_reason}."))
         if s.live is not None and s.live.remedy:
             found.append(Notice("note", s.live.remedy))
+    found += _placing_notices(s)
     found += not_finite_notices(s.not_finite_rows)
     found += [
         Notice("alarm", axis_attention_in_words(name, one, s.controller))
@@ -436,9 +466,14 @@ def notices(s: AxesSummary) -> list[Notice]:
 
 def verdict(s: AxesSummary) -> str:
     """Return one sentence on how the test ended and how close it came to the reference."""
-    worst = max(s.directions, key=lambda one: one.response_nrmse)
     if s.end_reason != "completed":
         return f"The test did not complete: {s.end_reason}."
+    if s.signals.reference is None:
+        return (
+            "The test was completed; there is no reference simulation to compare the measured "
+            "response with."
+        )
+    worst = max(s.directions, key=lambda one: one.response_nrmse or 0.0)
     return (
         "The test was completed; the measured response differs from the reference simulation by "
         f"at most {percent(worst.response_nrmse)} (NRMSE, direction {worst.name})."

@@ -47,12 +47,15 @@ def recorded(rec: RecordedTest, label: str | None, axis: str | None) -> Course:
     found = several_axes.summarize(rec)
     own, signals = found.axes[k], found.signals
     measured = signals.measured_m[:, k]
+    expected = signals.reference
     known: dict[str, float | None] = {
         "peak_command_m": own.peak_command_m,
         "peak_measured_m": own.peak_measured_m,
         "peak_force_n": own.peak_force_n,
         "tracking_nrmse": own.tracking_nrmse,
-        "response_nrmse": measures.tracking_nrmse(signals.reference.axis_m[:, k], measured),
+        "response_nrmse": None
+        if expected is None
+        else measures.tracking_nrmse(expected.axis_m[:, k], measured),
         "alpha_end": own.delay_samples,
     }
     known = {n: v if v is not None and math.isfinite(v) else None for n, v in known.items()}
@@ -69,10 +72,18 @@ def recorded(rec: RecordedTest, label: str | None, axis: str | None) -> Course:
     )
 
 
-def simulated(rec: RecordedTest, label: str, axis: str) -> Course:
-    """Return the reference simulation of an axis of a recording; ``label``: with the axis."""
+def simulated(rec: RecordedTest, label: str, axis: str) -> Course | None:
+    """Return the reference simulation of an axis of a recording, or None.
+
+    Args:
+        rec: the recording.
+        label: its name, with that of the axis.
+        axis: name of the axis.
+    """
     found, k = several_axes.summarize(rec), rec.axis_names.index(axis)
     reference = found.signals.reference
+    if reference is None:
+        return None
     called = f"{label}, reference simulation"
     x_m, f_n = reference.axis_m[:, k], reference.axis_n[:, k]
     return reference_course(x_m, f_n, found.fs_hz, called, axis)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -41,6 +41,12 @@ class AxesReference:
     axis_m: Floats
     axis_n: Floats
     responses: Floats
+
+    def rows(self, first: int, count: int) -> AxesReference:
+        """Return ``count`` rows of all signals from row ``first`` on."""
+        return AxesReference(
+            *(getattr(self, one.name)[first : first + count] for one in fields(self))
+        )
 
 
 def reference_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from rthyb_rt.report.drawing import Plate
 
 Floats = NDArray[np.float64]
+
+NO_REFERENCE: Final = "There is no reference simulation for the rows of this recording."
 
 
 def render(rec: RecordedTest) -> str:
@@ -112,25 +114,32 @@ def _displacement(s: AxesSummary, j: int, one: OfDirection) -> Plate:
     paper = draw.Paper(f"direction-{j}", draw.FULL_WIDTH_IN, (1.6,))
     (axes,) = paper.axes
     t, unit = s.signals.time_s, "mrad" if one.turns else "mm"
-    reference, measured = s.signals.reference.x[:, j] * 1e3, s.signals.x_meas[:, j] * 1e3
-    draw.curve(axes, t, reference, draw.GREY, 1.6, "reference")
+    measured, limit = s.signals.x_meas[:, j] * 1e3, 1e-3
+    note = f"Measurement along the interface. {NO_REFERENCE}"
+    if s.signals.reference is not None:
+        expected = s.signals.reference.x[:, j] * 1e3
+        limit = max(draw.largest(expected), limit)
+        draw.curve(axes, t, expected, draw.GREY, 1.6, "reference")
+        largest = several_axes.size_of(one.response_peak, one.turns)
+        note = (
+            "Measurement along the interface, and reference simulation; largest difference "
+            f"{largest}."
+        )
     draw.curve(axes, t, measured, draw.BLUE, 0.8, "measured")
-    limit = max(draw.largest(reference), draw.largest(measured), 1e-3)
-    draw.symmetric(axes, limit)
+    draw.symmetric(axes, max(draw.largest(measured), limit))
     axes.set_xlim(*draw.span(0.0, float(t[-1])))
     draw.head(axes, f"{one.name}, {unit}")
     draw.x_label(axes, "time, s")
-    return paper.plate(
-        f"Direction {one.name}",
-        "Measurement along the interface, and reference simulation; largest difference "
-        f"{several_axes.size_of(one.response_peak, one.turns)}.",
-    )
+    return paper.plate(f"Direction {one.name}", note)
 
 
 def _error(s: AxesSummary, j: int, one: OfDirection) -> Plate:
     from rthyb_rt.report import drawing as draw
 
-    paper = draw.Paper(f"difference-{j}", draw.FULL_WIDTH_IN, (1.0,))
+    key, title = f"difference-{j}", f"Difference of {one.name}"
+    if s.signals.reference is None:
+        return draw.Plate(key, title, "", NO_REFERENCE, False)
+    paper = draw.Paper(key, draw.FULL_WIDTH_IN, (1.0,))
     (axes,) = paper.axes
     t = s.signals.time_s
     apart = (s.signals.x_meas[:, j] - s.signals.reference.x[:, j]) * 1e3
@@ -139,9 +148,7 @@ def _error(s: AxesSummary, j: int, one: OfDirection) -> Plate:
     axes.set_xlim(*draw.span(0.0, float(t[-1])))
     draw.head(axes, f"difference of {one.name}, {'mrad' if one.turns else 'mm'}")
     draw.x_label(axes, "time, s")
-    return paper.plate(
-        f"Difference of {one.name}", f"NRMSE {percent(one.response_nrmse)} of the reference."
-    )
+    return paper.plate(title, f"NRMSE {percent(one.response_nrmse)} of the reference.")
 
 
 def _command(s: AxesSummary, i: int) -> Plate:
