@@ -366,7 +366,7 @@ def test_the_frame_records_a_second_sensor_from_the_command_line(
 
 
 def test_no_extra_sensor_of_an_axis_replaces_time_or_reference() -> None:
-    for name in ("t_s", "x_ref_m", "v_ref_mps", "f_ref_n"):
+    for name in ("t_s", "x_ref_m", "v_ref_mps", "f_ref_n", "x_ref_m_1", "f_ref_n_1"):
         given = rig(right=RIGHT.replace('"right_strain"', f'"{name}"'))
         with pytest.raises(InputError, match=f'found "{name}", but exported files have') as error:
             virtually(given)

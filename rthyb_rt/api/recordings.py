@@ -21,6 +21,7 @@ from rthyb_rt.api.tables import html_table
 from rthyb_rt.config.fields import nearest, with_extension, written
 from rthyb_rt.errors import InputError
 from rthyb_rt.record import recording as files
+from rthyb_rt.record import signal_units
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -336,8 +337,9 @@ class Recording(Mapping[str, NDArray[Any]]):
 
     Names and units are those in the file, such as ``x_meas_m`` in m and ``f_meas_n`` in N,
     including the channels of the control law. ``x_ref_m``, ``v_ref_mps`` and ``f_ref_n`` are those
-    of the reference simulation, and are NaN outside the state RUNNING. The time ``t_s`` is zero at
-    the first sample of that state.
+    of the reference simulation, and are NaN outside the state RUNNING; with several axes, those of
+    the second direction of the interface end with ``_1``. The time ``t_s`` is zero at the first
+    sample of that state.
 
     Attributes:
         path: file of the recording; None: not saved.
@@ -364,11 +366,9 @@ class Recording(Mapping[str, NDArray[Any]]):
     @cached_property
     def _units(self) -> dict[str, str]:
         raw = self._raw
-        channels = {one.name: one.unit for one in raw.channels}
-        own = {name: files.UNITS.get(name, channels.get(name, ""))
-               for name in raw.samples.dtype.names or ()}  # fmt: skip
-        reference = files.REFERENCE_UNITS if raw.reference is not None else {}
-        return {TIME: "s", **own, **reference}
+        known = signal_units.of_samples(raw)
+        own = {name: known.get(name, "") for name in raw.samples.dtype.names or ()}
+        return {TIME: "s", **own, **signal_units.of_reference(raw)}
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         """Return a signal in its unit, shape (n,): one value per sample of the recording.
@@ -392,7 +392,7 @@ class Recording(Mapping[str, NDArray[Any]]):
             return _protected(raw.channel(name))
         if name in (raw.samples.dtype.names or ()):
             return _protected(np.asarray(raw.samples[name]))
-        if raw.reference is not None and name in files.REFERENCE_UNITS:
+        if raw.reference is not None and name in self._units:
             values = np.full(len(raw.samples), np.nan)
             rows = np.flatnonzero(raw.running())[: len(raw.reference)]
             values[rows] = raw.reference[name][: rows.size]

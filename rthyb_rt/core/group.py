@@ -302,14 +302,19 @@ def watch_table(
     return [_watch(watches[name]) if name in watches else off for name in CAUSES]
 
 
-def axis_channels(config: ControllerConfig) -> tuple[Channel, ...]:
+def axis_channels(config: ControllerConfig, turns: Sequence[bool] = ()) -> tuple[Channel, ...]:
     """Return the channels for the values of axes and interfaces that the record has no fields for.
 
     They are consecutive channels of a row, in this order, from ``StationConfig.axis_channel`` on.
+
+    Args:
+        config: settings of the controller.
+        turns: which interfaces are rotations; empty: none.
     """
     found = []
     for j in range(1, config.interface_count):
-        found += [Channel(f"x_num_m_{j}", "m"), Channel(f"k_t_n_per_m_{j}", "N/m")]
+        x, k = ("rad", "N m/rad") if turns and turns[j] else ("m", "N/m")
+        found += [Channel(f"x_num_m_{j}", x), Channel(f"k_t_n_per_m_{j}", k)]
     for i in range(1, config.axis_count):
         found += [
             Channel(f"x_plc_m_{i}", "m"),

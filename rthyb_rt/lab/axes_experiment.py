@@ -55,6 +55,7 @@ from rthyb_rt.lab import (
     sensor_wires,
 )
 from rthyb_rt.lab.experiment import Group, Setup
+from rthyb_rt.record import signal_units
 
 Floats = NDArray[np.float64]
 
@@ -114,18 +115,14 @@ def prepare(
     end_tick = round(min(motion.duration_s, lasts_s) * derived.fs_hz)
     ordered = in_order(test, rig)
     expected = reference_of(test, rig, derived.structure, ag)
-    x, v, force = expected.x, expected.v, expected.force
     derived = following(rig, derived, expected.axis_m, expected.axis_n)
     if real_time:
         _check_limits(rig, derived)
     group = Group(rig, derived, axes_rig.rig_config(rig, derived.fs_hz), expected)
     resolved = resolve_axes(ordered, rig, derived)
-    reference = np.zeros(ag.size, experiment.REFERENCE_DTYPE)
-    reference["x_ref_m"], reference["v_ref_mps"] = x[:, 0], v[:, 0]
-    reference["f_ref_n"] = force[:, 0]
     controller = controller_config(ordered, rig, derived, end_tick)
     first = replace(derived.axis[0], structure=derived.structure)
-    of_part, of_axes = experiment.part_channels(first), axis_channels(controller)
+    of_part, of_axes = experiment.part_channels(first), _axis_channels(controller, rig)
     experiment.refuse_own_names(test, of_part, _recorded(rig) | {one.name for one in of_axes})
     own_channels = of_part + of_axes + _lone_channels(rig)
     baseline_note = () if baseline.ok else (f"ground motion: {baseline.message}",)
@@ -143,7 +140,7 @@ def prepare(
             *_range_notes(group),
             *(_derived_notes(group) if real_time else ()),
         ),
-        reference=reference,
+        reference=signal_units.reference_rows(expected.x, expected.v, expected.force),
         channels=_extra_channels(rig, own_channels) + own_channels,
         group=group,
     )
@@ -156,6 +153,10 @@ def prepare(
             f'test "{test.test.name}" on rig "{rig.rig.name}"',
         ) from error
     return setup
+
+
+def _axis_channels(controller: core.ControllerConfig, rig: AxesRig) -> tuple[core.Channel, ...]:
+    return axis_channels(controller, rig.kinematics.turns())
 
 
 def _lone_channels(rig: AxesRig) -> tuple[core.Channel, ...]:
@@ -189,9 +190,10 @@ def _refuse_names(rig: AxesRig, own: Sequence[core.Channel]) -> None:
 
 
 def _recorded(rig: AxesRig) -> set[str]:
-    """Return the names that the records of all axes use."""
+    """Return the names that the records of all axes and the reference use."""
     numbered = (*experiment.TRUE, *experiment.HEARD)
     further = {f"{name}_{i}" for name in numbered for i in range(1, len(rig.axis))}
+    further.update(signal_units.reference_names(len(rig.directions)))
     return further | experiment.RECORDED
 
 
@@ -507,7 +509,7 @@ def station_config(setup: Setup, group: Group, *, real: bool = False) -> core.St
         _axis_config(setup, group, k, view, apart, real=real) for k, view in enumerate(views)
     )
     common = {cause: w for cause, w in views[0].watches.items() if cause not in AXIS_WATCHES}
-    part, own = experiment.part_channels(setup.derived), axis_channels(setup.controller)
+    part, own = experiment.part_channels(setup.derived), _axis_channels(setup.controller, rig)
     lone = _lone_channels(rig)
     return replace(
         views[0],

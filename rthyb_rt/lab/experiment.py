@@ -29,7 +29,7 @@ from rthyb_rt.core.coupled_rig import CoupledRigConfig
 from rthyb_rt.errors import InputError, Problem
 from rthyb_rt.ground_motion import GroundMotion
 from rthyb_rt.lab import axis_wires, histories
-from rthyb_rt.record import recording
+from rthyb_rt.record import recording, signal_units
 
 if TYPE_CHECKING:
     from rthyb_rt.config.numerical_structure import Structure
@@ -705,9 +705,10 @@ def why_taken(name: str, taken: Collection[str]) -> str | None:
         name: of the channel.
         taken: names of the channels that the recording has without it.
     """
-    if name in taken:
+    of_reference = name in taken and signal_units.is_of_reference(name)
+    if name in taken and not of_reference:
         return f'a recording of this test already has a channel "{name}"'
-    if name in recording.BESIDE_SAMPLES:
+    if of_reference or name in recording.BESIDE_SAMPLES:
         return f'exported files have a variable "{name}" beside the channels'
     return None
 

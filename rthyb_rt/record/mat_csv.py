@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rthyb_rt.core import FLAGS, STATES
 from rthyb_rt.errors import InputError
+from rthyb_rt.record import signal_units
 from rthyb_rt.record.recording import UNITS, RecordedTest, replacing
 
 INTERCHANGE: dict[str, str] = {
@@ -31,7 +32,8 @@ def to_csv(rec: RecordedTest, path: str | Path, *, full: bool = False) -> None:
         path: file to write.
         full: False gives the interchange format that ``rthyb diagnose`` and other labs read:
             the rows of the test proper with columns t, ag, x_num, x_cmd, x_meas, f_meas. True
-            gives every row, every field and every channel under its own name, after ``t_s``.
+            gives every row, every field and every channel under its own name, after ``t_s``,
+            but not the reference simulation.
 
     Raises:
         InputError: the rig has several axes and ``full`` is False: see `axis_export`.
@@ -93,6 +95,11 @@ def to_mat(rec: RecordedTest, path: str | Path) -> None:
         raise InputError(
             "writing MAT files needs scipy; install it with pip install 'rthyb-rt[fit]'", str(path)
         ) from error
+    units = UNITS | {"t_s": "s"} | {one.name: one.unit for one in rec.channels}
+    if rec.axis_names:
+        own = signal_units.of_samples(rec) | signal_units.of_reference(rec)
+        # A field of a structure cannot be called x_cmd_m.1; its unit is that of x_cmd_m.
+        units |= {name: unit for name, unit in own.items() if "." not in name}
     variables: dict[str, Any] = {"t_s": rec.time_s()}
     variables |= {name: _values(rec, name) for name in rec.samples.dtype.names or ()}
     if rec.reference is not None:
@@ -101,7 +108,7 @@ def to_mat(rec: RecordedTest, path: str | Path) -> None:
         "fs_hz": rec.fs_hz,
         "test_toml": rec.test_toml,
         "rig_toml": rec.rig_toml,
-        "units": UNITS | {"t_s": "s"} | {one.name: one.unit for one in rec.channels},
+        "units": units,
         "flag_bits": FLAGS,
         "state_names": np.array(STATES, dtype=object),
         "ground_motion": {_excitation(rec): rec.ag_mps2} | _without_none(rec.ground_motion),

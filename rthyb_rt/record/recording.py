@@ -6,7 +6,8 @@ Layout of the file (schema ``rthyb-recording/3``)::
                           fs_hz, units, axes, channels
     /ground_motion/ag_mps2   the ground motion as used by the controller; attrs name, source, ...
                           for a prescribed history (attr excitation) the displacement, m
-    /reference            reference simulation, x_ref_m, v_ref_mps, f_ref_n (optional)
+    /reference            reference simulation, x_ref_m, v_ref_mps, f_ref_n (optional); of a second
+                          direction of the interface x_ref_m_1, ...
     /config/test_toml, /config/rig_toml     the resolved files as text
     /replay/...           further data for a bit-identical replay
     attributes of /       versions, test name, end reason, ...
@@ -184,16 +185,9 @@ UNITS: dict[str, str] = {name: field.unit for name, field in fields_of(VERSION).
 """Unit of each field of `RecordedTest.samples`; a recording must have all of them."""
 
 
-def units_of(axis_count: int = 1) -> dict[str, str]:
-    """Return the units of the fields for a number of axes: "x_cmd_m.1" belongs to the second."""
-    further = {
-        f"{name}.{axis}": UNITS[name] for axis in range(1, axis_count) for name in AXIS_FIELDS
-    }
-    return UNITS | further
-
-
 REFERENCE_UNITS: dict[str, str] = {"x_ref_m": "m", "v_ref_mps": "m/s", "f_ref_n": "N"}
-"""Unit of each field of `RecordedTest.reference`."""
+"""Unit of each field of `RecordedTest.reference` along a displacement; a recording with a reference
+has all of them."""
 BESIDE_SAMPLES: frozenset[str] = frozenset(REFERENCE_UNITS) | {
     *("t_s", "fs_hz", "test_toml", "rig_toml", "units", "flag_bits", "state_names"),
     *("ground_motion", "history_m", "meta"),
@@ -240,8 +234,9 @@ class RecordedTest:
         fs_hz: sampling rate, Hz.
         ag_mps2: ground motion at the sampling rate as used by the controller, m/s^2.
         ground_motion: provenance: name, source, pga_g, scale.
-        reference: structured array with the fields of `REFERENCE_UNITS`, or None; its row k
-            belongs to the k-th RUNNING row of ``samples`` and it may be longer.
+        reference: structured array with the fields of `REFERENCE_UNITS`, and those with a number
+            for further directions, or None; its row k belongs to the k-th RUNNING row of
+            ``samples`` and it may be longer.
         test_toml: resolved test file.
         rig_toml: resolved rig file.
         replay: further data for a replay.
@@ -426,15 +421,15 @@ def fill(file: Any, rec: RecordedTest, *, growing: bool = False) -> None:
     ``growing``: without its samples, whose data set can grow in blocks of `BLOCK_ROWS`; a complete
     block is never written again.
     """
+    from rthyb_rt.record import signal_units
+
     file.attrs["schema"] = SCHEMA
     set_attributes(file, rec.meta)
     if rec.version != VERSION:
         file.attrs[_CONVERTED] = rec.version
     samples = _growing(file, rec.samples.dtype) if growing else _table(file, "samples", rec.samples)
     samples.attrs["fs_hz"] = rec.fs_hz
-    samples.attrs["units"] = json.dumps(
-        units_of(rec.axis_count) | {one.name: one.unit for one in rec.channels}
-    )
+    samples.attrs["units"] = json.dumps(signal_units.of_samples(rec))
     further = [[f"{name}.{k}" for name in AXIS_FIELDS] for k in range(1, rec.axis_count)]
     samples.attrs["axes"] = json.dumps([list(AXIS_FIELDS), *further])
     if rec.axis_names:
@@ -448,7 +443,7 @@ def fill(file: Any, rec: RecordedTest, *, growing: bool = False) -> None:
     set_attributes(motion, rec.ground_motion)
     if rec.reference is not None:
         reference = _table(file, "reference", rec.reference)
-        reference.attrs["units"] = json.dumps(REFERENCE_UNITS)
+        reference.attrs["units"] = json.dumps(signal_units.of_reference(rec))
     _text(file, "config/test_toml", rec.test_toml)
     _text(file, "config/rig_toml", rec.rig_toml)
     file.create_group("replay")

@@ -49,7 +49,7 @@ from rthyb_rt.core.mapped_ring import (
     ring_bytes,
 )
 from rthyb_rt.errors import InputError, RthybError
-from rthyb_rt.record import recording
+from rthyb_rt.record import recording, signal_units
 from rthyb_rt.record.recording import RecordedTest
 
 _MODE = 0o640
@@ -305,7 +305,7 @@ def _description(session: RecordedTest) -> dict[str, Any]:
 
 def _fields(channels: Sequence[Channel], axis_count: int = 1) -> list[dict[str, Any]]:
     fields: Mapping[str, Any] = row_dtype(channels, axis_count).fields or {}
-    units = recording.units_of(axis_count) | {channel.name: channel.unit for channel in channels}
+    units = signal_units.units_of(axis_count) | {channel.name: channel.unit for channel in channels}
     return [
         {"name": name, "type": field[0].str, "offset": field[1], "unit": units[name]}
         for name, field in fields.items()
