@@ -8,6 +8,7 @@ from dataclasses import replace
 import diagnose_cases as cases
 import numpy as np
 import pytest
+from scipy import signal
 
 from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import ComputedMotion
@@ -248,3 +249,30 @@ def test_a_cell_of_a_closed_loop_is_not_early_by_what_its_noise_takes_to_come_ro
     assert max(t.theta[0] for t in law.trials(loop)) == max(t.theta[0] for t in law.trials(ctx))
     assert law.limits(loop, Trial((-1e-3,)))[0][1] == pytest.approx(min(most, 0.03))
     assert law.limits(ctx, Trial((-1e-3,)))[0][1] == pytest.approx(0.03)
+
+
+def test_a_late_cell_behind_a_fast_lag_is_no_moving_mass(tmp_path, monkeypatch):
+    """The acceleration bends within each row: a curve through the rows would show a mass."""
+    rate_hz, fine, rows, late_s = 1024.0, 16, 8192, 0.00538
+    settings = {"F_HZ": 73.0, "ZETA": 2.2, "M": 105.0, "K": 2.1e5, "C": 520.0, "DELAY": 0.003}
+    for name, value in (settings | {"FS": fine * rate_hz, "F_STD": 1.3}).items():
+        monkeypatch.setattr(cases, name, value)
+    rng = np.random.default_rng(3)
+    low = signal.butter(2, 8.0, fs=rate_hz, output="sos")
+    u = 0.02 * signal.sosfilt(low, rng.standard_normal(rows))
+    at = np.arange(fine * (rows - 1) + 1)
+    x, v, a = cases.moved(np.interp(at / fine, np.arange(rows), u), cases.DELAY, fine=1)
+    force = cases.K * x + cases.C * v + cases.M * a
+    seen = np.interp(fine * (np.arange(rows) - late_s * rate_hz), at, force)
+    monkeypatch.setattr(cases, "FS", rate_hz)
+    table = {
+        "t": np.arange(rows) / rate_hz,
+        "x_cmd": u,
+        "x_meas": x[::fine] + cases.X_STD * rng.standard_normal(rows),
+        "f_meas": seen + cases.F_STD * rng.standard_normal(rows),
+    }
+    changed = {"k": cases.K, "c": cases.C, "moving_mass": cases.M, "fs_hz": rate_hz}
+    recording, toml = cases.write(tmp_path, table, cases.baseline(**changed))
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+    assert (d.verdict, d.effects) == ("explained", ["time_skew"])
+    assert d.candidates[0].params["skew_s"] == pytest.approx(late_s, rel=0.01)

@@ -53,6 +53,38 @@ def test_a_held_command_steps_like_the_closed_form():
     assert motion.x == pytest.approx(1e-3 * (1 - np.exp(-w * t) * (1 + w * t)), abs=1e-12)
 
 
+def test_between_rows_a_motion_agrees_with_a_finer_simulation(monkeypatch):
+    """A command that bends at each row changes the acceleration there within a fraction of it."""
+    u = cases.command()[:2000]
+    at = np.arange(4 * (u.size - 1) + 1) / 4
+    motion = actuator(LAG, u, cases.FS)
+    assert motion.between is not None
+    monkeypatch.setattr(cases, "FS", 4 * cases.FS)
+    x, v, a = cases.moved(np.interp(at, np.arange(u.size), u))
+    for quarters in (1, 2, 3):
+        late = motion.between(quarters / 4)
+        for got, exact, least in ((late.x, x, 2e-8), (late.v, v, 3e-6), (late.a, a, 2e-3)):
+            assert np.max(np.abs(got[1:] - exact[4 - quarters :: 4])) < least
+
+
+def test_between_rows_a_motion_whose_actuator_changes_is_a_whole_motion_of_rows():
+    """Late by a whole row, it is the motion at the rows."""
+    u = cases.command()[:2000]
+    other = replace(LAG, gain=0.8, f_hz=12.0)
+    motion = actuator(other, u, cases.FS, (700.4, LAG))
+    assert motion.between is not None
+    late = motion.between(1.0)
+    assert late.x[1:] == pytest.approx(motion.x[:-1], abs=1e-9)
+    assert late.a[1:] == pytest.approx(motion.a[:-1], abs=1e-4 * np.max(np.abs(motion.a)))
+
+
+def test_jumps_of_a_pure_delay_have_nothing_between_rows():
+    motion = actuator(
+        ActuatorModel(3.0 / cases.FS, 1e5, 1.0, jumps=True), cases.command(), cases.FS
+    )
+    assert motion.between is None
+
+
 @pytest.mark.parametrize("zeta", [0.2, 1.0, 12.0])
 def test_delay_that_grows_by_nothing_and_a_limit_never_met_change_nothing(zeta):
     u = cases.command()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -60,11 +60,18 @@ class ActuatorModel:
 
 @dataclass(frozen=True)
 class ComputedMotion:
-    """Displacement, velocity, acceleration at the rows, each (n,); ``start`` rows are transient."""
+    """Displacement, velocity, acceleration at the rows, each (n,).
+
+    Attributes:
+        between: the same motion later by a share of a row, 0 to 1, where it is known between rows:
+            a held command changes the acceleration abruptly at each, and no curve through the rows
+            shows what lies between.
+    """
 
     x: Floats
     v: Floats
     a: Floats
+    between: Callable[[float], ComputedMotion] | None = None
 
 
 def _in(array: Floats) -> Any:
@@ -116,7 +123,16 @@ def actuator(
     if model.jumps:
         v = np.diff(x, prepend=x[0]) * fs_hz
         a = np.diff(v, prepend=v[0]) * fs_hz
-    return ComputedMotion(x, v, a)
+        return ComputedMotion(x, v, a)
+
+    def between(share: float) -> ComputedMotion:
+        def late(one: ActuatorModel) -> ActuatorModel:
+            return replace(one, delay_s=one.delay_s + share / fs_hz)
+
+        then = (before[0] + share, late(before[1])) if before else None
+        return actuator(late(model), x_cmd_m, fs_hz, then)
+
+    return ComputedMotion(x, v, a, between)
 
 
 FINEST = 8

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -72,11 +72,14 @@ class Late(Effect):
         whole = self.whole(ctx, trial)
         return self.effect.begun(ctx, whole, float(ctx.t[0]) + trial.theta[-1])
 
-    def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
-        """Return the force unchanged before the onset, and as the sensor shows it afterwards."""
-        shown = self.effect.carried(ctx, self.inner(trial), force)
-        changed = Effect.begun(self.effect, ctx, [shown - force], float(ctx.t[0]) + trial.theta[-1])
-        return np.asarray(force + changed[0])
+    def reading(
+        self, ctx: Context, trial: Trial, forces: Callable[[Context], list[Floats]]
+    ) -> list[Floats]:
+        """Return forces unchanged before the onset, and as the sensor shows them afterwards."""
+        plain, shown = forces(ctx), self.effect.reading(ctx, self.inner(trial), forces)
+        changes = [late - force for late, force in zip(shown, plain, strict=True)]
+        begun = Effect.begun(self.effect, ctx, changes, float(ctx.t[0]) + trial.theta[-1])
+        return [force + change for force, change in zip(plain, begun, strict=True)]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the effect's own parameters."""

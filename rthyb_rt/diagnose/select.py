@@ -89,12 +89,25 @@ class Member:
 
 def columns_of(ctx: Context, members: Sequence[Member]) -> list[list[Floats]]:
     """Return the columns of each effect of a set, each (n,), N, as the load cell shows them."""
-    out = [m.effect.columns(ctx, m.trial) for m in members]
-    for cell in (m for m in members if m.effect.carries):
-        for i, m in enumerate(members):
-            if not m.effect.sensor:
-                out[i] = [cell.effect.carried(ctx, cell.trial, c) for c in out[i]]
-    return out
+    cells = [m for m in members if m.effect.carries]
+
+    def of(member: Member) -> list[Floats]:
+        def own(along: Context) -> list[Floats]:
+            return list(member.effect.columns(along, member.trial))
+
+        return own(ctx) if member.effect.sensor else _read_by(cells, ctx, own)
+
+    return [of(m) for m in members]
+
+
+def _read_by(
+    cells: Sequence[Member], ctx: Context, forces: Callable[[Context], list[Floats]]
+) -> list[Floats]:
+    """Return forces along a motion as each of these cells in turn shows them, each (n,), N."""
+    if not cells:
+        return forces(ctx)
+    *first, last = cells
+    return last.effect.reading(ctx, last.trial, lambda along: _read_by(first, along, forces))
 
 
 def bending(problem: ResidualProblem, members: Sequence[Member]) -> list[Floats]:
@@ -102,12 +115,17 @@ def bending(problem: ResidualProblem, members: Sequence[Member]) -> list[Floats]
 
     Nuisance forces on the specimen pass through the load cell like the specimen's force.
     """
-    out = [n.column for n in problem.nuisances]
-    for cell in (m for m in members if m.effect.carries):
-        for j, n in enumerate(problem.nuisances):
-            if not n.cell:
-                out[j] = cell.effect.carried(problem.ctx, cell.trial, out[j])
-    return out
+    cells = [m for m in members if m.effect.carries]
+    if not cells:
+        return [n.column for n in problem.nuisances]
+
+    def forces(along: Context) -> list[Floats]:
+        here = along is problem.ctx
+        all_of_them = problem.nuisances if here else problem.nuisances_along(along)
+        return [n.column for n in all_of_them if not n.cell]
+
+    shown = iter(_read_by(cells, problem.ctx, forces))
+    return [n.column if n.cell else next(shown) for n in problem.nuisances]
 
 
 def leaning(problem: ResidualProblem, fit: Fit) -> Floats:

@@ -7,7 +7,7 @@ finds the coefficients by least squares, scans `trials` for theta, and refines t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -286,6 +286,18 @@ class Effect:
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
         """Return how a sensor effect that `carries` displays a force on the specimen, (n,), N."""
         return force
+
+    def reading(
+        self, ctx: Context, trial: Trial, forces: Callable[[Context], list[Floats]]
+    ) -> list[Floats]:
+        """Return how a sensor effect that `carries` displays forces along a motion, each (n,), N.
+
+        Args:
+            ctx: the recording.
+            trial: the shape of this effect.
+            forces: gives the forces along the motion of a context, each (n,), N.
+        """
+        return [self.carried(ctx, trial, force) for force in forces(ctx)]
 
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return the shape with a transition over velocity at least ``least`` wide, m/s."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -258,6 +259,7 @@ class TimeSkew(Effect):
     signs = "+"
     pinned = (0.02,)
     _kept: _Audible | None = None
+    _late: tuple[Context, float, Context] | None = None
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return skews in both directions."""
@@ -289,7 +291,25 @@ class TimeSkew(Effect):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the shifted force less the force."""
-        return [self.carried(ctx, trial, ctx.total) - ctx.total]
+        return [self.reading(ctx, trial, lambda along: [along.total])[0] - ctx.total]
+
+    def reading(
+        self, ctx: Context, trial: Trial, forces: Callable[[Context], list[Floats]]
+    ) -> list[Floats]:
+        """Return delayed forces: along the delayed motion where it is known between the rows.
+
+        Not in a closed loop, where only a part of the force is shifted.
+        """
+        between = ctx.motion.between
+        if between is None or ctx.model.family == "loop":
+            return super().reading(ctx, trial, forces)
+        whole, share = divmod(trial.theta[0] / ctx.dt, 1.0)
+        kept = self._late
+        if kept is None or kept[0] is not ctx or kept[1] != share:
+            motion, t = between(share), ctx.t - share * ctx.dt
+            along = replace(ctx, motion=motion, t=t, ranges=ctx.all_ranges)
+            self._late = kept = (ctx, share, along)
+        return [shifted(force, whole) for force in forces(kept[2])]
 
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
         """Return a force delayed; in a closed loop only the part above the fed-back noise."""
