@@ -208,8 +208,11 @@ def test_force_that_nothing_explains_is_not_taken_for_coloured_noise(tmp_path, c
 
 @pytest.mark.long
 def test_late_load_cell_does_not_make_a_stated_damping_wrong(tmp_path):
-    """What the model's damping may be wrong by comes as late as all of the force."""
-    random = np.random.default_rng(51)
+    """What the model's damping may be wrong by comes as late as all of the force.
+
+    A quiet cell: only what is of second order tells a damping from a delay.
+    """
+    random, f_std = np.random.default_rng(51), F_STD / 4.0
     t, u, x, _v, _a = motion(FINE_HZ)
     late_s = 4.0e-3
     shifted = motion(FINE_HZ, 0.004 + late_s)
@@ -218,9 +221,10 @@ def test_late_load_cell_does_not_make_a_stated_damping_wrong(tmp_path):
         "t": t,
         "x_cmd": u,
         "x_meas": x + X_STD * random.standard_normal(t.size),
-        "f_meas": force + F_STD * random.standard_normal(t.size),
+        "f_meas": force + f_std * random.standard_normal(t.size),
     }
-    d = written(tmp_path, columns, DRIVE.replace(f"fs_hz = {FS_HZ}", f"fs_hz = {FINE_HZ}"))
+    drive = DRIVE.replace(f"fs_hz = {FS_HZ}", f"fs_hz = {FINE_HZ}")
+    d = written(tmp_path, columns, drive.replace(f"f_std = {F_STD}", f"f_std = {f_std}"))
     assert (d.verdict, d.effects) == ("explained", ["time_skew"])
     assert d.candidates[0].params["skew_s"] == pytest.approx(late_s, abs=1e-4)
 
