@@ -103,20 +103,14 @@ test-long: $(TEST_READY)
 OPENSEES = $(BIN)/python -c 'import openseespy.opensees' >/dev/null 2>&1
 test-opensees: $(TEST_READY)
 	@$(OPENSEES) || $(BIN)/python -m pip install -qq openseespy
-	@$(OPENSEES) || $(if $(CAN_INSTALL),{ echo 'Installing libblas3 and liblapack3' && apt-get -qq update \
-	    && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
-	    --no-install-recommends libblas3 liblapack3 >/dev/null; \
-	    },{ echo 'Install what OpenSees needs: sudo apt-get install libblas3 liblapack3'; exit 1; })
+	@$(OPENSEES) || $(call or_install,libblas3 liblapack3,what OpenSees needs)
 	@$(BIN)/python -c 'import openseespy.opensees'
 	@$(BIN)/python -m pytest tests/test_numerical_sparse.py tests/test_openseesmodel.py -k opensees
 
 # Without a Fortran compiler the example in Fortran is skipped elsewhere.
 gfortran:
-	@command -v gfortran >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing gfortran' \
-	    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
-	    --no-install-recommends gfortran >/dev/null; \
-	    } || { echo 'gfortran could not be installed: see above'; exit 1; },{ \
-	    echo 'Install gfortran: sudo apt-get install gfortran'; exit 1; })
+	@command -v gfortran >/dev/null || $(call or_install,gfortran,gfortran) \
+	    || { echo 'gfortran could not be installed: see above'; exit 1; }
 test-fortran: gfortran $(TEST_READY)
 	@$(BIN)/python -m pytest tests/test_own_library.py -k "fortran or examples"
 
@@ -138,9 +132,7 @@ test-systemd: $(TEST_READY)
 	    -o python_files="boot_$${RTHYB_BOOT}_*.py" tests/vm/systemd'
 
 # Playwright drives the chromium of the system; root gets one that is missing.
-CHROMIUM = command -v chromium >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing chromium' \
-    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
-    --no-install-recommends chromium >/dev/null; },{ echo 'Install chromium: sudo apt-get install chromium'; exit 1; })
+CHROMIUM = command -v chromium >/dev/null || $(call or_install,chromium,chromium)
 LIVE_TESTS := -o python_files="browser_*.py" tests/browser
 test-live: $(TEST_READY)
 	@$(CHROMIUM)
@@ -184,10 +176,7 @@ wheels: $(READY)
 	@$(BIN)/python release/wheels.py
 
 # Debian's qemu-user-static; root gets one that is missing.
-QEMU = command -v qemu-aarch64-static >/dev/null || $(if $(CAN_INSTALL),{ echo 'Installing qemu-user-static' \
-    && apt-get -qq update && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
-    --no-install-recommends qemu-user-static >/dev/null; \
-    },{ echo 'Install qemu: sudo apt-get install qemu-user-static'; exit 1; })
+QEMU = command -v qemu-aarch64-static >/dev/null || $(call or_install,qemu-user-static,qemu)
 test-aarch64: $(READY)
 	@$(QEMU)
 	@$(BIN)/python -m pip install -qq --group wheels
@@ -320,15 +309,25 @@ TOO_OLD = $(shell $(PYTHON) -c 'import sys; v = sys.version_info; v < (3, 11) an
     2>/dev/null)
 CAN_INSTALL = $(shell test "$$(id -u)" -eq 0 && command -v apt-get)
 
+# Debian packages, by root; another apt-get that runs is waited for.
+define apt_install
+echo 'Installing $(1)' && apt-get -qq update \
+    && DEBIAN_FRONTEND=noninteractive apt-get -qq -o DPkg::Lock::Timeout=300 install -y \
+    --no-install-recommends $(1) >/dev/null
+endef
+
+# Packages (1) that something needs, called (2): installed, or one line and a stop where root is needed for it.
+define or_install
+$(if $(CAN_INSTALL),{ $(call apt_install,$(1)); },{ echo 'Install $(2): sudo apt-get install $(1)'; exit 1; })
+endef
+
 # One line and a stop, unless the tools are there or root can have them installed.
 define require_tools
 $(eval old := $(strip $(TOO_OLD)))
 $(if $(old),$(error $(PYTHON) is Python $(old), 3.11 or newer is needed: make PYTHON=/path/to/python3.11))
 $(eval missing := $(strip $(MISSING)))
 $(if $(missing),$(if $(CAN_INSTALL),,$(error Install what is missing: sudo apt-get install $(missing))))
-$(if $(missing),@echo 'Installing $(missing)' && apt-get -qq update \
-    && DEBIAN_FRONTEND=noninteractive \
-    apt-get -qq install -y --no-install-recommends $(missing) >/dev/null)
+$(if $(missing),@$(call apt_install,$(missing)))
 endef
 
 # The rebuild on import looks for cmake on the PATH of whoever imports.
