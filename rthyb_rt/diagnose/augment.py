@@ -69,12 +69,29 @@ def specimen(model: Augmented) -> Specimen:
         elif own is None:
             lost.append(member.name)
         elif member.effect.replaces_spring:
-            replaced_spring = own
+            if replaced_spring is not None:  # one spring is replaced once
+                lost.append(member.name)
+                continue
+            replaced_spring = [_stiffer(item, base.k / model.base.k) for item in own]
         else:
             elements += own
     if replaced_spring is not None:
         elements = [*replaced_spring, *elements[1:]]
     return Specimen(elements, bias, lost)
+
+
+def _stiffer(item: core.ElementConfig, ratio: float) -> core.ElementConfig:
+    """Return a loop of the model's stiffness as one of the fitted stiffness, with the same loss.
+
+    What is lost is relative to the stiffness as given, and so is the work with which it is lost.
+    """
+    scales = {"k_n_per_m": ratio, "work_j": ratio, "loss": 1.0 / ratio, "depth": 1.0 / ratio}
+    named = zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True)
+    values = [value * scales.get(key, 1.0) for key, value in named]
+    for i, key in enumerate(core.ELEMENT_PARAMS[item.kind]):
+        if key in ("loss", "depth"):
+            values[i] = min(values[i], 1.0)
+    return replace(item, params=tuple(values))
 
 
 def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]:

@@ -126,8 +126,12 @@ class Context:
 
     @cached_property
     def travel(self) -> Floats:
-        """Path covered so far, m."""
-        return np.cumsum(np.abs(np.diff(self.x, prepend=self.x[0])))
+        """Path covered so far, m.
+
+        A recording that begins displaced begins with the shortest path there from the unloaded
+        specimen, as its springs do: they are loaded straight to the first displacement.
+        """
+        return np.cumsum(np.abs(np.diff(self.x, prepend=0.0)))
 
     @cached_property
     def k_free(self) -> bool:

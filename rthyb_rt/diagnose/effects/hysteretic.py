@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.diagnose.case import ModelBoucWen
 from rthyb_rt.diagnose.effects import chains
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.friction import Lugre, Viscous
@@ -280,12 +281,16 @@ def _loop(k: float, xy: float, eta: float) -> core.ElementConfig:
     )
 
 
-def _loop_part(ctx: Context) -> Floats:
-    """Return the yielding part of the model's spring, or all of an elastic one, N."""
+def _loop_part(ctx: Context, x: Floats | None = None) -> Floats:
+    """Return the yielding part of the model's spring, or all of an elastic one, N.
+
+    Along the context's motion, or along another one from rest, (n,), m.
+    """
+    spring, x = (ctx.spring, ctx.x) if x is None else (ctx.model.spring(x), x)
     bw = ctx.model.bouc_wen
     if bw is None:
-        return ctx.spring if ctx.model.k else ctx.k_scale * ctx.x
-    return ctx.spring - bw.alpha * ctx.model.k * ctx.x
+        return spring if ctx.model.k else ctx.k_scale * x
+    return spring - bw.alpha * ctx.model.k * x
 
 
 SLACK = (0.3, 0.6, 0.85)
@@ -406,6 +411,10 @@ class Pinching(Effect):
 SOONEST = 0.01
 """Least travel, or work, in which stiffness is lost, relative to the total; with less, it was never
 there."""
+POINTS = 65
+"""Points at which the force is taken for the work up to a displaced beginning."""
+STRAIGHT_M = 1e3
+"""Yield displacement of a loop that a rig file needs for a spring that does not yield, m."""
 WORN = ("loop", "loop, work", "loop, amplitude")
 """Forms of degradation: with travel; with work (Park & Ang, J. Struct. Eng. 111, 1985); with the
 largest displacement so far, as damage by Sivaselvan & Reinhorn, J. Eng. Mech. 126, 2000."""
@@ -454,7 +463,10 @@ class Degradation(Effect):
         if variant == WORN[1]:
             part = np.abs(_loop_part(ctx))
             step = np.abs(np.diff(ctx.x, prepend=ctx.x[0]))
-            return np.cumsum(0.5 * (part + np.r_[part[0], part[:-1]]) * step)
+            # As for the travel: the work of loading straight to the first displacement.
+            way = np.linspace(0.0, float(ctx.x[0]), POINTS)
+            first = abs(float(np.trapezoid(_loop_part(ctx, way), way)))
+            return first + np.cumsum(0.5 * (part + np.r_[part[0], part[:-1]]) * step)
         return np.maximum.accumulate(np.abs(ctx.x)) if variant == WORN[2] else ctx.travel
 
     @staticmethod
@@ -492,10 +504,7 @@ class Degradation(Effect):
         worn = self._gone_through(ctx, trial.variant)
         at = min(int(np.searchsorted(worn, trial.theta[0])), worn.size - 1)
         beyond = max(trial.theta[0] / max(float(worn[at]), 1e-300), 1.0)
-        # A recording may begin at a displacement that is beyond that amplitude.
-        travelled = ctx.travel[ctx.travel > 0.0]
-        first = float(travelled[0]) if travelled.size else ctx.x_range
-        return loss | {"travel_m": max(float(ctx.travel[at]) * beyond, first)}
+        return loss | {"travel_m": float(ctx.travel[at]) * beyond or ctx.x_range}
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return which force is reduced, and by what."""
@@ -508,10 +517,12 @@ class Degradation(Effect):
         return forms.get(trial.variant, "of the loop, with travel")
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return a loop of the model's own spring that degrades."""
-        bw = ctx.model.bouc_wen
-        alpha, xy, n = (bw.alpha, bw.xy, bw.n) if bw else (0.0, 1e3, 1.0)
-        b, c = (bw.gamma, bw.beta) if bw else (0.5, 0.5)
+        """Return a loop of the model's own spring that degrades.
+
+        If all of the force degrades, the spring beside the loop does so as an element of its own.
+        """
+        bw, k = ctx.model.bouc_wen, ctx.model.k
+        alpha = bw.alpha if bw else 0.0
         at = {"travel_m": 0.0, "work_j": 0.0, "amplitude_m": 0.0}
         # The element's work is that of k z, of which the loop is the part 1 - alpha.
         if trial.variant == WORN[1] and alpha >= 1.0:
@@ -520,12 +531,21 @@ class Degradation(Effect):
         at[{WORN[1]: "work_j", WORN[2]: "amplitude_m"}.get(trial.variant, "travel_m")] = (
             trial.theta[0] * per
         )
-        return [
-            core.element(
-                "degradation", k_n_per_m=ctx.model.k, post_yield_ratio=alpha, a=1.0,
-                b=b / xy**n, c=c / xy**n, eta=n, loss=min(float(beta[0]), 1.0), **at,
-            )
-        ]  # fmt: skip
+
+        def worn(k: float, ratio: float, loop: ModelBoucWen) -> core.ElementConfig:
+            per = loop.xy**loop.n
+            return core.element(
+                "degradation", k_n_per_m=k, post_yield_ratio=ratio, a=1.0, b=loop.gamma / per,
+                c=loop.beta / per, eta=loop.n, loss=min(float(beta[0]), 1.0), **at,
+            )  # fmt: skip
+
+        straight = ModelBoucWen(0.0, STRAIGHT_M, 1.0)
+        if bw is None or trial.variant != "all":
+            return [worn(k, alpha, bw or straight)]
+        if not 0.0 <= alpha <= 1.0:
+            return None
+        parts = ((1.0 - alpha, bw), (alpha, straight))
+        return [worn(share * k, 0.0, loop) for share, loop in parts if share > 0.0]
 
 
 BELL = (0.15, 0.25)
