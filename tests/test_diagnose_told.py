@@ -263,6 +263,41 @@ def test_the_ledger_says_what_noise_was_believed_and_how_far_numbers_moved():
     assert float(moved[1]) == pytest.approx(0.4, abs=0.1)
 
 
+def test_how_far_numbers_moved_is_told_of_the_set_shown_first_and_of_whose_it_is():
+    """Without the friction, the damping moves by several times its tolerance to stand for it."""
+    d = diagnosed(friction)
+    for changed, whose in (
+        (d, "; "),
+        (replace(d, verdict="unknown", effects=[]), " beside the best set, which is not named; "),
+    ):
+        told = dict(why.facts(changed))
+        for nuisance, moved in zip(d.force.problem.nuisances, d.force.best.nuisance, strict=True):
+            value = why._moved(nuisance, float(moved))
+            said = told[f"tolerance, {nuisance.plain}"]
+            assert said.startswith(f"adjusted by {value}{whose}")
+    told = dict(why.facts(replace(d, verdict="none", effects=[])))
+    damping = told["tolerance, damping"]
+    assert re.match(r"adjusted by [\d.]+ kN s/m without any effect; ", damping)
+    assert damping.split(" without")[0] != dict(why.facts(d))["tolerance, damping"].split(";")[0]
+
+
+def test_friction_is_told_with_the_width_of_its_jump_wherever_its_law_is(tmp_path, capsys):
+    d = diagnosed(friction)
+    found = next(c for c in d.candidates if c.name == "coulomb")
+    said = re.fullmatch(r"Fc tanh\(v / width\), width ([\d.e-]+) m/s", words.law_text(found))
+    assert said is not None
+    assert float(said[1]) == pytest.approx(4e-4, rel=0.1)
+    recording, toml = cases.write(tmp_path, cases.channels(friction))
+    assert run("diagnose", recording, "--model", toml, "--report", tmp_path / "r") == 8
+    assert said[0] in capsys.readouterr().out
+    report = (tmp_path / "r" / "report.html").read_text(encoding="utf-8")
+    assert said[0] in report.replace("\xa0", " ")
+    augmented = (tmp_path / "r" / "augmented.toml").read_text(encoding="utf-8")
+    width = re.search(r"width_m_per_s = (\S+)", augmented)
+    assert width is not None
+    assert float(width[1]) == pytest.approx(float(said[1]), rel=0.01)
+
+
 @pytest.mark.long
 def test_the_ledger_of_readings_without_noise_says_so_and_has_no_figures_of_twenty_digits():
     """The rig has no noise, and the model states none: a delay of two samples is then a lot."""
@@ -306,7 +341,9 @@ def test_the_ledger_of_a_right_model_names_nothing():
 def test_the_ledger_of_an_unknown_force_says_what_the_best_set_leaves():
     d = diagnosed(bump)
     assert {row.fate for row in why.ledger(d)} <= {"lost", "dropped", "refused"}
-    assert dict(why.facts(d))["verdict"].startswith("unknown: ")
+    told = dict(why.facts(d))
+    assert told["verdict"].startswith("unknown: ")
+    assert "beside the best set, which is not named" in told["tolerance, stiffness"]
 
 
 def test_laws_that_fit_alike_are_said_to_be_as_good():

@@ -666,13 +666,16 @@ def _facts_of_force(d: DiagnosisResult, search: forces.Search) -> list[tuple[str
         rows.append(
             ("evidence, force", f"divided by {count(search.scale)} because its rows are correlated")
         )
-    fit = search.best if search.best.members and d.verdict != "unknown" else search.null
+    fit, beside, named = _adjusted(d, search)
     for b, nuisance in zip(fit.nuisance, problem.nuisances, strict=True):
         held = "adjusted freely, no tolerance stated"
         if nuisance.sigma:
             held = f"{_moved(nuisance, nuisance.sigma)} stated"
         rows.append(
-            (f"tolerance, {nuisance.plain}", f"adjusted by {_moved(nuisance, float(b))}; {held}")
+            (
+                f"tolerance, {nuisance.plain}",
+                f"adjusted by {_moved(nuisance, float(b))}{beside}; {held}",
+            )
         )
     known = redundant.witness(d.case, problem.ctx, found)
     if known is not None:
@@ -681,8 +684,7 @@ def _facts_of_force(d: DiagnosisResult, search: forces.Search) -> list[tuple[str
             (
                 "load cell compared with m a_meas",
                 f"{count(before)} times the noise power in addition to the force that moves the "
-                f"body, {count(after)} with the effects named: the remainder comes from the load "
-                "cell itself",
+                f"body, {count(after)} with {named}: the remainder comes from the load cell itself",
             )
         )
     rows.append(
@@ -692,6 +694,20 @@ def _facts_of_force(d: DiagnosisResult, search: forces.Search) -> list[tuple[str
         )
     )
     return rows
+
+
+def _adjusted(d: DiagnosisResult, search: forces.Search) -> tuple[Fit, str, str]:
+    """Return the set whose adjustment of the model is told, and in words whose it is.
+
+    A law that is missing pulls the model alone as far as it can: that says nothing of the model.
+    """
+    if not search.best.members:
+        return search.null, " without any effect", "the model adjusted"
+    if d.verdict == "unknown":
+        return search.best, " beside the best set, which is not named", "the best set"
+    if d.verdict == "ambiguous" or set(search.best.names) <= set(d.effects):
+        return search.best, "", "the effects named"
+    return search.null, " without any effect", "the model adjusted"
 
 
 def _moved(nuisance: Nuisance, value: float) -> str:

@@ -205,12 +205,14 @@ class Coulomb(Effect):
         return Trial((), "sharp")
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return how the sign of velocity is smoothed."""
+        """Return how the sign of velocity is smoothed, and over how much."""
+        if not trial.theta:
+            return "Fc sgn(v)"
+        at = trial.theta[0]
         if trial.variant == "contact":
-            return "Fc of a contact that shears before it slips"
-        if trial.variant == "root":
-            return "Fc v / sqrt(v^2 + width^2)"
-        return "Fc tanh(v / width)" if trial.theta else "Fc sgn(v)"
+            return f"Fc of a contact that shears by {at:.3g} m before it slips"
+        step = "Fc v / sqrt(v^2 + width^2)" if trial.variant == "root" else "Fc tanh(v / width)"
+        return f"{step}, width {at:.3g} m/s"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
@@ -310,9 +312,13 @@ class Stribeck(Effect):
         return Trial(trial.theta[:2], "sharp")
 
     def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the law of the peak, and how its sign is smoothed."""
-        signs = {"contact": "a contact that shears before it slips", "sharp": "sgn(v)"}
-        sign = signs.get(trial.variant, "tanh(v / width)")
+        """Return the law of the peak, and how its sign is smoothed, over how much."""
+        if trial.variant == "sharp":
+            sign = "sgn(v)"
+        elif trial.variant == "contact":
+            sign = f"a contact that shears by {trial.theta[2]:.3g} m before it slips"
+        else:
+            sign = f"tanh(v / width), width {trial.theta[2]:.3g} m/s"
         return f"[Fc + (Fs - Fc) exp(-|v/vs|^{trial.theta[1]:.2g})] by {sign}"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
