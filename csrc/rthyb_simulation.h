@@ -56,7 +56,8 @@ typedef struct {
 
 /* Displacement, velocity and acceleration at the rows, starting at rest at the first command. Up to `row`, which need
  * not be an integer, the actuator is `before`, then `model`; displacement and velocity are continuous there. With row
- * 0, it is `model` throughout. Returns 0, RTHYB_E_SERVO, or RTHYB_E_LIMIT if the simulation diverged. */
+ * 0, it is `model` throughout; a row beyond either end is that end, and one that is not a number is RTHYB_E_SERVO.
+ * Returns 0, RTHYB_E_SERVO, or RTHYB_E_LIMIT if the simulation diverged. */
 int rthyb_simulate_actuator(const rthyb_actuator_model *before, const rthyb_actuator_model *model,
                             double row, const double *x_cmd_m, size_t n, double *x_m,
                             double *v_m_per_s, double *a_m_per_s2);

@@ -222,7 +222,7 @@ int rthyb_simulate_actuator(const rthyb_actuator_model *before, const rthyb_actu
                             double row, const double *x_cmd_m, size_t n, double *x_m,
                             double *v_m_per_s, double *a_m_per_s2)
 {
-    if (!actuator_ok(model) || !actuator_ok(before))
+    if (!actuator_ok(model) || !actuator_ok(before) || isnan(row))
         return RTHYB_E_SERVO;
     if (n == 0)
         return 0;

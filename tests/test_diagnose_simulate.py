@@ -7,12 +7,14 @@ from dataclasses import replace
 import diagnose_cases as cases
 import numpy as np
 import pytest
+from rthyb_rt._core import ffi, lib
 from scipy.interpolate import CubicHermiteSpline
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import (
     ActuatorModel,
     SimulationError,
+    _compiled,
     actuator,
     body,
     iwan,
@@ -110,6 +112,29 @@ def test_a_motion_late_by_its_own_speed_follows_the_closed_form(kappa_s2_m):
     assert motion.v[inside] == pytest.approx(speed[inside], abs=0.02 * size * w)
 
 
+@pytest.mark.parametrize("after", ["late by its speed", "on time", "later by the command's speed"])
+def test_a_motion_late_by_its_speed_is_so_before_something_else_changes_too(after):
+    """Up to the row it is the motion of the first actuator alone, in every of its derivatives."""
+    first = ActuatorModel(0.004, 40.0, 1.2, kappa_s2_m=0.03, kappa_of="motion")
+    then = {
+        "late by its speed": replace(first, delay_s=0.007, zeta=0.8),
+        "on time": replace(first, kappa_s2_m=0.0),
+        "later by the command's speed": replace(first, kappa_of="command"),
+    }[after]
+    u, row = cases.command(), 2000
+    alone, motion = actuator(first, u, cases.FS), actuator(then, u, cases.FS, (row, first))
+    for name, off in (("x", 1e-9), ("v", 2e-5), ("a", 1e-3)):
+        there = getattr(alone, name)[: row - 2]
+        error = np.abs(getattr(motion, name)[: row - 2] - there)
+        if after == "later by the command's speed" and name == "a":
+            # Without an equation from row to row: by differences, which round off each corner.
+            assert np.sqrt(np.mean(error**2)) < 0.2 * np.std(there)
+            continue
+        assert np.max(error) < off
+    settled = slice(row + 400, None)
+    assert motion.x[settled] == pytest.approx(actuator(then, u, cases.FS).x[settled], abs=2e-8)
+
+
 # Between two rows the acceleration is taken to be straight; behind a command in steps it is not.
 @pytest.mark.parametrize(("hold", "off"), [("foh", 0.03), ("zoh", 0.15)])
 def test_acceleration_of_a_motion_late_by_its_speed_is_that_of_the_instant(hold, off):
@@ -153,12 +178,59 @@ def test_a_motion_late_by_its_speed_that_no_lag_smooths_accelerates_by_its_diffe
 
 
 @pytest.mark.parametrize(
-    "bad", [{"kappa_s2_m": np.nan}, {"kappa_s2_m": np.inf}, {"f_hz": np.nan}, {"zeta": np.nan}]
+    "bad",
+    [
+        {"kappa_s2_m": np.nan},
+        {"kappa_s2_m": np.inf},
+        {"kappa_s2_m": 1e300},
+        {"f_hz": np.nan},
+        {"zeta": np.nan},
+    ],
 )
 def test_a_delay_by_speed_that_is_no_number_is_refused(bad):
     model = ActuatorModel(0.004, 40.0, 1.0, kappa_s2_m=0.02, kappa_of="motion")
     with pytest.raises(SimulationError):
         actuator(replace(model, **bad), cases.command(), cases.FS)
+
+
+@pytest.mark.parametrize("of", ["actuator", "motion"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_change_at_a_row_that_is_no_number_is_refused(bad, of):
+    late = replace(LAG, kappa_s2_m=0.02, kappa_of=of)
+    with pytest.raises(SimulationError, match=r"before: found row .*; it must be a finite number"):
+        actuator(late, cases.command()[:100], cases.FS, (bad, LAG))
+
+
+@pytest.mark.parametrize("of", ["actuator", "motion"])
+def test_a_change_far_beyond_the_recording_is_one_at_its_end(of):
+    u = cases.command()[:500]
+    late = replace(LAG, kappa_s2_m=0.02, kappa_of=of)
+    for row, whole in ((1e300, LAG), (-1e300, late)):
+        motion, alone = actuator(late, u, cases.FS, (row, LAG)), actuator(whole, u, cases.FS)
+        assert motion.x[:-1] == pytest.approx(alone.x[:-1], abs=1e-9)
+
+
+def test_the_core_refuses_a_row_that_is_no_number_and_takes_one_beyond_the_end_as_the_end():
+    u = cases.command()[:64]
+    model, out = _compiled(LAG, cases.FS), [np.zeros(u.size) for _ in range(3)]
+    for row, fine in (
+        (np.nan, False),
+        *((r, True) for r in (np.inf, -np.inf, 1e300, -1e300, 63.5)),
+    ):
+        rows = [ffi.from_buffer("double[]", o, require_writable=True) for o in out]
+        u_c = ffi.from_buffer("double[]", u)
+        code = lib.rthyb_simulate_actuator(model, model, row, u_c, u.size, *rows)
+        assert (code == 0) == fine
+        assert out[0] == pytest.approx(actuator(LAG, u, cases.FS).x if fine else 0.0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e300])
+def test_a_first_actuator_with_a_number_that_is_none_is_refused(bad):
+    late = replace(LAG, kappa_s2_m=0.02, kappa_of="motion")
+    for name in ("delay_s", "f_hz", "zeta", "gain", "shift_s", "kappa_s2_m"):
+        for model in (LAG, late):
+            with pytest.raises(SimulationError):
+                actuator(LAG, cases.command()[:99], cases.FS, (50.0, replace(model, **{name: bad})))
 
 
 @pytest.mark.parametrize("where", ["command", "actuator"])

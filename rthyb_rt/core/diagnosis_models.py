@@ -102,12 +102,18 @@ def actuator(
         model: the actuator.
         x_cmd_m: command, (n,), m.
         fs_hz: rows per second.
-        before: actuator up to a row, which may be fractional; displacement and velocity continue.
+        before: actuator up to a row, which may be fractional and is that end if it is beyond
+            either; displacement and velocity continue.
 
     Raises:
         SimulationError: a setting is out of range, or the motion diverged.
     """
-    if model.kappa_of == "motion" and model.kappa_s2_m != 0.0 and np.size(x_cmd_m) > 1:
+    if before is not None and not np.isfinite(before[0]):
+        raise SimulationError(
+            f"before: found row {before[0]} as the end of the first actuator; it must be a finite "
+            "number: 0 is the first row of the command"
+        )
+    if np.size(x_cmd_m) > 1 and any(map(_late_by_its_speed, _both(model, before))):
         return _late_by_speed(model, np.asarray(x_cmd_m, dtype=np.float64), fs_hz, before)
     first = _compiled(before[1] if before else model, fs_hz)
     u = np.ascontiguousarray(x_cmd_m, dtype=np.float64)
@@ -135,6 +141,18 @@ def actuator(
     return ComputedMotion(x, v, a, between)
 
 
+def _both(
+    model: ActuatorModel, before: tuple[float, ActuatorModel] | None
+) -> tuple[ActuatorModel, ...]:
+    return (model, before[1]) if before else (model,)
+
+
+def _late_by_its_speed(model: ActuatorModel) -> bool:
+    return model.kappa_of == "motion" and model.kappa_s2_m != 0.0
+
+
+KAPPA_MAX_S2_M = 1e3
+"""Largest additional delay per m/s that is simulated, as in the core."""
 FINEST = 8
 """Parts of a row, at most, at which a motion is simulated that is late by its own velocity."""
 
@@ -142,27 +160,32 @@ FINEST = 8
 def _late_by_speed(
     model: ActuatorModel, u: Floats, fs_hz: float, before: tuple[float, ActuatorModel] | None
 ) -> ComputedMotion:
-    """Return ``x(t) = x0(t - kappa |v0(t)|)`` from a row on, and its derivatives.
+    """Return ``x(t) = x0(t - kappa |v0(t)|)``, with another kappa up to a row, and its derivatives.
 
     By the chain rule, with ``T' = 1 - kappa sgn(v0) a0``: ``v = v0(T) T'`` and
     ``a = a0(T) T'^2 - v0(T) kappa sgn(v0) j0``. Between two rows, or two of their parts, x0 and v0
     are the cubics that have the values and slopes of both, and a0 is straight: parts are so short
     that a0 hardly bends in one, after the command has changed its slope.
     """
-    if not np.isfinite(model.kappa_s2_m):
-        raise SimulationError(
-            f"the actuator {model} cannot be simulated: kappa_s2_m must be a finite number"
-        )
-    row = before[0] if before else 0.0
+    for one in _both(model, before):
+        if not abs(one.kappa_s2_m) <= KAPPA_MAX_S2_M:
+            raise SimulationError(
+                f"the actuator {one} cannot be simulated: kappa_s2_m must be a number from "
+                f"{-KAPPA_MAX_S2_M:g} to {KAPPA_MAX_S2_M:g}"
+            )
+    row, first = before or (0.0, model)
+    later_s2_m, early_s2_m = (
+        one.kappa_s2_m if one.kappa_of == "motion" else 0.0 for one in (model, first)
+    )
     on_time, jerk, parts = _on_time(model, u, fs_hz, before)
     fine_hz, last = fs_hz * parts, on_time.x.size - 1
     n = u.size
     x, v, a = np.empty(n), np.empty(n), np.empty(n)
-    for first in range(0, n, BLOCK):  # in blocks: a long recording has no dozen copies
-        rows = np.arange(first, min(first + BLOCK, n))
+    for begin in range(0, n, BLOCK):  # in blocks: a long recording has no dozen copies
+        rows = np.arange(begin, min(begin + BLOCK, n))
         at = rows * parts
         own = on_time.v[at]
-        kappa = np.where(rows >= row, model.kappa_s2_m, 0.0)
+        kappa = np.where(rows >= row, later_s2_m, early_s2_m)
         place = np.clip(at - kappa * np.abs(own) * fine_hz, 0.0, last)
         i = np.minimum(place.astype(np.intp), max(last - 1, 0))
         j, s = np.minimum(i + 1, last), place - i
@@ -185,16 +208,29 @@ def _on_time(
     No jerk if the motion does not follow the equation of the lag from row to row: in steps, at a
     velocity limit, or if the lag forgets a change of the command's slope within a part of a row.
     """
-    rate = 4.0 * np.pi * model.zeta * model.f_hz  # it does so within 1 / (2 zeta w)
-    smooth = not model.jumps and model.vmax_m_s == 0.0 and rate <= FINEST * fs_hz
+    both = tuple(map(_without_it, _both(model, before)))
+    rate = max(4.0 * np.pi * m.zeta * m.f_hz for m in both)  # it does so within 1 / (2 zeta w)
+    linear = not any(m.jumps or m.vmax_m_s or m.kappa_s2_m for m in both)
+    smooth = linear and rate <= FINEST * fs_hz
     parts = int(np.clip(np.ceil(4.0 * rate / fs_hz), 1, FINEST)) if smooth else 1
     at = np.arange(parts * (u.size - 1) + 1) / parts
     finer = u if parts == 1 else u[at.astype(np.intp)]
     if parts > 1 and model.hold == "foh":
         finer = np.interp(at, np.arange(u.size), u)
-    early = (before[0] * parts, replace(before[1], kappa_s2_m=0.0)) if before else None
-    moved = actuator(replace(model, kappa_s2_m=0.0), finer, fs_hz * parts, early)
-    return moved, _jerk(model, finer, moved, fs_hz * parts) if smooth else None, parts
+    early = (before[0] * parts, both[1]) if before else None
+    moved = actuator(both[0], finer, fs_hz * parts, early)
+    if not smooth:
+        return moved, None, parts
+    jerk = _jerk(both[0], finer, moved, fs_hz * parts)
+    if early is not None:
+        first = _jerk(early[1], finer, moved, fs_hz * parts)
+        jerk = np.where(np.arange(jerk.size) >= early[0], jerk, first)
+    return moved, jerk, parts
+
+
+def _without_it(model: ActuatorModel) -> ActuatorModel:
+    """Return an actuator whose motion is not late by its own velocity, and else the same."""
+    return replace(model, kappa_s2_m=0.0) if model.kappa_of == "motion" else model
 
 
 def _jerk(model: ActuatorModel, u: Floats, moved: ComputedMotion, fs_hz: float) -> Floats:
