@@ -273,6 +273,44 @@ def test_the_report_without_a_reference_draws_what_was_measured(tmp_path: Path) 
     assert axes_report.NO_REFERENCE in axes_report.render(quiet)
 
 
+def test_rows_lost_while_the_ground_is_at_rest_leave_the_rest_without_a_reference() -> None:
+    """Cut by hand, with its reference: the ground motion is that of an unbroken test."""
+    rec = conducted()
+    running = np.flatnonzero(rec.running())
+    gap = np.delete(rec.samples, running[-3000:-2000])
+    assert measured.summarize(replace(rec, samples=gap)).signals.first is None
+    before = np.delete(rec.samples, running[2000:2500])
+    assert measured.summarize(replace(rec, samples=before)).signals.first is None
+
+
+def test_a_test_that_ended_before_it_began_lacks_no_rows() -> None:
+    rec = conducted()
+    begin = int(np.flatnonzero(rec.samples["state"] == RUNNING)[0])
+    ended = replace(rec, samples=rec.samples[:begin], meta=rec.meta | {"end_reason": "tripped"})
+    s = measured.summarize(ended)
+    assert [notice.text for notice in measured.notices(s)] == [
+        "The test did not complete: tripped.", measured.NO_ROWS,
+    ]  # fmt: skip
+    found = s.as_json()
+    assert found["rows"] == 0
+    for one in (*found["directions"].values(), *found["axes"].values()):
+        assert {value for value in one.values() if isinstance(value, float)} == set()
+    assert not any(s.flags.values())
+    assert {row.value for row in measured.table(s)[1:]} == {"–", "no reference simulation"}
+
+
+def test_a_comparison_says_which_recording_begins_later(tmp_path: Path) -> None:
+    rec = conducted()
+    rest = recovered(rec, tmp_path, 16384)
+    lost_s = measured.summarize(rest).signals.first / 1024  # type: ignore[operator]
+    assert of_axis.recorded(rec, "monday", "right").notes == ()
+    (note,) = of_axis.recorded(rest, "tuesday", "right").notes
+    assert f"tuesday, axis right lacks the first {lost_s:.4g} s of its test" in note
+    torn = replace(rec, samples=np.delete(rec.samples, slice(5000, 5100)), reference=None)
+    (note,) = of_axis.recorded(torn, "tuesday", "right").notes
+    assert note == "tuesday, axis right lacks rows of its test, and it is not known which"
+
+
 # ---- compensation by matrices --------------------------------------------------------------------
 
 

@@ -25,19 +25,23 @@ def first_instant(rec: RecordedTest) -> int | None:
 
     None if the rows do not tell: some between them are missing, the ground is at rest during all of
     them, or the motion repeats itself. Rows with a reference begin with the test, unless their
-    ground motion contradicts this.
+    ground motion contradicts this, or does not show where those after missing ones belong.
     """
     rows = np.flatnonzero(rec.running())
     seen = np.asarray(rec.samples["ag_mps2"][rows], dtype=np.float64)
-    if rec.reference is not None and np.array_equal(seen, rec.ag_mps2[: seen.size]):
+    unbroken = _after_gaps(rec.samples["tick"][rows], rows)
+    shown = not unbroken or bool(seen[unbroken:].any())
+    if shown and rec.reference is not None and np.array_equal(seen, rec.ag_mps2[: seen.size]):
         return 0
-    if not rows.size or not _in_sequence(rec.samples["tick"][rows[0] : rows[-1] + 1]):
+    if not rows.size or unbroken:
         return None
     return _only_place(seen, rec.ag_mps2)
 
 
-def _in_sequence(tick: NDArray[np.uint64]) -> bool:
-    return bool(np.all(tick[1:] == tick[:-1] + np.uint64(1)))
+def _after_gaps(tick: NDArray[np.uint64], rows: NDArray[np.intp]) -> int:
+    """Return how many of the rows come before the last tick that is missing between them."""
+    gaps = np.flatnonzero(np.diff(tick.astype(np.int64)) != np.diff(rows))
+    return int(gaps[-1]) + 1 if gaps.size else 0
 
 
 def _only_place(part: Floats, whole: Floats) -> int | None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+import math
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -26,7 +27,7 @@ from rthyb_rt.config.deriving_axes import derive_axes
 from rthyb_rt.config.own_structure import OwnStructure
 from rthyb_rt.config.sparse_structure import SparseStructure
 from rthyb_rt.config.testfile import MATRIX
-from rthyb_rt.core import FLAGS, STATES
+from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.errors import InputError
 from rthyb_rt.numbers import number, percent, quantity
 from rthyb_rt.record.recording import RecordedTest
@@ -36,6 +37,9 @@ Floats = NDArray[np.float64]
 NOT_COMPUTED: Final = (
     "critical delay, margins of the delay estimator and energy of the tracking error are "
     "defined for one axis only, and are not computed for several"
+)
+NO_ROWS: Final = (
+    "The test proper never began, or none of its rows was recorded: there is nothing to evaluate."
 )
 
 
@@ -140,7 +144,8 @@ class AxesSummary:
     Attributes:
         test_name, description, rig_name, controller: from the files.
         end_reason, final_state: as recorded.
-        rows, lost: rows of the test proper, and how many of them lack a pair on some axis.
+        rows, lost: rows of the test proper, and how many of them lack a pair on some axis. Without
+            any, the results have no values, and the signals are those of rest and ramps.
         flags: rows of the test proper with each flag, by name.
         skipped_ticks: ticks without a row.
         not_finite_rows: rows with a value that is not finite.
@@ -176,9 +181,9 @@ class AxesSummary:
     omitted: tuple[str, ...] = ()
 
     def as_json(self) -> dict[str, Any]:
-        """Return the figures as plain values."""
+        """Return the figures as plain values: nan, which JSON does not have, becomes None."""
         sensors = {one.name: asdict(one) for one in self.sensors}
-        return ({"sensors": sensors} if sensors else {}) | {
+        found = ({"sensors": sensors} if sensors else {}) | {
             "axes": {one.name: asdict(one) for one in self.axes},
             "directions": {one.name: asdict(one) for one in self.directions},
             "rows": self.rows,
@@ -191,6 +196,7 @@ class AxesSummary:
             "live": None if self.live is None else asdict(self.live),
             "not_computed": NOT_COMPUTED,
         }
+        return {key: summary.json_value(value) for key, value in found.items()}
 
 
 def summarize_any(rec: RecordedTest) -> Summary | AxesSummary:
@@ -218,7 +224,7 @@ def summarize(rec: RecordedTest) -> AxesSummary:
     states = rec.samples["state"]
     judge = axes_judge(rig, whole, rec.fs_hz)
     judge.add(samples, None if signals.reference is None else signals.reference.axis_m)
-    return AxesSummary(
+    found = AxesSummary(
         test.test.name,
         test.test.description,
         rig.rig.name,
@@ -247,6 +253,25 @@ def summarize(rec: RecordedTest) -> AxesSummary:
             for k, one in enumerate(rig.lone_sensors)
         ),
         summary.omitted(rec),
+    )
+    return found if (states == RUNNING).any() else _bare(found)
+
+
+def _bare(found: AxesSummary) -> AxesSummary:
+    """Return the summary of a recording without the test proper: no figures of rest and ramps."""
+    nan = math.nan
+    return replace(
+        found,
+        rows=0,
+        lost=0,
+        flags=dict.fromkeys(found.flags, 0),
+        attention=(),
+        axes=tuple(AxisRows(one.name, nan, nan, nan, nan, nan, None) for one in found.axes),
+        directions=tuple(
+            OfDirection(one.name, one.turns, nan, nan, None, None, None) for one in found.directions
+        ),
+        signals=replace(found.signals, first=None, reference=None),
+        sensors=tuple(replace(one, peak=nan, residual=nan) for one in found.sensors),
     )
 
 
@@ -430,7 +455,9 @@ def _response_rows(one: OfDirection) -> list[SummaryRow]:
 def _placing_notices(s: AxesSummary) -> list[Notice]:
     """Return a notice about lost rows of the test proper, which the results do not contain."""
     first = s.signals.first
-    if first is None:
+    if not s.rows:
+        text = NO_ROWS
+    elif first is None:
         text = (
             "The recording lacks rows of the test, and its ground motion does not tell which: the "
             "response is not compared with the reference simulation, and all other results are "
@@ -468,6 +495,8 @@ def verdict(s: AxesSummary) -> str:
     """Return one sentence on how the test ended and how close it came to the reference."""
     if s.end_reason != "completed":
         return f"The test did not complete: {s.end_reason}."
+    if not s.rows:
+        return NO_ROWS
     if s.signals.reference is None:
         return (
             "The test was completed; there is no reference simulation to compare the measured "

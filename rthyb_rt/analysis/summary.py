@@ -460,14 +460,15 @@ class Summary:
 
     def as_json(self) -> dict[str, Any]:
         """Return the results as a JSON document: nan, which JSON does not have, becomes None."""
-        return {key: _json_value(value) for key, value in asdict(self).items()}
+        return {key: json_value(value) for key, value in asdict(self).items()}
 
 
-def _json_value(value: Any) -> Any:
+def json_value(value: Any) -> Any:
+    """Return a value as JSON has it: nan becomes None."""
     if isinstance(value, dict):
-        return {key: _json_value(item) for key, item in value.items()}
+        return {key: json_value(item) for key, item in value.items()}
     if isinstance(value, tuple):
-        return [_json_value(item) for item in value]
+        return [json_value(item) for item in value]
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 

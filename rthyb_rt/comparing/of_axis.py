@@ -9,6 +9,7 @@ from rthyb_rt.analysis import measures, several_axes
 from rthyb_rt.comparing.courses import MEASURES, Course, reference_course
 from rthyb_rt.config.fields import nearest
 from rthyb_rt.errors import InputError
+from rthyb_rt.numbers import number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,17 +60,29 @@ def recorded(rec: RecordedTest, label: str | None, axis: str | None) -> Course:
         "alpha_end": own.delay_samples,
     }
     known = {n: v if v is not None and math.isfinite(v) else None for n, v in known.items()}
+    called = f"{label or found.test_name or 'recording'}, axis {own.name}"
     return Course(
-        f"{label or found.test_name or 'recording'}, axis {own.name}",
+        called,
         "recording",
         found.fs_hz,
         measured,
         signals.force_n[:, k],
         found.end_reason,
         dict.fromkeys(MEASURES) | known,
-        notes=found.omitted,
+        notes=(*_lacking(called, found), *found.omitted),
         axis=own.name,
     )
+
+
+def _lacking(called: str, found: several_axes.AxesSummary) -> tuple[str, ...]:
+    """Return the note on lost rows, because of which the times of two courses differ."""
+    first = found.signals.first
+    if not found.rows or first == 0:
+        return ()
+    if first is None:
+        return (f"{called} lacks rows of its test, and it is not known which",)
+    lost_s = number(first / found.fs_hz, 4)
+    return (f"{called} lacks the first {lost_s} s of its test: its time 0 is that long after",)
 
 
 def simulated(rec: RecordedTest, label: str, axis: str) -> Course | None:
