@@ -66,6 +66,7 @@ def test_a_rotation_is_told_in_rad_wherever_units_are_told(tmp_path: Path) -> No
     rec = kept(sway_and_turn(), tmp_path)
     wanted = dict(zip(SECOND, ("rad", "rad/s", "N m"), strict=True))
     wanted |= {"x_num_m_1": "rad", "k_t_n_per_m_1": "N m/rad"}
+    wanted |= {"dof_turn": "rad", "dof_x": "m", "dof_13": "m"}
     wanted |= {"x_num_m": "m", "k_t_n_per_m": "N/m", "x_cmd_m.1": "m", **REFERENCE_UNITS}
     assert {name: rec.units[name] for name in wanted} == wanted
     h5py = pytest.importorskip("h5py")
@@ -84,12 +85,19 @@ def test_a_rotation_is_told_in_rad_wherever_units_are_told(tmp_path: Path) -> No
     np.testing.assert_array_equal(mat["x_ref_m_1"], rec.raw.reference["x_ref_m_1"])
 
 
-def test_the_first_direction_may_turn_as_well() -> None:
+def test_the_first_direction_may_turn_as_well(tmp_path: Path) -> None:
     rec = storeys()
     turned = replace(rec, rig_toml='[kinematics]\nkind = "matrix"\nrotations = ["ground-floor"]\n')
     units = signal_units.of_samples(turned) | signal_units.of_reference(turned)
     names = ("x_num_m", "x_num_m_1", "x_ref_m", "x_ref_m_1", "f_ref_n", "f_ref_n_1")
     assert [units[name] for name in names] == ["rad", "m", "rad", "m", "N m", "N"]
+    made = ring.Ring.create(tmp_path, turned, capacity=64)
+    made.push(turned.samples[:64])
+    made.close()
+    with ring.RingReader(made.path) as reader:
+        told = {field["name"]: field["unit"] for field in reader.about["fields"]}
+    assert told | units == units
+    assert {told[name] for name in ("x_cmd_m", "x_cmd_m.1", "x_num_m_1")} == {"m"}
 
 
 def test_a_recording_with_the_reference_of_one_direction_is_reported_as_before(

@@ -581,6 +581,39 @@ dof = { "2.x" = 1, "1.x" = -1 }"""
     assert names == [("dof_4_x", "m"), ("dof_3_x_less_2_x", "m"), ("element_1", "N")]
 
 
+def test_a_recorded_degree_of_freedom_has_the_unit_that_is_known_of_it(tmp_path: Path) -> None:
+    """By the end of its label, by the direction that it is, or because the ground moves it."""
+    np.savez(
+        tmp_path / "a.npz", M=M4, K=K4, C=C4, labels=["sway", "turn", "2.rz", "lift"],
+        influence=np.array([1.0, 0.0, 0.0, 0.0]),
+    )  # fmt: skip
+    more = """[numerical]
+record = ["sway", "turn", "2.rz", "lift", "lift - sway", "element_1", "element_2", "element_3"]
+[[numerical.nonlinear]]
+dof = "2.rz"
+law = { element = "viscous", c_n_s_per_m = 1 }
+[[numerical.nonlinear]]
+dof = "lift"
+law = { element = "viscous", c_n_s_per_m = 1 }
+[[numerical.nonlinear]]
+between = ["lift", "sway"]
+law = { element = "viscous", c_n_s_per_m = 1 }
+[[interface]]
+name = "x"
+dof = "sway"
+[[interface]]
+name = "theta"
+dof = { turn = -1 }"""
+    test = from_file(tmp_path, 'file = "a.npz"', more)
+    k_e = [[K_E, 0.0], [0.0, K_E]]
+    wanted = ["m", "rad", "rad", "m or rad", "m", "N m", "N or N m", "N"]
+    found = deriving.structure_of_test(test, k_e, 1.0 / 1024.0, turns=(False, True))
+    assert [one.unit for one in found.part.responses] == wanted
+    wanted[1] = "m"
+    found = deriving.structure_of_test(test, k_e, 1.0 / 1024.0)
+    assert [one.unit for one in found.part.responses] == wanted
+
+
 def test_a_vertical_mode_of_a_frame_is_shown_as_vertical(tmp_path: Path) -> None:
     m, k, labels, corners = space_frame((2, 2), 1)
     m, k = m.toarray(), k.toarray()

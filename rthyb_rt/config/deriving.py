@@ -251,7 +251,9 @@ def _of_own(
     return structure_of(test, k_e, periods_s, problems, notes)
 
 
-def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> SparseStructure:
+def structure_of_test(
+    test: TestFile, k_e: float | Rows, period_s: float, turns: Sequence[bool] = ()
+) -> SparseStructure:
     """Return the structure of a test with storeys, or with matrices from a file.
 
     Args:
@@ -259,6 +261,7 @@ def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> Spa
         k_e: elastic stiffness of the rig's specimen, N/m; with several axes its rows, in the order
             of the interfaces.
         period_s: sampling period.
+        turns: which interfaces are rotations; empty: none.
 
     Raises:
         InputError: with everything that is incompatible.
@@ -269,7 +272,7 @@ def structure_of_test(test: TestFile, k_e: float | Rows, period_s: float) -> Spa
     assert numerical.structure is not None
     keys = sparse_structure.Keys(
         numerical.damping, numerical.nonlinear, numerical.record, test.interface,
-        numerical.integrator, numerical.rho_inf,
+        numerical.integrator, numerical.rho_inf, turns,
     )  # fmt: skip
     found = sparse_structure.build(numerical.structure, keys, k_e, period_s)
     return found.slowed(test.test.time_scale)

@@ -110,7 +110,7 @@ def _structure(
     """
     if test.numerical.own is None:
         try:
-            structure = structure_of_test(test, rig.k_e, rate.period_s)
+            structure = structure_of_test(test, rig.k_e, rate.period_s, rig.kinematics.turns())
         except CoreError as error:
             raise InputError(str(error), "numerical") from error
         if (note := structure.friction_note()) is not None:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rthyb_rt import core
 from rthyb_rt.config import matrixfile, timescale
+from rthyb_rt.config.dof_units import DofUnits
 from rthyb_rt.config.fields import nearest, written
 from rthyb_rt.config.numerical_structure import Mode, linear_and_others
 from rthyb_rt.config.own_tables import core_element
@@ -417,6 +418,7 @@ class Keys:
         record: names of the responses to record; None: drifts and shears of a few storeys.
         interfaces: what the actuators move.
         integrator, rho_inf: of the numerical part.
+        turns: which interfaces are rotations; empty: none.
     """
 
     damping: Damping | None
@@ -425,6 +427,7 @@ class Keys:
     interfaces: Sequence[Interface]
     integrator: str
     rho_inf: float
+    turns: Sequence[bool] = ()
 
 
 @dataclass
@@ -830,7 +833,9 @@ def _of_file(given: MatrixFile, keys: Keys, k_e: Floats) -> _Bare:
         mass = _less(mass, row, out.mass_kg)
         stiffness = _less(stiffness, row, k)
         damping = damping if damping is None else _less(damping, row, out.damping_n_s_per_m)
-    responses = _label_responses(keys.record or (), data.labels, place, entry_joint)
+    units = DofUnits(data, interfaces, keys.turns)
+    entries = [(at, (joints[at].above, joints[at].below)) for at in entry_joint]
+    responses = _label_responses(keys.record or (), units, place, entries)
     return _Bare(
         data.labels, mass, stiffness, damping, influence, load, interfaces, joints,
         responses, taken_mass, directions=data.influence,
@@ -913,8 +918,12 @@ def _interfaces_of(
 
 
 def _label_responses(
-    wanted: Sequence[str], labels: Sequence[str], place: Mapping[str, int], joints: Sequence[int]
+    wanted: Sequence[str],
+    units: DofUnits,
+    place: Mapping[str, int],
+    joints: Sequence[tuple[int, Sequence[int]]],
 ) -> list[Response]:
+    labels = units.data.labels
     found: list[Response] = []
     for i, text in enumerate(wanted):
         where = f"numerical.record.{i}"
@@ -926,17 +935,17 @@ def _label_responses(
                     "tables, counted from 1",
                     where,
                 )
-            found.append(Response(text, "N", joints=((joints[int(match[1]) - 1], 1.0),)))
+            at, both = joints[int(match[1]) - 1]
+            found.append(Response(text, units.of_force(both), joints=((at, 1.0),)))
             continue
-        both = None if text in place else _DIFFERENCE.fullmatch(text)
-        ends = [text] if both is None else [both[1], both[2]]
+        difference = None if text in place else _DIFFERENCE.fullmatch(text)
+        ends = [text] if difference is None else [difference[1], difference[2]]
         terms = [
             (_find(label, labels, place, where), by)
             for label, by in zip(ends, (1.0, -1.0), strict=False)
         ]
-        turns = re.search(r"(^|\W)r[xyz]?$", ends[0]) is not None
         name = "dof_" + re.sub(r"[^a-z0-9]+", "_", " less ".join(ends).lower()).strip("_")
-        found.append(Response(name[:32], "rad" if turns else "m", tuple(terms)))
+        found.append(Response(name[:32], units.of([at for at, _ in terms]), tuple(terms)))
     names = [one.name for one in found]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)

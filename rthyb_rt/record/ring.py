@@ -293,7 +293,11 @@ class Ring:
 def _description(session: RecordedTest) -> dict[str, Any]:
     return {
         "rthyb_version": __version__,
-        "fields": _fields(session.channels, session.axis_count),
+        "fields": _fields(
+            session.channels,
+            session.axis_count,
+            first_turns=signal_units.turns(session)[:1] == (True,),
+        ),
         "channels": [asdict(channel) for channel in session.channels],
         "record_bytes": row_dtype(session.channels, session.axis_count).itemsize,
         "fs_hz": session.fs_hz,
@@ -303,9 +307,12 @@ def _description(session: RecordedTest) -> dict[str, Any]:
     }
 
 
-def _fields(channels: Sequence[Channel], axis_count: int = 1) -> list[dict[str, Any]]:
+def _fields(
+    channels: Sequence[Channel], axis_count: int = 1, *, first_turns: bool = False
+) -> list[dict[str, Any]]:
     fields: Mapping[str, Any] = row_dtype(channels, axis_count).fields or {}
-    units = signal_units.units_of(axis_count) | {channel.name: channel.unit for channel in channels}
+    units = signal_units.units_of(axis_count, first_turns=first_turns)
+    units |= {channel.name: channel.unit for channel in channels}
     return [
         {"name": name, "type": field[0].str, "offset": field[1], "unit": units[name]}
         for name, field in fields.items()
@@ -512,7 +519,8 @@ def _about(memory: mmap.mmap, path: Path, refused: str) -> tuple[dict[str, Any],
         channels = tuple(Channel(**one) for one in about.get("channels", ()))
         axis_count = _axes_of(about)
         dtype = row_dtype(channels, axis_count)
-        if about.get("fields") == _fields(channels, axis_count) and dtype.itemsize == row_bytes:
+        known = [_fields(channels, axis_count, first_turns=turns) for turns in (False, True)]
+        if about.get("fields") in known and dtype.itemsize == row_bytes:
             return about, dtype
     raise OtherVersionError(f"the ring{writer} has different fields; {_OTHER_VERSION}", str(path))
 

@@ -23,12 +23,18 @@ _ALONG: Final = ("x_num_m", "k_t_n_per_m")
 """Fields of the samples that belong to a direction."""
 
 
-def units_of(axis_count: int = 1) -> dict[str, str]:
-    """Return the units of the fields for a number of axes: "x_cmd_m.1" belongs to the second."""
+def units_of(axis_count: int = 1, *, first_turns: bool = False) -> dict[str, str]:
+    """Return the units of the fields for a number of axes: "x_cmd_m.1" belongs to the second.
+
+    Args:
+        axis_count: number of axes.
+        first_turns: whether the first direction, to which two of the fields belong, is a rotation.
+    """
     further = {
         f"{name}.{axis}": UNITS[name] for axis in range(1, axis_count) for name in AXIS_FIELDS
     }
-    return UNITS | further
+    along = _along({name: UNITS[name] for name in _ALONG}, (first_turns,))
+    return UNITS | along | further
 
 
 def of_samples(rec: RecordedTest) -> dict[str, str]:

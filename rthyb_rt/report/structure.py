@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rthyb_rt import documents
+from rthyb_rt.config.dof_units import UNKNOWN, UNKNOWN_FORCE
 from rthyb_rt.config.numerical_structure import Structure
 from rthyb_rt.config.own_structure import OwnStructure
 from rthyb_rt.config.sparse_structure import ROTATIONS, SparseStructure
@@ -34,8 +35,20 @@ _UNNAMED = "other directions"
 _STILL = 1e-6
 """Part of a mode shape that is rounding."""
 _COLOURS = (draw.BLUE, draw.ORANGE, draw.GREEN, draw.PURPLE, draw.RED)
-_UNITS = {"m": ("mm", 1e3), "N": ("kN", 1e-3), "rad": ("mrad", 1e3)}
-_WORDS = {"m": "displacements", "N": "forces", "rad": "rotations"}
+_UNITS = {
+    "m": ("mm", 1e3),
+    "N": ("kN", 1e-3),
+    "rad": ("mrad", 1e3),
+    "N m": ("kN m", 1e-3),
+}
+_WORDS = {
+    "m": "displacements",
+    "N": "forces",
+    "rad": "rotations",
+    "N m": "moments",
+    UNKNOWN: "motions",
+    UNKNOWN_FORCE: "loads",
+}
 
 
 def plates(
