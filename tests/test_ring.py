@@ -788,7 +788,13 @@ def test_lapped_ring_gives_a_recording_from_the_first_row_that_is_left(
     assert found.rows == (1024, 2047)
     assert found.missing_rows == rec.meta["missing_rows"] == [[0, 1023]]
     assert rec.samples.tobytes() == tested.samples[1024:].tobytes()
-    assert rec.reference is None  # its rows would belong to other samples
+    assert rec.reference is not None
+    assert tested.reference is not None
+    assert rec.reference.tobytes() == tested.reference[1024:].tobytes()
+    again = summary.summarize(rec).response_nrmse
+    late = replace(rec, reference=tested.reference)
+    assert again is not None
+    assert again < 0.1 < summary.summarize(late).response_nrmse  # type: ignore[operator]
     assert rec.meta["end_reason"] == "still running (recovered from the telemetry ring)"
     assert summary.result_table(rec)
     report.write_report(rec, tmp_path / "report.html")

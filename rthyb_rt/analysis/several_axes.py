@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from rthyb_rt import config
 from rthyb_rt.analysis import measures, summary
 from rthyb_rt.analysis.attention import AxesJudge, Finding
-from rthyb_rt.analysis.motion_rows import first_instant
 from rthyb_rt.analysis.notices import (
     Notice,
     axis_attention_in_words,
@@ -30,6 +29,7 @@ from rthyb_rt.config.testfile import MATRIX
 from rthyb_rt.core import FLAGS, RUNNING, STATES
 from rthyb_rt.errors import InputError
 from rthyb_rt.numbers import number, percent, quantity
+from rthyb_rt.record.motion_rows import first_instant
 from rthyb_rt.record.recording import RecordedTest
 
 Floats = NDArray[np.float64]

@@ -50,6 +50,7 @@ from rthyb_rt.core.mapped_ring import (
 )
 from rthyb_rt.errors import InputError, RthybError
 from rthyb_rt.record import recording, signal_units
+from rthyb_rt.record.motion_rows import first_instant
 from rthyb_rt.record.recording import RecordedTest
 
 _MODE = 0o640
@@ -684,7 +685,7 @@ def _join(session: RecordedTest, samples: RecordArray, first_row: int) -> Record
     return replace(
         session,
         samples=samples,
-        reference=session.reference if _reference_fits(samples, first_row) else None,
+        reference=_reference_of(session, samples, first_row),
         replay=replace(session.replay, skips=skips(samples)),
         meta=session.meta | {"interrupted": held},
     )
@@ -733,6 +734,18 @@ def _missing_rows(parts: list[Rows]) -> list[list[int]]:
 def _missing_ticks(tick: NDArray[np.uint64]) -> list[list[int]]:
     at = np.flatnonzero(tick[1:] > tick[:-1] + np.uint64(1))
     return [[int(tick[i]) + 1, int(tick[i + 1]) - 1] for i in at]
+
+
+def _reference_of(
+    session: RecordedTest, samples: RecordArray, first_row: int
+) -> NDArray[np.void] | None:
+    """Return the part of the reference simulation that belongs to the rows; None: not known."""
+    if session.reference is None or not (samples["state"] == RUNNING).any():
+        return None
+    if _reference_fits(samples, first_row):
+        return session.reference
+    first = first_instant(replace(session, samples=samples, reference=None))
+    return None if first is None else session.reference[first:]
 
 
 def _reference_fits(samples: RecordArray, first_row: int) -> bool:
