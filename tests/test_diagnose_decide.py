@@ -55,11 +55,12 @@ ANSWERS = {
 def decided(
     seen: Evidence, less: tuple[str, ...] = (), policy: Any = POLICY, **answers: Any
 ) -> Choice:
-    """What is named where each need has the same answer for all sets."""
+    """What is named where each need has the same answer for all sets, or one for each by name."""
     given = {**ANSWERS, **answers}
     known: dict[Need, Any] = {}
     while isinstance(done := choose(replace(seen, known=known), policy, less), Need):
-        known[done] = given[done.what.replace(" ", "_")]
+        answer = given[done.what.replace(" ", "_")]
+        known[done] = answer[done.of.names] if isinstance(answer, dict) else answer
     return done
 
 
@@ -581,6 +582,30 @@ def test_a_drift_that_no_half_shows_has_to_be_better_than_an_offset_by_an_effect
 
 def test_a_weight_that_moves_a_body_far_off_its_zero_is_named() -> None:
     assert decided(a_zero(), zero=20.0).best.names == ("bias",)
+
+
+def test_a_law_is_a_finding_for_what_it_explains_beside_a_zero_error() -> None:
+    """A constant that is there, and larger than a law alone, explains nothing of the law."""
+    sets = (
+        of("bias", chi2=1000.0), of("viscous", chi2=1900.0), of("bias", "viscous", chi2=900.0),
+    )  # fmt: skip
+    small = replace(evidence(*sets, null=2000.0), sets=sets[:2], beside=sets[2:])
+    assert decided(small, zero=1.0).best.names == ("viscous",)
+    alike = replace(small, beside=(of("bias", "viscous", chi2=990.0),))
+    assert "beside zero" in fired(decided(alike, zero=1.0))
+    assert decided(alike, zero=1.0).best.names == ()
+
+
+def test_stated_value_off_by_many_tolerances_is_named_although_a_tiny_law_fits_better() -> None:
+    tiny, viscous = of("quadratic", chi2=1000.0), of("viscous", chi2=1200.0)
+    seen = evidence(tiny, viscous, of("lugre", chi2=1100.0), null=1400.0)
+    sizes = {("quadratic",): 8e-4, ("viscous",): 0.08, ("lugre",): 9e-4}
+    assert decided(seen, size=sizes).best.names == ("viscous",)
+    assert decided(seen, size=sizes).equal == ()
+    plain = replace(seen, sets=(tiny, of("lugre", chi2=1100.0)))
+    assert decided(plain, size=sizes | {("lugre",): 0.08}).best.names == ()
+    small = decided(seen, size=sizes | {("viscous",): 9e-4})
+    assert small.best.names == ()
 
 
 @pytest.mark.parametrize("judged", ["force", "motion"])

@@ -604,7 +604,9 @@ def off_zero(court: Court, of: Hypothesis) -> bool:
         return True
     if court.ask("zero", alone, (0,)) ** 2 >= alone.price:
         return True
-    own, wanted = alone.chi2 - of.chi2, times * of.price
+    # Where a constant is there and only too small to report, a law explains what it leaves.
+    beside = court.by_names.get(tuple(sorted((*of.names, *alone.names))), of)
+    own, wanted = alone.chi2 - min(of.chi2, beside.chi2), times * of.price
     return own >= wanted or court.refuse("beside zero", of, found=own, wanted=wanted)
 
 
@@ -913,7 +915,7 @@ NAMING: dict[str, Callable[[Court, Hypothesis], bool]] = {
     "closer": closer,
     "held out": holds,
 }
-"""Requirements on the first set to be named; no other set takes its place."""
+"""Requirements on the first set to be named; see `_named` for what may take its place."""
 
 
 # ---- sets that fit equally well -----------------------------------------------------------------
@@ -981,20 +983,38 @@ def _choose(court: Court, gone: set[str]) -> Choice:
     sets = sorted(court.evidence.sets, key=_order)
     for name, rule in RANKING.items():
         sets = sets if name in gone else rule(court, sets)
-    best = sets[0] if sets else court.null
-    named = bool(sets) and all(ask(court, best) for n, ask in NAMING.items() if n not in gone)
-    held = court.ask("held out", best) if named else 0.0
-    if not named:
-        return Choice(court.null, tuple(sets), (), held, tuple(court.ledger))
+    best, among = _named(court, sets, gone)
+    if best is None:
+        return Choice(court.null, tuple(sets), (), 0.0, tuple(court.ledger))
+    held = court.ask("held out", best)
     equal = []
-    for name, find in ALIKE.items():
-        for of in [] if name in gone else find(court, best, sets):
+    kinds = ALIKE if best is sets[0] else {"alike": alike}
+    for name, find in kinds.items():
+        for of in [] if name in gone else find(court, best, among):
             if court.ask("held out", of) > court.policy.held_out_share:
                 equal.append(of)
                 court.ledger.append(
                     Ruling(name, of.names, "", of.chi2 - best.chi2, against=best.names)
                 )
     return Choice(best, tuple(sets), tuple(equal), held, tuple(court.ledger))
+
+
+def _named(court: Court, sets: Sets, gone: set[str]) -> tuple[Hypothesis | None, Sets]:
+    """Return the set to be named, None if there is none, and the sets that may be its equals.
+
+    It is the first, or, where that is too small to be reported, the first of stated values alone:
+    a tiny law is no reason to leave unsaid that a stated value is off by many of its tolerances,
+    and does not explain it either.
+    """
+    asked = [ask for name, ask in NAMING.items() if name not in gone]
+    if not sets or all(ask(court, sets[0]) for ask in asked):
+        return next(iter(sets), None), sets
+    if court.ledger[-1].rule != "size":
+        return None, sets
+    stated = [h for h in sets[1:] if all(p.stated for p in h.parts)]
+    if not stated or not all(ask(court, stated[0]) for ask in asked):
+        return None, sets
+    return stated[0], stated
 
 
 def gathered(

@@ -24,6 +24,7 @@ from rthyb_rt.diagnose.select import (
     clustered,
     design_of,
     inflation,
+    priors_of,
     whole,
 )
 
@@ -48,8 +49,13 @@ class Sure:
         """
         self.search, self.ctx = search, ctx
         best = search.best
-        # Correlated rows are less informative than their number.
-        self.wider = float(np.sqrt(inflation(best.residual)))
+        self.noise = best.covariance
+        if best.covariance is not None:
+            shapes = sum(len(m.trial.theta) for m in best.members)
+            size = shapes + sum(map(len, best.betas)) + best.nuisance.size
+            known = best.covariance.shape[0] == size
+            prior = priors_of(search.problem, best.members, shapes, size) if known else None
+            self.noise = inflated(best.covariance, prior, inflation(best.residual))
         self.shown, self.more = best.scatter, None
         if best.scatter is not None or best.covariance is None or not best.members:
             return
@@ -94,13 +100,13 @@ class Sure:
     def of(self, member: int) -> tuple[dict[str, float], Intervals]:
         """Return the parameters of one effect and their 95 % intervals."""
         best = self.search.best
-        params, noise = intervals(best, member, self.ctx)
+        params, noise = intervals(replace(best, covariance=self.noise), member, self.ctx)
         shown = intervals(replace(best, covariance=self.shown), member, self.ctx)[1]
         more = intervals(replace(best, covariance=self.more), member, self.ctx)[1]
         ci = {}
         for k, v in params.items():
             if k in noise:
-                half = max(self.wider * _half(noise[k]), _half(shown.get(k, [v, v])))
+                half = max(_half(noise[k]), _half(shown.get(k, [v, v])))
                 half = float(np.hypot(half, _half(more.get(k, [v, v]))))
                 ci[k] = [v - half, v + half]
         self._widen(ci, params, member)
@@ -131,6 +137,21 @@ class Sure:
         for k, v in params.items():
             half = max(least, POLICY.interval_of_form if shaped else 0.0) * abs(v)
             ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
+
+
+def inflated(covariance: Floats, prior: Floats | None, by: float) -> Floats:
+    """Return the covariance of parameters if rows are less informative than their number, (p, p).
+
+    With the evidence of the rows, A, and of the priors, P, ``C = (A + P)^-1``: errors of the rows
+    with ``by`` times the power give ``C (by A + P) C``. A stated tolerance does not grow with them.
+
+    Args:
+        covariance: C, (p, p).
+        prior: P, (p, p); None: not known, so that everything grows.
+        by: power of the errors relative to that assumed for A.
+    """
+    stated = np.zeros_like(covariance) if prior is None else covariance @ prior @ covariance
+    return np.asarray(stated + by * (covariance - stated))
 
 
 def _half(ends: list[float]) -> float:
