@@ -17,6 +17,8 @@ from rthyb_rt.diagnose.policy import POLICY
 LARGE = ("multi_amplitude", "a memory of amplitude appears when small cycles follow large ones")
 BAR = {"r0": 20.0, "cr1": 0.925, "cr2": 0.15}
 """Curvature of the branches of steel: Menegotto & Pinto 1973, constants by Filippou et al. 1983."""
+ALIKE = {"cr1": 0.0, "cr2": 0.15}
+"""The same where all branches are curved alike, by an exponent of their own."""
 
 
 def plastic(ctx: Context, variant: str, xy: float) -> Floats:
@@ -28,10 +30,16 @@ def plastic(ctx: Context, variant: str, xy: float) -> Floats:
             "hysteresis", k_n_per_m=1.0, post_yield_ratio=0.0, a=1.0, b=0.5, c=0.5, eta=n
         )
         return core.CoreElement(loop).run(ctx.x / xy) * xy
-    if variant == "mp":
-        bar = core.element("menegotto_pinto", k_n_per_m=1.0, post_yield_ratio=0.0, xy_m=1.0, **BAR)
-        return core.CoreElement(bar).run(ctx.x / xy) * xy
+    if variant.startswith("mp"):
+        return core.CoreElement(_bar(1.0, 1.0, variant)).run(ctx.x / xy) * xy
     return chains.plastic(_yields(variant, xy), ctx.x)
+
+
+def _bar(k: float, xy: float, variant: str) -> core.ElementConfig:
+    """Return a bar of steel; after "mp" may stand the exponent of all its branches."""
+    exponent = variant.removeprefix("mp")
+    curved = {"r0": float(exponent), **ALIKE} if exponent else BAR
+    return core.element("menegotto_pinto", k_n_per_m=k, post_yield_ratio=0.0, xy_m=xy, **curved)
 
 
 def _yields(variant: str, xy: float) -> Floats:
@@ -70,6 +78,8 @@ GROWTH = (0.2, 0.02)
 """Initial growth of the yield force, and its rate."""
 SPREADS = ("iwan", "bell")
 """Iwan's chains: yields evenly distributed, or as a triangle, most of them in the middle."""
+ROUND = "mp r"
+"""Menegotto-Pinto with an exponent of its own, which is fitted; 20 is hardly round."""
 HARDENING = ("kinematic", "both")
 """Forms of yielding that harden by plastic flow."""
 FORMS = {
@@ -113,6 +123,7 @@ class Hysteresis(Effect):
         trials += [Trial((float(xy), s), "iwan") for s in (1.0, 0.5, 0.2) for xy in at]
         trials += [Trial((float(xy), 0.7), "bell") for xy in at]
         trials += [Trial((float(xy),), "mp") for xy in at[::2]]
+        trials += [Trial((float(xy), 3.0), ROUND) for xy in at[::2]]
         trials += [Trial((float(xy), *b), "kinematic") for b in BACKSTRESS for xy in at[1::3]]
         trials += [
             Trial((float(xy), float(rate)), "slider")
@@ -136,6 +147,7 @@ class Hysteresis(Effect):
             return ()
         spreads = [Trial((trial.theta[0], s), v) for v in SPREADS for s in (0.5, 1.0)]
         loops = [Trial(trial.theta[:1], v) for v in ("bw1", "bw2", "bw5", "iwan0", "mp")]
+        spreads.append(Trial((trial.theta[0], 3.0), ROUND))
         return [t for t in (*loops, *spreads) if t.variant != trial.variant.rstrip("+")]
 
     def elastic_until_m(self, trial: Trial) -> float:
@@ -147,6 +159,8 @@ class Hysteresis(Effect):
         least = 1e-3 if ctx.k_free else 0.03
         if trial.variant in SPREADS:
             return [(least * ctx.x_range, 1.5 * ctx.x_range), (0.02, 1.0)]
+        if trial.variant == ROUND:
+            return [(least * ctx.x_range, 1.5 * ctx.x_range), (1.0, 20.0)]
         if trial.variant == "slider":
             # If slower, friction that grows with velocity equals a dashpot beside plain friction.
             return [
@@ -178,8 +192,7 @@ class Hysteresis(Effect):
         if trial.variant == "slider":
             z = contact(ctx, xy)
             return [z, -z * np.exp(-trial.theta[1] * np.abs(ctx.v))]
-        spread = trial.variant in SPREADS
-        shape = f"{trial.variant}{trial.theta[1]}" if spread else trial.variant
+        shape = _shape(trial)
         if shape in HARDENING:
             z = hardened(ctx, xy, trial.theta[1:])
         else:
@@ -224,6 +237,8 @@ class Hysteresis(Effect):
             return FORMS[shape]
         if shape.startswith("bw"):
             return f"Bouc-Wen, eta {shape[2:]}{beside}"
+        if shape == ROUND:
+            return f"Menegotto-Pinto, exponent {trial.theta[1]:.2g}"
         if shape == "bell":
             return f"Iwan, yields in a triangle of +-{trial.theta[1]:.2g}"
         spread = trial.theta[1] if shape == "iwan" else float(shape[4:])
@@ -262,15 +277,19 @@ class Hysteresis(Effect):
                     isotropic_rate_per_m=rate / xy,
                 ),
             ]  # fmt: skip
-        shape = trial.variant.rstrip("+")
+        shape = _shape(trial).rstrip("+")
         if shape.startswith("bw"):
             return [*out, _loop(k, xy, float(shape[2:]))]
-        if shape == "mp":
-            bar = {"k_n_per_m": k, "post_yield_ratio": 0.0, "xy_m": xy}
-            return [*out, core.element("menegotto_pinto", **bar, **BAR)]
-        if shape in SPREADS:
-            shape = f"{shape}{trial.theta[1]}"
+        if shape.startswith("mp"):
+            return [*out, _bar(k, xy, shape)]
         return [*out, *chains.elements(_yields(shape, xy), k)]
+
+
+def _shape(trial: Trial) -> str:
+    """Return the variant of a loop with the number that makes its form."""
+    if trial.variant == ROUND:
+        return f"mp{trial.theta[1]}"
+    return f"{trial.variant}{trial.theta[1]}" if trial.variant in SPREADS else trial.variant
 
 
 def _loop(k: float, xy: float, eta: float) -> core.ElementConfig:
