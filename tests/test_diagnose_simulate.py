@@ -80,6 +80,20 @@ def test_between_rows_a_motion_whose_actuator_changes_is_a_whole_motion_of_rows(
     assert late.a[1:] == pytest.approx(motion.a[:-1], abs=1e-4 * np.max(np.abs(motion.a)))
 
 
+def test_between_rows_a_motion_late_by_its_speed_is_late_by_the_same():
+    """Against the same motion at twice the rate, of which every other row is between."""
+    u = cases.command()[:3000]
+    late = replace(LAG, kappa_s2_m=0.05, kappa_of="motion", hold="zoh")
+    motion, finer = actuator(late, u, cases.FS), actuator(late, np.repeat(u, 2), 2 * cases.FS)
+    assert motion.between is not None
+    half = motion.between(0.5)
+    assert half.x[1:] == pytest.approx(finer.x[1:-1:2], abs=1e-7)
+    turns = np.abs(finer.v[1:-1:2]) < 0.02 * np.max(np.abs(finer.v))
+    assert half.v[1:][~turns] == pytest.approx(
+        finer.v[1:-1:2][~turns], abs=1e-3 * np.max(np.abs(finer.v))
+    )
+
+
 def test_jumps_of_a_pure_delay_have_nothing_between_rows():
     motion = actuator(
         ActuatorModel(3.0 / cases.FS, 1e5, 1.0, jumps=True), cases.command(), cases.FS

@@ -114,7 +114,26 @@ def actuator(
             "number: 0 is the first row of the command"
         )
     if np.size(x_cmd_m) > 1 and any(map(_late_by_its_speed, _both(model, before))):
-        return _late_by_speed(model, np.asarray(x_cmd_m, dtype=np.float64), fs_hz, before)
+        moved = _late_by_speed(model, np.asarray(x_cmd_m, dtype=np.float64), fs_hz, before)
+    else:
+        moved = _on_its_own(model, x_cmd_m, fs_hz, before)
+    if model.jumps:
+        return moved
+
+    def between(share: float) -> ComputedMotion:
+        def late(one: ActuatorModel) -> ActuatorModel:
+            return replace(one, delay_s=one.delay_s + share / fs_hz)
+
+        then = (before[0] + share, late(before[1])) if before else None
+        return actuator(late(model), x_cmd_m, fs_hz, then)
+
+    return replace(moved, between=between)
+
+
+def _on_its_own(
+    model: ActuatorModel, x_cmd_m: Floats, fs_hz: float, before: tuple[float, ActuatorModel] | None
+) -> ComputedMotion:
+    """Return the motion as the core simulates it; in steps, velocities by differences."""
     first = _compiled(before[1] if before else model, fs_hz)
     u = np.ascontiguousarray(x_cmd_m, dtype=np.float64)
     x, v, a = np.empty_like(u), np.empty_like(u), np.empty_like(u)
@@ -129,16 +148,7 @@ def actuator(
     if model.jumps:
         v = np.diff(x, prepend=x[0]) * fs_hz
         a = np.diff(v, prepend=v[0]) * fs_hz
-        return ComputedMotion(x, v, a)
-
-    def between(share: float) -> ComputedMotion:
-        def late(one: ActuatorModel) -> ActuatorModel:
-            return replace(one, delay_s=one.delay_s + share / fs_hz)
-
-        then = (before[0] + share, late(before[1])) if before else None
-        return actuator(late(model), x_cmd_m, fs_hz, then)
-
-    return ComputedMotion(x, v, a, between)
+    return ComputedMotion(x, v, a)
 
 
 def _both(
