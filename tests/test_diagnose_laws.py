@@ -11,9 +11,10 @@ import pytest
 from scipy import signal
 
 from rthyb_rt import config, core
-from rthyb_rt.core.diagnosis_models import ComputedMotion
+from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
 from rthyb_rt.diagnose import effects, engine, reading
 from rthyb_rt.diagnose.augment import rig_toml
+from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 
 K, H = cases.K, 1 / cases.FS
@@ -250,6 +251,28 @@ def test_a_cell_of_a_closed_loop_is_not_early_by_what_its_noise_takes_to_come_ro
     assert max(t.theta[0] for t in law.trials(loop)) == max(t.theta[0] for t in law.trials(ctx))
     assert law.limits(loop, Trial((-1e-3,)))[0][1] == pytest.approx(min(most, 0.03))
     assert law.limits(ctx, Trial((-1e-3,)))[0][1] == pytest.approx(0.03)
+
+
+def test_a_late_cell_of_a_closed_loop_is_late_with_all_of_the_force():
+    """Its noise moves the specimen only afterwards: friction that jumps is as late as the rest."""
+    u = cases.command()
+    lag = ActuatorModel(cases.DELAY, cases.F_HZ, cases.ZETA)
+    motion = actuator(lag, u, cases.FS)
+    model = Model("loop", cases.FS, k=K, c=cases.C, moving_mass=cases.M, f_std=cases.F_STD)
+    model = replace(model, actuator=lag)
+    t = np.arange(u.size) * H
+    loop = Context(model, motion, t, K * motion.x, {})
+    law, late_s = effects.catalogue()["time_skew"], 2.5 * H
+
+    def jumps(along):
+        return [300.0 * np.sign(along.v)]
+
+    (seen,) = law.reading(loop, Trial((late_s,)), jumps)
+    _, v, _ = cases.moved(u, cases.DELAY + late_s)
+    np.testing.assert_array_equal(seen[4:], 300.0 * np.sign(v[4:]))
+    # An early one is not shifted with the noise that the loop has brought back.
+    plain = law.carried(loop, Trial((-late_s,)), jumps(loop)[0])
+    np.testing.assert_array_equal(law.reading(loop, Trial((-late_s,)), jumps)[0], plain)
 
 
 def test_a_late_cell_behind_a_fast_lag_is_no_moving_mass(tmp_path, monkeypatch):

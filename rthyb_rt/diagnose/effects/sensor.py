@@ -298,10 +298,11 @@ class TimeSkew(Effect):
     ) -> list[Floats]:
         """Return delayed forces: along the delayed motion where it is known between the rows.
 
-        Not in a closed loop, where only a part of the force is shifted.
+        In a closed loop, not for a cell that is early: the noise of a reading returns in the motion
+        only later, so that all of the force may be shifted back, and only a part of it ahead.
         """
         between = ctx.motion.between
-        if between is None or ctx.model.family == "loop":
+        if between is None or (ctx.model.family == "loop" and trial.theta[0] < 0.0):
             return super().reading(ctx, trial, forces)
         whole, share = divmod(trial.theta[0] / ctx.dt, 1.0)
         kept = self._late
@@ -312,7 +313,7 @@ class TimeSkew(Effect):
         return [shifted(force, whole) for force in forces(kept[2])]
 
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
-        """Return a force delayed; in a closed loop only the part above the fed-back noise."""
+        """Return a force delayed by a cubic; in a closed loop the part above the fed-back noise."""
         slow = force
         if ctx.model.family == "loop" and ctx.model.f_std:
             kept = self._kept
