@@ -16,6 +16,9 @@ from rthyb_rt.diagnose import effects, engine, reading
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.modulation import Modulated, UnknownChannel
+from rthyb_rt.diagnose.onset import Late
+from rthyb_rt.diagnose.select import Member, columns_of
 
 K, H = cases.K, 1 / cases.FS
 
@@ -300,3 +303,57 @@ def test_a_late_cell_behind_a_fast_lag_is_no_moving_mass(tmp_path, monkeypatch):
     d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
     assert (d.verdict, d.effects) == ("explained", ["time_skew"])
     assert d.candidates[0].params["skew_s"] == pytest.approx(late_s, rel=0.01)
+
+
+@pytest.mark.parametrize("late_s", [5.5e-3, -5e-3])
+def test_a_displacement_sensor_off_its_zero_beside_a_late_cell_is_no_zero_of_the_cell(
+    tmp_path, late_s
+):
+    """The reading between the rows is that of the same sensor."""
+    zero_m, random, u = 3e-4, np.random.default_rng(3), cases.command()
+    x, late = cases.moved(u)[0], cases.moved(u, cases.DELAY + late_s)
+    force = cases.K * (late[0] + zero_m) + cases.C * late[1] + cases.M * late[2]
+    table = {
+        "t": np.arange(u.size) / cases.FS,
+        "x_cmd": u,
+        "x_meas": x + zero_m + cases.X_STD * random.standard_normal(u.size),
+        "f_meas": force + cases.F_STD * random.standard_normal(u.size),
+    }
+    recording, toml = cases.write(tmp_path, table)
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+    assert (d.verdict, d.effects) == ("explained", ["time_skew"])
+    assert d.candidates[0].params["skew_s"] == pytest.approx(late_s, rel=0.05)
+
+
+def slowly_loaded() -> Context:
+    """Return a recording of slow motion behind a lag, and of a voltage."""
+    model = Model("drive", cases.FS, cases.K, c=cases.C, k_tol=0.02, c_tol=0.1)
+    t = np.arange(2048) / cases.FS
+    lag = ActuatorModel(cases.DELAY, cases.F_HZ, cases.ZETA)
+    motion = actuator(lag, 1e-2 * np.sin(2.0 * np.pi * t), cases.FS)
+    force = model.force(motion.x, motion.v, motion.a)
+    return Context(model, motion, t, force, {"voltage": np.sin(0.7 * t)})
+
+
+@pytest.mark.parametrize("rows", [0.98, 0.5, -0.02, -0.5, -1.98])
+def test_what_begins_in_mid_recording_begins_later_in_a_late_cell(rows):
+    """By a share of a row as well: otherwise its start jumps where the delay is a whole row."""
+    ctx, start_s = slowly_loaded(), 3.1
+    cell = Member(effects.catalogue()["time_skew"], Trial((rows / cases.FS,)))
+    law = Member(Late(effects.catalogue()["coulomb"]), Trial((start_s,), "sharp"))
+    seen = columns_of(ctx, [law, cell])[0][0]
+    about = slice(int(2.9 * cases.FS), int(3.3 * cases.FS))
+    # It slides in one direction all the while.
+    switch = 0.5 * (1.0 + np.tanh((ctx.t - start_s - rows / cases.FS) / 0.005))
+    assert np.abs(seen[about]) == pytest.approx(switch[about], abs=1e-6)
+
+
+@pytest.mark.parametrize("rows", [0.98, 0.5, -0.5])
+def test_a_channel_that_modulates_a_law_is_as_late_in_a_late_cell_as_the_law(rows):
+    ctx = slowly_loaded()
+    cell = Member(effects.catalogue()["time_skew"], Trial((rows / cases.FS,)))
+    law = Modulated(effects.catalogue()["viscous"], UnknownChannel("voltage", 0.0, 1.0), True)
+    seen = columns_of(ctx, [Member(law, Trial()), cell])[0][0]
+    plain = columns_of(ctx, [Member(effects.catalogue()["viscous"], Trial()), cell])[0][0]
+    wanted = plain * np.sin(0.7 * (ctx.t - rows / cases.FS))
+    assert seen[8:-8] == pytest.approx(wanted[8:-8], abs=1e-6 * np.max(np.abs(plain)))

@@ -94,6 +94,24 @@ def test_between_rows_a_motion_late_by_its_speed_is_late_by_the_same():
     )
 
 
+def test_between_rows_a_motion_has_the_zero_of_its_sensor():
+    motion = actuator(LAG, cases.command()[:500], cases.FS)
+    off = motion.from_zero(3e-4)
+    assert motion.between is not None
+    assert off.between is not None
+    late, plain = off.between(0.3), motion.between(0.3)
+    assert late.x == pytest.approx(plain.x + 3e-4, abs=1e-12)
+    assert np.array_equal(late.v, plain.v)
+    assert late.between is not None
+    assert late.between(0.2).x == pytest.approx(motion.between(0.5).x + 3e-4, abs=1e-12)
+
+
+def test_between_rows_a_motion_of_the_longest_delay_is_known_too():
+    motion = actuator(replace(LAG, delay_s=10.0), cases.command()[:500], cases.FS)
+    assert motion.between is not None
+    assert np.array_equal(motion.between(0.5).x, motion.x)  # it has not moved yet
+
+
 def test_jumps_of_a_pure_delay_have_nothing_between_rows():
     motion = actuator(
         ActuatorModel(3.0 / cases.FS, 1e5, 1.0, jumps=True), cases.command(), cases.FS

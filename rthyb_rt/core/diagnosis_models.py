@@ -73,6 +73,16 @@ class ComputedMotion:
     a: Floats
     between: Callable[[float], ComputedMotion] | None = None
 
+    def from_zero(self, zero_m: float) -> ComputedMotion:
+        """Return the motion as a sensor shows it that reads ``zero_m`` where it is zero."""
+        between = self.between
+
+        def late(share: float) -> ComputedMotion:
+            assert between is not None
+            return between(share).from_zero(zero_m)
+
+        return replace(self, x=self.x + zero_m, between=late if between is not None else None)
+
 
 def _in(array: Floats) -> Any:
     return ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=np.float64))
@@ -122,7 +132,7 @@ def actuator(
 
     def between(share: float) -> ComputedMotion:
         def late(one: ActuatorModel) -> ActuatorModel:
-            return replace(one, delay_s=one.delay_s + share / fs_hz)
+            return replace(one, shift_s=one.shift_s + share / fs_hz)
 
         then = (before[0] + share, late(before[1])) if before else None
         return actuator(late(model), x_cmd_m, fs_hz, then)

@@ -261,7 +261,7 @@ class Actuation:
         motion = self.simulate(model, before)
         off = (self.x - motion.x)[self.rows]
         zero = float(np.mean(off))
-        motion = replace(motion, x=motion.x + zero)
+        motion = motion.from_zero(zero)
         white = (off - zero) / self.sigma
         if self.own is not None:
             white = self.own.whiten(self._between(self.x - motion.x))[self.rows]

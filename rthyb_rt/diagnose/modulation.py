@@ -24,6 +24,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose.effects.sensor import shifted
 from rthyb_rt.diagnose.policy import POLICY
 
 if TYPE_CHECKING:
@@ -47,10 +48,15 @@ class UnknownChannel:
     spread: float
 
     def of(self, ctx: Context) -> Floats:
-        """Return the channel centred and scaled, (n,); zero where it was not recorded."""
+        """Return the channel centred and scaled, (n,); zero where it was not recorded.
+
+        As late as the motion.
+        """
         values = ctx.other.get(self.name)
         if values is None:
             return np.zeros(ctx.t.size)
+        if ctx.late_s:
+            values = shifted(values, ctx.late_s / ctx.dt)
         return (values - self.mean) / self.spread
 
 

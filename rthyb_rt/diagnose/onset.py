@@ -70,7 +70,7 @@ class Late(Effect):
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the effect's columns from its onset on."""
         whole = self.whole(ctx, trial)
-        return self.effect.begun(ctx, whole, float(ctx.t[0]) + trial.theta[-1])
+        return self.effect.begun(ctx, whole, ctx.first_s + trial.theta[-1])
 
     def reading(
         self, ctx: Context, trial: Trial, forces: Callable[[Context], list[Floats]]
@@ -78,7 +78,7 @@ class Late(Effect):
         """Return forces unchanged before the onset, and as the sensor shows them afterwards."""
         plain, shown = forces(ctx), self.effect.reading(ctx, self.inner(trial), forces)
         changes = [late - force for late, force in zip(shown, plain, strict=True)]
-        begun = Effect.begun(self.effect, ctx, changes, float(ctx.t[0]) + trial.theta[-1])
+        begun = Effect.begun(self.effect, ctx, changes, ctx.first_s + trial.theta[-1])
         return [force + change for force, change in zip(plain, begun, strict=True)]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
@@ -87,7 +87,7 @@ class Late(Effect):
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the effect's own law."""
-        start = float(ctx.t[0]) + trial.theta[-1]
+        start = ctx.first_s + trial.theta[-1]
         return f"{self.effect.form(ctx, self.inner(trial))}, from {start:.5g} s on"
 
     def holds_n_per_m(self, ctx: Context, trial: Trial, beta: Floats) -> float:

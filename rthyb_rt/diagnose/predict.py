@@ -241,7 +241,7 @@ def _commanded(augmented: Augmented, case: Case) -> ComputedMotion:
     """Return the motion of the actuator along the command, relative to the sensor's zero."""
     assert augmented.actuator is not None
     motion = actuator(augmented.actuator, estimate.filled(case.channels["x_cmd"]), case.fs_hz)
-    return replace(motion, x=motion.x + augmented.zeros_m[0])
+    return motion.from_zero(augmented.zeros_m[0])
 
 
 def followed(augmented: Augmented, case: Case, wanted: Case) -> ComputedMotion | None:

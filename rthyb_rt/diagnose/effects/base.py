@@ -8,7 +8,7 @@ finds the coefficients by least squares, scans `trials` for theta, and refines t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -65,6 +65,7 @@ class Context:
         t: time, (n,), s.
         force: the force that was measured, for effects of the sensor, (n,), N.
         other: further channels by name.
+        late_s: by how much the motion is later than the channels, at the same rows; see `late`.
     """
 
     model: Model
@@ -73,6 +74,22 @@ class Context:
     force: Floats
     other: dict[str, Floats]
     ranges: tuple[float, float, float] | None = None
+    late_s: float = 0.0
+
+    def late(self, motion: ComputedMotion, seconds: float) -> Context:
+        """Return the same rows along this motion, that of this context ``seconds`` later.
+
+        The time at the rows is that of the motion; channels remain as they were read.
+        """
+        return replace(
+            self, motion=motion, t=self.t - seconds, ranges=self.all_ranges,
+            late_s=self.late_s + seconds,
+        )  # fmt: skip
+
+    @property
+    def first_s(self) -> float:
+        """Time of the first row of the recording, s; onsets are counted from there."""
+        return float(self.t[0]) + self.late_s
 
     @property
     def x(self) -> Floats:

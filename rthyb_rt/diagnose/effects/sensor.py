@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -307,9 +306,7 @@ class TimeSkew(Effect):
         whole, share = divmod(trial.theta[0] / ctx.dt, 1.0)
         kept = self._late
         if kept is None or kept[0] is not ctx or kept[1] != share:
-            motion, t = between(share), ctx.t - share * ctx.dt
-            along = replace(ctx, motion=motion, t=t, ranges=ctx.all_ranges)
-            self._late = kept = (ctx, share, along)
+            self._late = kept = (ctx, share, ctx.late(between(share), share * ctx.dt))
         return [shifted(force, whole) for force in forces(kept[2])]
 
     def carried(self, ctx: Context, trial: Trial, force: Floats) -> Floats:
