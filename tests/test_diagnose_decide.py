@@ -608,6 +608,19 @@ def test_stated_value_off_by_many_tolerances_is_named_although_a_tiny_law_fits_b
     assert small.best.names == ()
 
 
+def test_stated_value_that_only_stands_for_a_tiny_law_is_not_named_in_its_place() -> None:
+    """Beside that law it explains nothing: large parts of it cancel one another."""
+    tiny, viscous = of("quadratic", chi2=1000.0), of("viscous", chi2=1200.0)
+    sizes = {("quadratic",): 8e-4, ("viscous",): 0.08, ("quadratic", "viscous"): 8e-4}
+    seen = evidence(tiny, viscous, null=1400.0)
+    both = of("quadratic", "viscous", chi2=995.0)
+    told = decided(replace(seen, beside=(both,)), size=sizes)
+    assert told.best.names == ()
+    assert "beside tiny" in fired(told)
+    both = of("quadratic", "viscous", chi2=900.0)
+    assert decided(replace(seen, beside=(both,)), size=sizes).best.names == ("viscous",)
+
+
 @pytest.mark.parametrize("judged", ["force", "motion"])
 def test_zero_error_of_the_displacement_passes_for_no_other_law_either(judged: Any) -> None:
     """Through the spring it is a constant force; a law has to explain more than that.

@@ -247,6 +247,27 @@ def test_the_ledger_says_why_dry_friction_was_named_and_the_others_were_not():
     assert told[("crosstalk",)].why.startswith("not tried")
 
 
+def test_the_ledger_says_that_a_set_in_whose_place_another_is_named_was_too_small():
+    """It may fit better: that it is less simple is not why it is not named."""
+    d = diagnosed(friction)
+    rival = next(f for f in d.force.rivals if not set(f.names) & set(d.force.best.names))
+    small = [*d.force.ledger, decide.Ruling("size", rival.names, found=8e-4, wanted=1e-3)]
+    told = why.ledger(replace(d, force=replace(d.force, ledger=small)), catalogue=False)
+    row = next(row for row in told if row.effects == rival.names)
+    assert row.fate == "lost"
+    assert "of the whole; less than" in row.why
+    assert row.why.endswith("is not reported")
+
+
+def test_the_ledger_says_of_a_stated_value_what_it_explains_beside_a_tiny_law():
+    d = diagnosed(friction)
+    rival = d.force.rivals[0]
+    beside = decide.Ruling("beside tiny", rival.names, "", 5.0, 20.0, against=("quadratic",))
+    search = replace(d.force, best=d.force.null, ledger=[beside])
+    said = why._why_force(search, rival, "lost", 20.0)
+    assert re.search(r"but added to .* by 5.00, and must improve it by 20.0", said)
+
+
 def test_the_ledger_says_what_noise_was_believed_and_how_far_numbers_moved():
     # At this rate a friction that turns within a row or two would count as noise.
     told = dict(why.facts(diagnosed()))

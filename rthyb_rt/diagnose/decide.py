@@ -1004,7 +1004,7 @@ def _named(court: Court, sets: Sets, gone: set[str]) -> tuple[Hypothesis | None,
 
     It is the first, or, where that is too small to be reported, the first of stated values alone:
     a tiny law is no reason to leave unsaid that a stated value is off by many of its tolerances,
-    and does not explain it either.
+    unless it explains that as well.
     """
     asked = [ask for name, ask in NAMING.items() if name not in gone]
     if not sets or all(ask(court, sets[0]) for ask in asked):
@@ -1012,9 +1012,25 @@ def _named(court: Court, sets: Sets, gone: set[str]) -> tuple[Hypothesis | None,
     if court.ledger[-1].rule != "size":
         return None, sets
     stated = [h for h in sets[1:] if all(p.stated for p in h.parts)]
-    if not stated or not all(ask(court, stated[0]) for ask in asked):
+    if not stated or not _off_beside(court, stated[0], sets[0]):
+        return None, sets
+    if not all(ask(court, stated[0]) for ask in asked):
         return None, sets
     return stated[0], stated
+
+
+def _off_beside(court: Court, of: Hypothesis, tiny: Hypothesis) -> bool:
+    """Return whether stated values are off beside a set that is too small to be reported as well.
+
+    Where both were fitted together. If not, they only stand for it: a force that it does not need.
+    """
+    both = court.by_names.get(tuple(sorted((*of.names, *tiny.names))))
+    if both is None:
+        return True
+    own, wanted = tiny.chi2 - both.chi2, court.times(both) * of.price
+    return own >= wanted or court.refuse(
+        "beside tiny", of, found=own, wanted=wanted, against=tiny.names
+    )
 
 
 def gathered(

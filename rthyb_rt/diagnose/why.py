@@ -238,6 +238,8 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
         )
     if not best.members:
         return _not_enough(search, fit, gain)
+    if any(r.rule == "size" and r.names == fit.names for r in search.ledger):
+        return _too_small(search, fit, gain)
     named = (best.chi2, fitted.cost(problem, best), best.names)
     if fate == "as good":
         more = fitted.count(problem, fit) - fitted.count(problem, best)
@@ -253,11 +255,13 @@ def _not_enough(search: forces.Search, fit: Fit, gain: float) -> str:
     needs = fitted.to_earn(search.problem, fit)
     if gain <= needs:
         return f"improves chi-squared by {_gain(gain)}, but must improve it by {count(needs)}"
-    size = fitted.size(search.problem, fit)
-    if size <= POLICY.least_force:
+    if fitted.size(search.problem, fit) <= POLICY.least_force:
+        return _too_small(search, fit, gain)
+    tiny = next((r for r in search.ledger if (r.rule, r.names) == ("beside tiny", fit.names)), None)
+    if tiny is not None:
         return (
-            f"improves chi-squared by {count(gain)}, but its force is only {_percent(size)} of "
-            f"the whole; less than {_percent(POLICY.least_force)} is not reported"
+            f"improves chi-squared by {count(gain)}, but added to {_words(tiny.against)} by "
+            f"{_gain(tiny.found)}, and must improve it by {count(tiny.wanted)}"
         )
     left = fitted.left(search.problem, fit)
     if left > 1.0 and any(r.rule == "closer" and r.names == fit.names for r in search.ledger):
@@ -276,6 +280,15 @@ def _not_enough(search: forces.Search, fit: Fit, gain: float) -> str:
     return (
         f"improves chi-squared by {count(gain)}; because the set before it was rejected, later "
         "sets are not considered"
+    )
+
+
+def _too_small(search: forces.Search, fit: Fit, gain: float) -> str:
+    """Return that the force of a set is smaller than what is reported."""
+    size = fitted.size(search.problem, fit)
+    return (
+        f"improves chi-squared by {count(gain)}, but its force is only {_percent(size)} of "
+        f"the whole; less than {_percent(POLICY.least_force)} is not reported"
     )
 
 
