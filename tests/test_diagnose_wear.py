@@ -83,3 +83,15 @@ def test_two_laws_that_replace_one_spring_are_not_both_in_a_rig_file():
     assert lost == ["degradation"]
     assert [e.element for e in config.parse_rig(text).specimen] == ["pinching"]
     assert "# degradation: a rig file cannot represent it" in text
+
+
+@pytest.mark.parametrize("found", [0.7, 0.0, -0.2])
+@MODELS
+def test_more_loss_than_the_stiffness_found_is_said_to_be_in_no_rig_file(model, variant, found):
+    """Cut to all of it, the rig would have none of the force that was fitted."""
+    member = Member(effects.catalogue()["degradation"], Trial((SIZE[variant],), variant))
+    soft = replace(ELASTIC, k=found * ELASTIC.k)
+    augmented = Augmented(soft, model, (member,), (np.array([0.95]),), None, RANGES)
+    text, lost = rig_toml(augmented)
+    assert lost == ["degradation"]
+    assert all(e.element != "degradation" for e in config.parse_rig(text).specimen)

@@ -69,10 +69,11 @@ def specimen(model: Augmented) -> Specimen:
         elif own is None:
             lost.append(member.name)
         elif member.effect.replaces_spring:
-            if replaced_spring is not None:  # one spring is replaced once
+            anew = _stiffer(own, base.k / model.base.k if model.base.k else 0.0)
+            if replaced_spring is not None or anew is None:  # one spring is replaced once
                 lost.append(member.name)
                 continue
-            replaced_spring = [_stiffer(item, base.k / model.base.k) for item in own]
+            replaced_spring = anew
         else:
             elements += own
     if replaced_spring is not None:
@@ -80,18 +81,29 @@ def specimen(model: Augmented) -> Specimen:
     return Specimen(elements, bias, lost)
 
 
-def _stiffer(item: core.ElementConfig, ratio: float) -> core.ElementConfig:
-    """Return a loop of the model's stiffness as one of the fitted stiffness, with the same loss.
+MOST_LOST = 1.2
+"""Loss of a spring, as a share of it, that passes for all of it, as where laws are fitted."""
+
+
+def _stiffer(loops: list[core.ElementConfig], ratio: float) -> list[core.ElementConfig] | None:
+    """Return loops of the model's stiffness as those of the fitted stiffness, with the same loss.
 
     What is lost is relative to the stiffness as given, and so is the work with which it is lost.
+    None if the fitted stiffness has not that much to lose.
     """
+    if ratio <= 0.0:
+        return None
     scales = {"k_n_per_m": ratio, "work_j": ratio, "loss": 1.0 / ratio, "depth": 1.0 / ratio}
-    named = zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True)
-    values = [value * scales.get(key, 1.0) for key, value in named]
-    for i, key in enumerate(core.ELEMENT_PARAMS[item.kind]):
-        if key in ("loss", "depth"):
-            values[i] = min(values[i], 1.0)
-    return replace(item, params=tuple(values))
+    out = []
+    for item in loops:
+        named = zip(core.ELEMENT_PARAMS[item.kind], item.params, strict=True)
+        values = {key: value * scales.get(key, 1.0) for key, value in named}
+        for key in {"loss", "depth"} & values.keys():
+            if values[key] > MOST_LOST:
+                return None
+            values[key] = min(values[key], 1.0)
+        out.append(replace(item, params=tuple(values.values())))
+    return out
 
 
 def rig_toml(model: Augmented, name: str = "augmented") -> tuple[str, list[str]]:
