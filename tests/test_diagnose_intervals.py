@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import diagnose_cases as cases
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from rthyb_rt.diagnose import effects, engine, intervals, reading
 from rthyb_rt.diagnose.actuation import Actuation
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
+from rthyb_rt.diagnose.select import inflation
 
 LATE_S = 8.0e-5  # a normal offset in time, of the load cell
 
@@ -216,3 +219,22 @@ def test_a_stated_tolerance_does_not_grow_with_the_noise_of_the_rows():
     assert np.cov(inverse @ rows.T @ errors) == pytest.approx(
         intervals.inflated(inverse, prior, by), rel=0.05, abs=2e-3
     )
+
+
+def test_a_fit_to_a_simulated_motion_has_no_tolerance_that_its_laws_have_along_a_known_one(
+    tmp_path,
+):
+    """A gap's size is pinned in the balance of forces, but free where the motion is simulated."""
+
+    def slack(t, x, v, a):
+        return -cases.K * np.clip(x, -1e-3, 1e-3)
+
+    d = diagnosed(tmp_path, cases.channels(slack))
+    best = d.force.best
+    assert best.names == ("gap",)
+    wide = 4.0 * best.covariance
+    for scatter in (None, wide):
+        fit = replace(best, covariance=wide, scatter=scatter, residual=3.0 * best.residual)
+        sure = intervals.Sure(replace(d.force, best=fit), d.context)
+        grown = sure.noise[1, 1] / wide[1, 1]
+        assert (grown == pytest.approx(inflation(fit.residual))) == (scatter is not None)

@@ -53,7 +53,8 @@ class Sure:
         if best.covariance is not None:
             shapes = sum(len(m.trial.theta) for m in best.members)
             size = shapes + sum(map(len, best.betas)) + best.nuisance.size
-            known = best.covariance.shape[0] == size
+            # A fit to a simulated motion has other priors, and no covariance of stated values.
+            known = best.covariance.shape[0] == size and best.scatter is None
             prior = priors_of(search.problem, best.members, shapes, size) if known else None
             self.noise = inflated(best.covariance, prior, inflation(best.residual))
         self.shown, self.more = best.scatter, None
