@@ -608,6 +608,16 @@ def test_stated_value_off_by_many_tolerances_is_named_although_a_tiny_law_fits_b
     assert small.best.names == ()
 
 
+def test_stated_value_in_the_place_of_a_tiny_law_has_its_twins_too() -> None:
+    """The lower price of a stated value is no evidence against an offset in time."""
+    tiny, viscous = of("quadratic", chi2=1000.0), of("viscous", chi2=1200.0)
+    late = of(part("time_skew", 60.0), chi2=1200.2)
+    sizes = {h.names: 0.08 for h in (viscous, late)} | {tiny.names: 8e-4}
+    seen = replace(evidence(tiny, viscous, null=1400.0), beside=(late, of("lugre", chi2=1100.0)))
+    told = decided(seen, size=sizes)
+    assert (told.best.names, [h.names for h in told.equal]) == (("viscous",), [("time_skew",)])
+
+
 def test_stated_value_that_only_stands_for_a_tiny_law_is_not_named_in_its_place() -> None:
     """Beside that law it explains nothing: large parts of it cancel one another."""
     tiny, viscous = of("quadratic", chi2=1000.0), of("viscous", chi2=1200.0)

@@ -988,15 +988,35 @@ def _choose(court: Court, gone: set[str]) -> Choice:
         return Choice(court.null, tuple(sets), (), 0.0, tuple(court.ledger))
     held = court.ask("held out", best)
     equal = []
-    kinds = ALIKE if best is sets[0] else {"alike": alike}
-    for name, find in kinds.items():
-        for of in [] if name in gone else find(court, best, among):
+    for name, find in ALIKE.items():
+        for of in [] if name in gone else _equals(court, best, (sets, among), find):
             if court.ask("held out", of) > court.policy.held_out_share:
                 equal.append(of)
                 court.ledger.append(
                     Ruling(name, of.names, "", of.chi2 - best.chi2, against=best.names)
                 )
     return Choice(best, tuple(sets), tuple(equal), held, tuple(court.ledger))
+
+
+def _equals(
+    court: Court,
+    best: Hypothesis,
+    sets: tuple[Sets, Sets],
+    find: Callable[[Court, Hypothesis, Sets], Sets],
+) -> Sets:
+    """Return what a rule finds; what fits far better than a set in another one's place is no equal.
+
+    Args:
+        court: the evidence.
+        best: the set that is named.
+        sets: those that no rule rejected, and those that may be its equals.
+        find: one of `ALIKE`.
+    """
+    ranked, among = sets
+    if best is ranked[0] or find is alike:
+        return find(court, best, among)
+    least = best.chi2 - court.policy.twin_evidence
+    return [of for of in find(court, best, ranked) if of.chi2 > least]
 
 
 def _named(court: Court, sets: Sets, gone: set[str]) -> tuple[Hypothesis | None, Sets]:
