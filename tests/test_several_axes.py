@@ -304,7 +304,9 @@ def test_a_test_that_ended_before_it_began_lacks_no_rows() -> None:
 def test_a_comparison_says_which_recording_begins_later(tmp_path: Path) -> None:
     rec = conducted()
     rest = recovered(rec, tmp_path, 16384)
-    lost_s = measured.summarize(rest).signals.first / 1024  # type: ignore[operator]
+    first = measured.summarize(rest).signals.first
+    assert first is not None
+    lost_s = first / 1024
     assert of_axis.recorded(rec, "monday", "right").notes == ()
     (note,) = of_axis.recorded(rest, "tuesday", "right").notes
     assert f"tuesday, axis right lacks the first {lost_s:.4g} s of its test" in note

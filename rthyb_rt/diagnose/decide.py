@@ -327,6 +327,10 @@ class Court:
         """Whether laws are functions of a motion that was estimated from noisy channels."""
         return self.setting.judged == "force" and not self.setting.exact and not self.setting.naive
 
+    def together(self, of: Hypothesis, other: Hypothesis) -> Hypothesis | None:
+        """Return the set with the effects of both, if it was fitted."""
+        return self.by_names.get(tuple(sorted((*of.names, *other.names))))
+
     def share(self, of: Hypothesis) -> float:
         """Return the fraction of the explained misfit that each effect must explain alone."""
         return of_size(self.policy.needed_share, len(of.names)) * self.blurred
@@ -605,7 +609,7 @@ def off_zero(court: Court, of: Hypothesis) -> bool:
     if court.ask("zero", alone, (0,)) ** 2 >= alone.price:
         return True
     # Where a constant is there and only too small to report, a law explains what it leaves.
-    beside = court.by_names.get(tuple(sorted((*of.names, *alone.names))), of)
+    beside = court.together(of, alone) or of
     own, wanted = alone.chi2 - min(of.chi2, beside.chi2), times * of.price
     return own >= wanted or court.refuse("beside zero", of, found=own, wanted=wanted)
 
@@ -983,13 +987,13 @@ def _choose(court: Court, gone: set[str]) -> Choice:
     sets = sorted(court.evidence.sets, key=_order)
     for name, rule in RANKING.items():
         sets = sets if name in gone else rule(court, sets)
-    best, among = _named(court, sets, gone)
+    best = _named(court, sets, gone)
     if best is None:
         return Choice(court.null, tuple(sets), (), 0.0, tuple(court.ledger))
     held = court.ask("held out", best)
     equal = []
     for name, find in ALIKE.items():
-        for of in [] if name in gone else _equals(court, best, (sets, among), find):
+        for of in [] if name in gone else _equals(court, best, sets, find):
             if court.ask("held out", of) > court.policy.held_out_share:
                 equal.append(of)
                 court.ledger.append(
@@ -999,28 +1003,27 @@ def _choose(court: Court, gone: set[str]) -> Choice:
 
 
 def _equals(
-    court: Court,
-    best: Hypothesis,
-    sets: tuple[Sets, Sets],
-    find: Callable[[Court, Hypothesis, Sets], Sets],
+    court: Court, best: Hypothesis, sets: Sets, find: Callable[[Court, Hypothesis, Sets], Sets]
 ) -> Sets:
-    """Return what a rule finds; what fits far better than a set in another one's place is no equal.
+    """Return what a rule of `ALIKE` finds.
 
-    Args:
-        court: the evidence.
-        best: the set that is named.
-        sets: those that no rule rejected, and those that may be its equals.
-        find: one of `ALIKE`.
+    What fits far better than a set that is named in another one's place is no equal.
     """
-    ranked, among = sets
-    if best is ranked[0] or find is alike:
-        return find(court, best, among)
+    if best is sets[0]:
+        return find(court, best, sets)
+    if find is alike:
+        return alike(court, best, _of_stated(sets))
     least = best.chi2 - court.policy.twin_evidence
-    return [of for of in find(court, best, ranked) if of.chi2 > least]
+    return [of for of in find(court, best, sets) if of.chi2 > least]
 
 
-def _named(court: Court, sets: Sets, gone: set[str]) -> tuple[Hypothesis | None, Sets]:
-    """Return the set to be named, None if there is none, and the sets that may be its equals.
+def _of_stated(sets: Sets) -> Sets:
+    """Return the sets after the first that consist of stated values alone."""
+    return [of for of in sets[1:] if all(p.stated for p in of.parts)]
+
+
+def _named(court: Court, sets: Sets, gone: set[str]) -> Hypothesis | None:
+    """Return the set to be named; None if there is none.
 
     It is the first, or, where that is too small to be reported, the first of stated values alone:
     a tiny law is no reason to leave unsaid that a stated value is off by many of its tolerances,
@@ -1028,15 +1031,12 @@ def _named(court: Court, sets: Sets, gone: set[str]) -> tuple[Hypothesis | None,
     """
     asked = [ask for name, ask in NAMING.items() if name not in gone]
     if not sets or all(ask(court, sets[0]) for ask in asked):
-        return next(iter(sets), None), sets
-    if court.ledger[-1].rule != "size":
-        return None, sets
-    stated = [h for h in sets[1:] if all(p.stated for p in h.parts)]
-    if not stated or not _off_beside(court, stated[0], sets[0]):
-        return None, sets
-    if not all(ask(court, stated[0]) for ask in asked):
-        return None, sets
-    return stated[0], stated
+        return next(iter(sets), None)
+    stated = next(iter(_of_stated(sets)), None)
+    if court.ledger[-1].rule != "size" or stated is None:
+        return None
+    named = _off_beside(court, stated, sets[0]) and all(ask(court, stated) for ask in asked)
+    return stated if named else None
 
 
 def _off_beside(court: Court, of: Hypothesis, tiny: Hypothesis) -> bool:
@@ -1044,7 +1044,7 @@ def _off_beside(court: Court, of: Hypothesis, tiny: Hypothesis) -> bool:
 
     Where both were fitted together. If not, they only stand for it: a force that it does not need.
     """
-    both = court.by_names.get(tuple(sorted((*of.names, *tiny.names))))
+    both = court.together(of, tiny)
     if both is None:
         return True
     own, wanted = tiny.chi2 - both.chi2, court.times(both) * of.price

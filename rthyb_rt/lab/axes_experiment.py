@@ -265,9 +265,9 @@ def following(rig: AxesRig, derived: AxesDerived, axis_m: Floats, pushed: Floats
             float(np.abs(np.diff(axis_m[:, i])).max(initial=0.0)) / rate.period_s,
             float(np.abs(np.diff(axis_m[:, i], 2)).max(initial=0.0)) / rate.period_s**2,
         )
-        expected = np.zeros(len(axis_m), experiment.REFERENCE_DTYPE)
-        expected["x_ref_m"], expected["f_ref_n"] = axis_m[:, i], pushed[:, i]
-        expected["v_ref_mps"] = np.gradient(axis_m[:, i], rate.period_s)
+        x_m, f_n = axis_m[:, [i]], pushed[:, [i]]
+        v_m_per_s = np.gradient(x_m, rate.period_s, axis=0)
+        expected = signal_units.reference_rows(x_m, v_m_per_s, f_n)
         found.append(replace(own, limits=experiment.with_sensors(view, limits, rate, expected)))
     hardest = max(
         (own.limits for own in found), key=lambda one: one.brake_acceleration_m_per_s2 or 0.0

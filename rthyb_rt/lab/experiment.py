@@ -998,9 +998,7 @@ def reference(setup: Setup, *, table_forces: bool | None = None) -> NDArray[np.v
 def _rows_of_reference(
     x: NDArray[np.float64], v: NDArray[np.float64], force: NDArray[np.float64]
 ) -> NDArray[np.void]:
-    result = np.zeros(x.size, dtype=REFERENCE_DTYPE)
-    result["x_ref_m"], result["v_ref_mps"], result["f_ref_n"] = x, v, force
-    return result
+    return signal_units.reference_rows(*(one[:, np.newaxis] for one in (x, v, force)))
 
 
 _IMPLICIT: Final = ("inertia", "viscous")

@@ -19,8 +19,8 @@ from rthyb_rt.record.recording import AXIS_FIELDS, REFERENCE_UNITS, UNITS, Recor
 Floats = NDArray[np.float64]
 
 _OF_ROTATIONS: Final = {"m": "rad", "m/s": "rad/s", "N": "N m", "N/m": "N m/rad"}
-_ALONG: Final = ("x_num_m", "k_t_n_per_m")
-"""Fields of the samples that belong to a direction."""
+_OF_DIRECTION: Final = {name: UNITS[name] for name in ("x_num_m", "k_t_n_per_m")}
+"""Fields of the samples that belong to a direction, with their units along a displacement."""
 
 
 def units_of(axis_count: int = 1, *, first_turns: bool = False) -> dict[str, str]:
@@ -33,14 +33,13 @@ def units_of(axis_count: int = 1, *, first_turns: bool = False) -> dict[str, str
     further = {
         f"{name}.{axis}": UNITS[name] for axis in range(1, axis_count) for name in AXIS_FIELDS
     }
-    along = _along({name: UNITS[name] for name in _ALONG}, (first_turns,))
-    return UNITS | along | further
+    return UNITS | _along(_OF_DIRECTION, (first_turns,)) | further
 
 
 def of_samples(rec: RecordedTest) -> dict[str, str]:
     """Return the units of the fields and channels of a recording's samples."""
     found = units_of(rec.axis_count) | {one.name: one.unit for one in rec.channels}
-    along = _along({name: UNITS[name] for name in _ALONG}, turns(rec))
+    along = _along(_OF_DIRECTION, turns(rec))
     return found | {name: unit for name, unit in along.items() if name in found}
 
 
