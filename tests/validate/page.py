@@ -12,7 +12,7 @@ import numpy as np
 from prove import scoring
 from scipy.stats import betabinom
 
-from validate import own_rigs, real
+from validate import own_rigs, real, timed
 
 FIRST, NORMAL, HARD = "first generator", "second generator, normal", "second generator, hard"
 OWN = "shipped rigs"
@@ -137,12 +137,7 @@ def _wanted_rows(results: Results) -> Iterable[str]:
     yield _judged(real, *passed, 1.0, 1.0)
 
 
-TIMES = (
-    ("case of the first generator (about 15 s)", 5.0),
-    ("hydraulic rig (30 s, and 30 s held out)", 15.0),
-    ("recording of 600 s", 60.0),
-    ("a body with stick-slip, 15 s", 15.0),
-)
+TIMES = ((timed.USUAL, 5.0), (timed.HYDRAULIC, 15.0), (timed.LONG, 60.0), (timed.STICKING, 15.0))
 
 
 def _wanted(results: Results) -> str:

@@ -1,7 +1,7 @@
 """The proof of the diagnosis: two generators, shipped rigs, real recordings, the page in docs/.
 
     python tests/validate/proof.py [--seed 7] [--count 60] [--jobs 2] [--page docs/...md]
-        [--sources first second own real times] [--kinds single pair] [--level normal hard] [--kept]
+        [--sources times first second own real] [--kinds single pair] [--level normal hard] [--kept]
 
 Cases stay in --out under the hash of what makes them, answers beside them under the hash of the
 program: a run that was stopped goes on, and a changed program is asked anew. Without a seed that
@@ -21,6 +21,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "diagnosis-proof.md"
 OPEN = ROOT.parent / "shared" / "diagnosis" / "real-open"
 SHIPPED = ROOT / "tests" / "data" / "diagnosis"
-SOURCES = ("first", "second", "own", "real", "times")
+SOURCES = ("times", "first", "second", "own", "real")
 SHORT_SEED = 20260
 SHORT: dict[str, tuple[str, ...]] = {
     "first": ("single", "pair", "cancel", "null", "onset"),
@@ -49,7 +50,7 @@ PROGRAM = ("rthyb_rt", "csrc")
 LOOKING_ON = ("scoring.py", "stlsq.py", "page.py", "proof.py", "real.py", "sensitivity.py")
 """Of the folders of the generators, what makes no case."""
 REPEATS = 5
-"""Recordings of each sort whose answers are timed, at most."""
+"""Recordings of each sort whose answers are timed, at most; before all others, one at a time."""
 
 
 def digest(*trees: str) -> str:
@@ -71,7 +72,9 @@ class Proof:
         self.seed = int(self.state[:8], 16) if args.seed is None else args.seed
         self.cases = digest("tests/prove", "tests/validate")[:8]
         self.tool = scoring.kept(scoring.command_line([args.tool]), f"said-{self.state}")
+        self.repeats = min(REPEATS, args.count)
         rival = hashlib.sha256(Path(stlsq.__file__).read_bytes()).hexdigest()[:8]
+        self.own_tool = scoring.kept(own_rigs.tool(args.tool), f"said-{self.state}")
         self.rival = scoring.kept(self._tried, f"{stlsq.SOLVER.replace(' ', '-')}-{rival}")
 
     @staticmethod
@@ -131,8 +134,6 @@ class Proof:
                     yield out / name
 
         self._both(results, page.FIRST, made())
-        times = [r.seconds for r in results.rows[page.FIRST]]
-        results.times[page.TIMES[0][0]] = times
 
     def second(self, results: page.Results) -> None:
         out, count = self.folder("second"), self.args.count
@@ -166,17 +167,17 @@ class Proof:
     def own(self, results: page.Results) -> None:
         kinds = SHORT["own"] if self.args.short else self.args.kinds
         cases = own_rigs.chosen(self.seed, self.args.count, kinds)
-        # The rigs that are recorded are the program's own: another program makes other recordings.
-        out = self.folder("own") / self.state
-        places = {out / f"{c.rig}_{c.label.replace(':', '_')}_{c.seed}": c for c in cases}
+        places = {self._own_folder(case): case for case in cases}
         if self.args.kept:
             places = {folder: places[folder] for folder in self._answered(places)}
         made = (own_rigs.make(case, folder) for folder, case in places.items())
-        asked = scoring.kept(own_rigs.tool(self.args.tool), f"said-{self.state}")
-        said = [(f, asked(f)) for f in self.ask(made, page.OWN, asked)]
+        said = [(f, self.own_tool(f)) for f in self.ask(made, page.OWN, self.own_tool)]
         results.own = [own_rigs.score(f, s.answer, s.seconds) for f, s in said]
-        hydraulic = [r.seconds for r in results.own if r.rig in page.HYDRAULIC]
-        results.times[page.TIMES[1][0]] = hydraulic
+
+    def _own_folder(self, case: own_rigs.Case) -> Path:
+        """Of the recording of a shipped rig: by the program that records it, too."""
+        name = f"{case.rig}_{case.label.replace(':', '_')}_{case.seed}"
+        return self.folder("own") / self.state / name
 
     def real(self, results: page.Results) -> None:
         source = Path(self.args.recordings)
@@ -187,23 +188,44 @@ class Proof:
         results.real = [real.score(f, self.tool(f), self.rival(f)) for f in folders]
 
     def times(self, results: page.Results) -> None:
-        """One at a time: what is timed has the machine for itself."""
+        """One at a time, before all others: what is timed has the machine for itself."""
+        for folder in self._timed_cases():
+            results.times.setdefault(timed.USUAL, []).append(self.tool(folder).seconds)
+        for folder in self._timed_runs():
+            results.times.setdefault(timed.HYDRAULIC, []).append(self.own_tool(folder).seconds)
         out = self.folder("times")
-        made = timed.generate(self.seed, min(REPEATS, self.args.count), out)
+        made = timed.generate(self.seed, self.repeats, out)
         for folder in self._answered(out.glob("*")) if self.args.kept else made:
-            seconds = self.tool(folder).seconds
-            results.times.setdefault(timed.what(folder), []).append(seconds)
+            results.times.setdefault(timed.what(folder), []).append(self.tool(folder).seconds)
+
+    def _timed_cases(self) -> Iterator[Path]:
+        """The first few single effects of the first generator."""
+        out = self.folder("first") / "single"
+        if self.args.kept:
+            yield from islice(self._answered(out.glob("*")), self.repeats)
+            return
+        for name, _ in generate.generate(self.seed, self.repeats, out, ["single"], jobs=1):
+            yield out / name
+
+    def _timed_runs(self) -> Iterator[Path]:
+        """A few recordings of hydraulic rigs, from all kinds of what is hidden in them."""
+        cases = own_rigs.chosen(self.seed, self.args.count, self.args.kinds)
+        cases = [case for case in cases if case.rig in page.HYDRAULIC]
+        folders = {self._own_folder(c): c for c in cases[:: max(len(cases) // self.repeats, 1)]}
+        if self.args.kept:
+            yield from self._answered(folders)
+            return
+        for folder in islice(folders, self.repeats):
+            yield own_rigs.make(folders[folder], folder)
 
     def said(self) -> str:
         """Which program was asked, with which cases."""
         call = ["git", "describe", "--always", "--dirty", "--exclude=*"]
         commit = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=False).stdout
-        load = os.getloadavg()[2]
         return (
             f"State of the program: `{self.state}` (hash of its sources; commit\n"
             f"`{commit.strip() or 'unknown'}`), seed {self.seed}, {self.args.count} cases of each "
-            f"kind at most. Times\nare those of {os.cpu_count()} processors under a mean load of "
-            f"{load:.1f}, {self.args.jobs} answers at a time."
+            f"kind at most. Times\nare those of {os.cpu_count()} processors, one answer at a time."
         )
 
 

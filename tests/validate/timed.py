@@ -9,6 +9,7 @@ import numpy as np
 from prove import answers, bench, effects, folders, prepare
 from prove.prepare import Wanted
 
+USUAL, HYDRAULIC = "case of the first generator (about 15 s)", "hydraulic rig (30 s, 30 s held out)"
 LONG, STICKING = "recording of 600 s", "a body with stick-slip, 15 s"
 LONG_S, SHORT_S = 600.0, 15.0
 STICKS = 0.6
