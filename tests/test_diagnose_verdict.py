@@ -47,6 +47,7 @@ def said(seen: Seen, less: tuple[str, ...] = (), **answers: Any) -> Verdict:
         "changes": {},
         "varying": -50.0,
         "stroke": -50.0,
+        "memory": -50.0,
         **answers,
     }
     while not isinstance(done := judge(seen, POLICY, less), Verdict):
@@ -229,6 +230,7 @@ RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
     ),
     "varying": (Seen(FRICTION), {"varying": 60.0}, "unknown", "explained"),
     "stroke": (Seen(FRICTION), {"stroke": 60.0}, "unknown", "explained"),
+    "memory": (Seen(FRICTION), {"memory": 60.0}, "unknown", "explained"),
     "steps": (
         Seen(replace(NOTHING, before=1.0, after=1.0), rounding=COARSE), {},
         "explained", "unknown",
@@ -389,6 +391,7 @@ ANSWERS = st.fixed_dictionaries(
         "changes": st.dictionaries(st.sampled_from("abc"), st.floats(-3.0, 10.0)),
         "varying": st.floats(-1e3, 1e3),
         "stroke": st.floats(-1e3, 1e3),
+        "memory": st.floats(-1e3, 1e3),
     }
 )
 
@@ -407,7 +410,7 @@ def test_what_is_named_or_called_nothing_is_understood(left: Left, answers: dict
     found = said(Seen(left), **answers)
     turned = {r.rule for r in found.ledger}
     known = answers["sheet"] or understood(left, POLICY, lambda: answers["sheet"])
-    if turned & {"steady", "varying", "stroke"}:
+    if turned & {"steady", "varying", "stroke", "memory"}:
         known = needs_nothing(left, POLICY)
     elif "reproduced" in turned:
         made = answers["reproduced"]

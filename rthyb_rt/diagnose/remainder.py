@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt.diagnose import estimate, fitted, noise, steady, stroke, varying, verdict
+from rthyb_rt.diagnose import estimate, fitted, memory, noise, steady, stroke, varying, verdict
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search
@@ -254,6 +254,8 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
         return varying.gain(search.problem, search.best)
     if what == "stroke":
         return stroke.gain(search.problem, search.best)
+    if what == "memory":
+        return memory.gain(search.problem, search.best)
     return None if ctx is None else strength(search, ctx)
 
 

@@ -16,7 +16,7 @@ from rthyb_rt.diagnose.policy import Policy, of_size
 Said = Literal["none", "explained", "ambiguous", "unknown"]
 Names = tuple[str, ...]
 Asked = Literal[
-    "sheet", "simulated", "reproduced", "strength", "changes", "varying", "stroke"
+    "sheet", "simulated", "reproduced", "strength", "changes", "varying", "stroke", "memory"
 ]  # fmt: skip
 
 
@@ -159,8 +159,8 @@ class Seen:
             deviation of its interval; None if it has no size; "changes", how far beyond chance the
             set's parameters differ in a part of the recording, by the description of that part, in
             standard deviations; "varying", the additional gain of a coefficient that changes
-            periodically with time, in chi-squared; "stroke", the same for a mass whose own spring
-            changes with its stroke.
+            periodically with time, in chi-squared; "stroke" and "memory", the same for a mass whose
+            own spring changes with its stroke, and for a force with fractional memory.
     """
 
     force: Left | None = None
@@ -397,13 +397,14 @@ def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 def beside_nameless(
-    what: Literal["varying", "stroke"], least_laws: int
+    what: Literal["varying", "stroke", "memory"], least_laws: int
 ) -> Callable[[_Court, Left, bool, bool], Turn]:
     """Return the rule by which a set is withdrawn if a law outside the catalogue explains more.
 
     For the same sets as `steady`, with a minimum number of laws. "varying": a coefficient that
     changes periodically with time; "stroke": one mass on a softening spring instead of a second
-    mode, alone or together with another law.
+    mode, alone or together with another law; "memory": a fractional derivative instead of
+    relaxation and its limits.
     """
 
     def rule(court: _Court, left: Left, named: bool, known: bool) -> Turn:
@@ -442,7 +443,7 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
     "blur": blur, "motion": motion, "reproduced": reproduced, "chance": chance, "steady": steady,
     "varying": beside_nameless("varying", 0), "stroke": beside_nameless("stroke", 1),
-    "steps": steps,
+    "memory": beside_nameless("memory", 1), "steps": steps,
 }  # fmt: skip
 """Rules that withdraw the set of the force, or declare its residual explained, in order."""
 

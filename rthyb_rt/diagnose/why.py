@@ -501,6 +501,7 @@ def _why_actuator(disp: Displacement, fit: ActuatorFit, fate: Fate) -> str:
 NAMELESS = {
     "varying": "a stiffness or damping that changes periodically with time",
     "stroke": "a second mass on a spring that hardens or softens with its stroke",
+    "memory": "a force with a spectrum of relaxation times, like rubber,",
 }
 """Laws outside the catalogue with which a set is compared, by the rule of `verdict`."""
 TURNED = {
