@@ -258,19 +258,27 @@ def track(command: np.ndarray, dt: float, sub: int, a: Actuator) -> np.ndarray:
         fine[1] = np.convolve(np.pad(fine[1], sub, mode="edge"), np.ones(2 * sub + 1), "valid")
         fine[1] /= 2 * sub + 1
         fine[2] = 0.0
-    back = np.full(fine.shape[1], a.delay_s)
-    if a.kappa:
-        # The velocity of the motion that it delays: of any other, the piston would jerk at turns.
-        at = np.arange(fine.shape[1])
-        speed = np.abs(np.interp(at - a.delay_s / h, at, fine[1]))
-        if a.kappa_on == "smooth":
-            corner = _CORNER * np.max(speed)
-            speed = np.hypot(speed, corner) - corner
-        back = back + a.kappa * speed
-    late = _late(fine, back, h)
-    if a.kappa:
+    at = np.arange(fine.shape[1]) - a.delay_s / h
+    if not a.kappa:
+        return _late(fine, np.full(fine.shape[1], a.delay_s), h)
+    # The velocity of the motion that it delays: of any other, the piston would jerk at turns.
+    v, accel = (np.interp(at, np.arange(at.size), row) for row in fine[1:])
+    corner = _CORNER * np.max(np.abs(v)) if a.kappa_on == "smooth" else 0.0
+    speed = np.hypot(v, corner)
+    late = _late(fine, a.delay_s + a.kappa * (speed - corner), h)
+    if a.kind != "second":
         late[1] = np.gradient(late[0], h)
         late[2] = np.gradient(late[1], h)
+        return late
+    # By the chain rule: the acceleration jumps where the command has bent, between rows, and a
+    # difference of velocities would smear it over the row beside. Steps end where it bends.
+    step = np.clip(np.floor(at).astype(int), 0, at.size - 2)
+    jerk = (fine[2, step + 1] - fine[2, step]) / h
+    toward = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0.0)
+    bent = np.divide(corner**2 * accel**2, speed**3, out=np.zeros_like(v), where=speed > 0.0)
+    pace = 1.0 - a.kappa * toward * accel
+    late[2] = late[2] * pace**2 - late[1] * a.kappa * (toward * jerk + bent)
+    late[1] *= pace
     return late
 
 
