@@ -48,7 +48,8 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
 
 ANSWERS = {
     "held_out": 0.9, "size": 0.5, "left": 0.5, "driven": (60.0, 60.0, 60.0),
-    "driven_together": 180.0, "slow_noise": 1.0, "beyond_forms": 1e9, "own_size": 0.1,
+    "driven_together": 180.0, "slow_noise": 1.0, "near_noise": 1.0, "beyond_forms": 1e9,
+    "own_size": 0.1,
 }  # fmt: skip
 
 
@@ -101,6 +102,13 @@ def a_drift() -> Evidence:
 def slow() -> Evidence:
     """A drift earns seven times its price among slow noise of 18 times the power of all rows."""
     return evidence(of("drift", chi2=1000.0), null=1139.0)
+
+
+def a_hum() -> Evidence:
+    """A line earns twice its price where the noise swells to four times its power."""
+    return evidence(
+        of("inertia", chi2=1080.0), of("hum", chi2=9000.0), of("hum", "inertia", chi2=1000.0)
+    )
 
 
 def the_cells_own_noise() -> Evidence:
@@ -157,6 +165,7 @@ RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...
     "normal offset": (a_normal_offset(), {}, ("coulomb",), ("coulomb", "time_skew")),
     "off zero": (a_zero(), {"zero": 1.0}, (), ("bias",)),
     "slow noise": (slow(), {"slow_noise": 18.0}, (), ("drift",)),
+    "near noise": (a_hum(), {"near_noise": 4.0}, ("inertia",), ("hum", "inertia")),
     "drift goes on": (a_drift(), {"drift": DriftRates(1.0, 0.1, 0.05)}, ("coulomb",), ("drift",)),
     "driven": (the_cells_own_noise(), {"driven": (10.0,)}, (), ("viscous",)),
     "more laws": (more_laws(), {}, ("hysteresis",), ("cubic", "gap")),

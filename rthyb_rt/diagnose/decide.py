@@ -22,7 +22,7 @@ CLOSER = 3
 """Number of sets, best first, for which yielding is tried in place of bristles."""
 What = Literal[
     "part", "yielding", "beyond forms", "drift", "driven", "driven together", "driven more", "size",
-    "own size", "left", "held out", "zero", "slow noise",
+    "own size", "left", "held out", "zero", "slow noise", "near noise",
 ]  # fmt: skip
 
 
@@ -124,6 +124,7 @@ class Laws:
         also: laws equivalent to another law in parallel with a free spring, with that law.
         sliders: sliders in series, any number of which is a form of the same effect.
         wanders, zeros: zeros of the load cell that change with time, and constant ones.
+        lines: effects with a single frequency of their own.
         stiffness: effects that change the model's stiffness.
     """
 
@@ -133,6 +134,7 @@ class Laws:
     also: Mapping[str, str]
     sliders: frozenset[str]
     wanders: frozenset[str]
+    lines: frozenset[str]
     zeros: frozenset[str]
     stiffness: str
 
@@ -147,6 +149,7 @@ class Laws:
             {e.also: n for n, e in laws if e.also},
             frozenset(n for n, e in laws if e.slides),
             frozenset(n for n, e in laws if e.wanders),
+            frozenset(n for n, e in laws if e.line),
             frozenset(n for n, e in laws if e.zero),
             next((n for n, e in laws if e.number == "k"), ""),
         )
@@ -214,7 +217,8 @@ class Need:
             out", the fraction of its gain that is confirmed on rows to which it was not fitted;
             "zero", how far a constant force or a drift deflects the spring, in standard deviations
             of the displacement noise in its data sheet; "slow noise", the power of the slowest
-            lines of what it leaves, as a multiple of the noise power.
+            lines of what it leaves, as a multiple of the noise power; "near noise", that of the
+            lines next to that of the effect.
         of: the set.
         which: indices of the effects concerned.
     """
@@ -633,20 +637,33 @@ def above_slow_noise(court: Court, of: Hypothesis) -> bool:
     Both are slow: their evidence is what they earn relative to the noise at such frequencies, not
     to that of all rows. A line read among noise that swells towards slow motion is part of it.
     """
+    return _above_noise(court, of, court.laws.zeros | court.laws.wanders, "slow noise")
+
+
+def above_near_noise(court: Court, of: Hypothesis) -> bool:
+    """A line must stand out among its neighbours, by as much as from noise of an even spectrum.
+
+    The noise of a load cell may swell around a frequency, and any line there fits part of it.
+    """
+    return _above_noise(court, of, court.laws.lines, "near noise")
+
+
+def _above_noise(
+    court: Court, of: Hypothesis, names: frozenset[str], what: Literal["slow noise", "near noise"]
+) -> bool:
     setting = court.setting
     if setting.naive or setting.judged != "force":
         return True
-    slow = court.laws.zeros | court.laws.wanders
     for i, part in enumerate(of.parts):
         without = court.by_names.get(of.without(i), court.null if len(of.parts) == 1 else None)
-        if part.name not in slow or without is None:
+        if part.name not in names or without is None:
             continue
-        power = court.ask("slow noise", of)
+        power = court.ask(what, of) if what == "slow noise" else court.ask(what, of, (i,))
         if power < court.policy.slow_lines_power:
-            return True
+            continue
         found, wanted = without.chi2 - of.chi2, power * court.times(of) * part.price
         if found < wanted:
-            return court.refuse("slow noise", of, part=part.name, found=found, wanted=wanted)
+            return court.refuse(what, of, part=part.name, found=found, wanted=wanted)
     return True
 
 
@@ -865,6 +882,7 @@ RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
     "normal offset": each(more_than_normal),
     "off zero": each(off_zero),
     "slow noise": each(above_slow_noise),
+    "near noise": each(above_near_noise),
     "drift goes on": each(goes_on),
     "driven": each(driven),
     "more laws": worth_their_size,

@@ -37,6 +37,8 @@ from rthyb_rt.diagnose.steady import past_forms
 FOLD_S = 0.25
 SLOW_LINES = 8
 """Number of lines from which the power of slow noise is read: to a half of itself."""
+NEAR_LINES = 4
+"""Number of lines on either side of one from which the noise at its frequency is read."""
 FOLDS = 4
 
 
@@ -185,6 +187,8 @@ class Gathered:
             return left(problem, fit)
         if need.what == "slow noise":
             return slow_power(problem, fit)
+        if need.what == "near noise":
+            return near_power(problem, fit, need.which[0])
         if need.what == "own size":
             return size(problem, fit, need.which)
         return size(problem, fit) if need.what == "size" else self.held_out(fit)
@@ -230,11 +234,23 @@ def slow_power(problem: ResidualProblem, fit: Fit) -> float:
     The lines are half cosines over the recording, as of a cosine transform: a straight line is
     nearly the first one. Rows that are not evaluated are left out.
     """
-    rows, y = problem.rows, fit.residual
+    rows = problem.rows
     phase = np.pi * (rows - rows[0]) / max(int(rows[-1] - rows[0]), 1)
-    lines = np.cos(np.outer(np.arange(1, SLOW_LINES + 1), phase))
-    lines -= lines.mean(axis=1, keepdims=True)
-    return float(np.mean((lines @ y) ** 2 / np.sum(lines**2, axis=1)))
+    return _power(np.cos(np.outer(np.arange(1, SLOW_LINES + 1), phase)), fit.residual)
+
+
+def near_power(problem: ResidualProblem, fit: Fit, which: int) -> float:
+    """Return the same for the lines next to that of an effect, whole periods of the test apart."""
+    t, member = problem.ctx.t[problem.rows], fit.members[which]
+    apart = np.r_[-NEAR_LINES:0, 1 : NEAR_LINES + 1] / max(float(t[-1] - t[0]), problem.ctx.dt)
+    angle = 2.0 * np.pi * np.outer(member.trial.theta[0] + apart, t - t[0])
+    return _power(np.vstack([np.cos(angle), np.sin(angle)]), fit.residual)
+
+
+def _power(lines: Floats, residual: Floats) -> float:
+    """Return the mean power of a residual, (n,), along some lines, (m, n), without its mean."""
+    lines = lines - lines.mean(axis=1, keepdims=True)
+    return float(np.mean((lines @ residual) ** 2 / np.sum(lines**2, axis=1)))
 
 
 def beyond_forms(problem: ResidualProblem, fit: Fit, which: int) -> float:

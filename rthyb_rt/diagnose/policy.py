@@ -497,8 +497,8 @@ class Policy:
     slow_lines_power: float = _entry(
         2.5, "multiple of the noise power", "physics",
         "Mean power of the slowest lines of a residual above which a constant force or a drift is "
-        "compared with them.",
-        "by chance, one in a hundred for eight lines of white noise",
+        "compared with them; likewise of the lines near that of a hum.",
+        "by chance, one in a hundred for eight lines of white noise, one in a thousand for sixteen",
     )  # fmt: skip
     hangs_together: float = _entry(
         0.05, "correlation", "numerics",

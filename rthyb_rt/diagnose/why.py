@@ -310,6 +310,8 @@ DROPPED = {
     "displacement sensor does, but must improve it by {wanted} more",
     "slow noise": "{part} improves chi-squared by {found}, but must improve it by {wanted} to "
     "stand out among the slow noise that remains",
+    "near noise": "{part} improves chi-squared by {found}, but must improve it by {wanted} to "
+    "stand out among the noise near its frequency",
     "driven": "{part} improves chi-squared by {found} through the motion that the test imposes, "
     "without the noise that is in force and motion alike, but must improve it by {wanted}",
     "driven together": "its effects together improve chi-squared by {found} through the motion "

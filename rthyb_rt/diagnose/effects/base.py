@@ -220,6 +220,7 @@ class Effect:
         many_springs: it is simulated as many elements, or evaluates its force repeatedly.
         zero: it is the zero of the load cell, which a rig file has.
         wanders: it is a zero that changes with time.
+        line: it has a single frequency of its own, its first shape parameter, Hz.
         on_body: families in which, without a load cell, it represents a force on the body.
         needs: a channel without which it has no effect.
         foretold: its effect on another recording can be predicted.
@@ -262,6 +263,7 @@ class Effect:
     many_springs = False
     zero = False
     wanders = False
+    line = False
     on_body: tuple[Family, ...] = ()
     needs = ""
     foretold = True

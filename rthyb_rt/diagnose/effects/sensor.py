@@ -143,7 +143,7 @@ class Hum(Effect):
     fingerprint = "a single line in the spectrum of the residual that is not in the motion"
     foretold = False
     shown_by = ("sweep", "the line keeps its frequency while that of the motion changes")
-    sensor = True
+    sensor = line = True
     signs = "**"
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
