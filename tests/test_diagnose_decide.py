@@ -481,6 +481,18 @@ def test_a_peak_does_not_lose_to_its_imitation_by_two_plainer_laws() -> None:
     assert decided(ahead).best.names == ("coulomb", "viscous")
 
 
+def test_a_stated_value_that_both_frictions_move_is_no_excuse_for_the_richer_one() -> None:
+    """Bristles, and dry friction, which the search has tried with the damping set free as well."""
+    moved = frozenset(("viscous",))
+    plain = of("coulomb", chi2=1060.0, bent=moved)
+    bristles = of("lugre", chi2=1000.0, bent=moved)
+    sets = (of("viscous", chi2=900_000.0), of("coulomb", "viscous", chi2=1005.0))
+    seen = evidence(plain, bristles, *sets, null=1_000_000.0)
+    assert decided(seen).best.names == ("coulomb", "viscous")
+    free = replace(bristles, bent=frozenset[str]())
+    assert decided(evidence(plain, free, *sets, null=1_000_000.0)).best.names == ("lugre",)
+
+
 def test_damping_of_a_free_decay_is_measured_against_damping() -> None:
     """The spring is nearly all of the force; of a thousandth each part of the damping matters."""
     spring = of("cubic", chi2=1500.0)

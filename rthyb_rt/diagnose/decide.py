@@ -783,10 +783,12 @@ def _imitated(court: Court, of: Hypothesis, plain: Hypothesis, sets: Sets) -> bo
     """Return whether the plainer law would be named with one more effect, which fits worse.
 
     Then what the richer law explains is more than the form of a jump, for that effect as well.
+    Not if the richer law moves the stated value that this effect changes: it needs it as much.
     """
     return any(
         len(h.parts) == len(plain.parts) + 1
         and set(plain.names) < set(h.names)
+        and not set(h.names) - set(plain.names) <= of.bent
         and of.score + court.policy.same_evidence < h.score < plain.score
         for h in sets
     )

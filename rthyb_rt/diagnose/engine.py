@@ -559,6 +559,8 @@ def _verdict(
     search: force.Search | None,
 ) -> DiagnosisResult:
     steps, search = _coarse(case, search)
+    if search is not None and ctx is not None:
+        search = remainder.without_unsure(search, ctx)
     said = _judged(disp, ctx, search, steps)
     candidates: list[Found] = []
     if disp is not None and said.actuator:

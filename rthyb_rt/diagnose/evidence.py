@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.decide import (
     Choice,
     DriftRates,

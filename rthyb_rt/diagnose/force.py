@@ -677,6 +677,7 @@ def _sweep(
     reached = first.chi2 if first is not None else best
     _reform(dictionary, fitter, strained or reached > POLICY.search_ends * rows)
     fitter.exchange()
+    _with_dry_friction(fitter)
     _nested(dictionary, fitter)
     _replaced(dictionary, fitter)
     # Subsets of refined sets must be present for comparison.
@@ -692,6 +693,24 @@ def _sweep(
     for fit in [f for f in ranked[:2] if len(f.members) > 1]:
         for i in range(len(fit.members)):
             fitter.fit(fit.members[:i] + fit.members[i + 1 :])
+
+
+def _with_dry_friction(fitter: _Fitter) -> None:
+    """Refine the best sets with dry friction in place of a richer law, which must be compared.
+
+    On the grid of shapes, the richer law may be so much nearer that dry friction was not tried
+    beside these others.
+    """
+    by_name, plainer = {e.name: e for e in fitter.problem.effects}, _plainer_friction()
+    for fit in sorted(fitter.by_names.values(), key=fitter.score)[:LEADING]:
+        for i, own in enumerate(fit.members):
+            dry = by_name.get(plainer.get(own.name, ""))
+            rest = fit.members[:i] + fit.members[i + 1 :]
+            if dry is None or {dry.name, *(m.name for m in rest)} in map(set, fitter.by_names):
+                continue
+            members = (*rest, Member(dry, dry.like(own.trial)))
+            if compatible(members):
+                fitter.fit(members)
 
 
 def _nested(dictionary: Dictionary, fitter: _Fitter) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from rthyb_rt.diagnose import estimate, fitted, memory, noise, steady, stroke, varying, verdict
 from rthyb_rt.diagnose.case import Case, Floats, Model
+from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search
 from rthyb_rt.diagnose.freebody import Body, judged
@@ -225,12 +226,12 @@ def _settled(body: Body, problem: ResidualProblem, fit: Fit) -> Fit | None:
     return found
 
 
-def strength(search: Search, ctx: Context) -> float | None:
-    """Return the squared ratio of a single effect's size to its standard deviation."""
-    fit = search.best
-    params, ends = Sure(search, ctx).of(0)
-    member = fit.members[0]
-    gone = member.effect.report(ctx, member.trial, 0.0 * fit.betas[0])
+def strength(sure: Sure, which: int = 0) -> float | None:
+    """Return the squared ratio of an effect's size to its standard deviation; None: no size."""
+    fit, ctx = sure.search.best, sure.ctx
+    params, ends = sure.of(which)
+    member = fit.members[which]
+    gone = member.effect.report(ctx, member.trial, 0.0 * fit.betas[which])
     # Its strength, not its location: a frequency is precise however weak the hum.
     sizes = [
         abs(params[k]) / (0.5 * (high - low) / SIDES)
@@ -256,7 +257,38 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
         return stroke.gain(search.problem, search.best)
     if what == "memory":
         return memory.gain(search.problem, search.best)
-    return None if ctx is None else strength(search, ctx)
+    return None if ctx is None else strength(Sure(search, ctx))
+
+
+def without_unsure(search: Search, ctx: Context) -> Search:
+    """Return the search with the set without effects whose size may be zero, by its 95 % interval.
+
+    Evidence counts rows; the interval includes more, such as the scatter between parts of the
+    recording and the forms of the other laws. Not if other sets fit as well, nor if the rest leaves
+    what is no noise; nor for a simulated motion, which is fitted as a whole.
+    """
+    problem, n = search.problem, search.problem.y.size * search.problem.estimate.share
+    while len(search.best.members) > 1 and not (search.moved or search.equal):
+        best, sure = search.best, Sure(search, ctx)
+        sizes = [strength(sure, i) for i in range(len(best.members))]
+        found, which = min((np.inf if s is None else s, i) for i, s in enumerate(sizes))
+        rest = best.members[:which] + best.members[which + 1 :]
+        names = tuple(sorted(m for member in rest for m in member.effect.names))
+        fit = next((f for f in search.fits if f.names == names), None)
+        if found >= SIDES**2 or fit is None:
+            break
+        part = best.members[which].name
+        ruling = Ruling("unsure", best.names, part, found, SIDES**2, fit.names)
+        less = replace(
+            search, best=fit, excess_after=fit.chi2 * search.scale / n - 1.0, forms=[],
+            gain=search.null.chi2 - fit.chi2 - fitted.cost(problem, fit),
+            rivals=[f for f in search.fits if f is not fit][:RIVALS],
+            ledger=(*search.ledger, ruling),
+        )  # fmt: skip
+        if not understood(less):
+            break
+        search = less
+    return search
 
 
 # ---- a coarse load cell -------------------------------------------------------------------------

@@ -240,6 +240,12 @@ def _why_force(search: forces.Search, fit: Fit, fate: Fate, own: float) -> str:
         return _not_enough(search, fit, gain)
     if any(r.rule == "size" and r.names == fit.names for r in search.ledger):
         return _too_small(search, fit, gain)
+    unsure = next((r for r in search.ledger if (r.rule, r.names) == ("unsure", fit.names)), None)
+    if unsure is not None:
+        return (
+            f"the size of {called(unsure.part)} beside the others may be zero: it is "
+            f"{unsure.found**0.5:.2g} standard deviations, and must be {unsure.wanted**0.5:.3g}"
+        )
     named = (best.chi2, fitted.cost(problem, best), best.names)
     if fate == "as good":
         more = fitted.count(problem, fit) - fitted.count(problem, best)

@@ -331,7 +331,7 @@ class Effect:
         return trial
 
     def like(self, trial: Trial) -> Trial:
-        """Return the shape of this law that gives the same force as a shape of `also`."""
+        """Return the shape of this law nearest to one of `also`, or of a law that contains it."""
         return trial
 
     def kin(self, trial: Trial) -> Sequence[Trial]:

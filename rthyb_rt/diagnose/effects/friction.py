@@ -195,6 +195,13 @@ class Coulomb(Effect):
             return [ctx.v / np.hypot(ctx.v, trial.theta[0])]
         return [np.tanh(ctx.v / (trial.theta[0] if trial.theta else STICKS * ctx.v_range))]
 
+    def like(self, trial: Trial) -> Trial:
+        """Return a contact that shears as far as bristles do, or the step below a peak."""
+        if trial.variant == "sharp":
+            return Trial((), "sharp")
+        sheared = trial.variant == "contact" or trial.variant in BRISTLES
+        return Trial(trial.theta[-1:], "contact" if sheared else "")
+
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return a step by tanh; a contact has the smallest width."""
         old = trial.theta[0] if trial.theta and not trial.variant else least

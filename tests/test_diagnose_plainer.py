@@ -1,0 +1,83 @@
+"""What need not be there is not named: bristles of a dry contact, an effect that may be zero."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rthyb_rt.diagnose import effects, force, remainder
+from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.force import Search
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
+from tests.test_diagnose_nested import yielding
+from tests.test_diagnose_steady import fitted
+
+WAY_M = 2e-5
+
+
+def test_dry_contact_beside_a_damper_is_compared_with_bristles_that_were_found_first() -> None:
+    """A contact that shears by a five-hundredth of its motion; the search has tried bristles."""
+    problem, fit = fitted(
+        lambda t, x, v: 60.0 * yielding(x, WAY_M) / WAY_M + 900.0 * v, "lugre", "viscous"
+    )
+    fitter = force._Fitter(problem)
+    fitter.keep(fit)
+    force._with_dry_friction(fitter)
+    twin = fitter.by_names["coulomb", "viscous"]
+    assert twin.members[-1].trial.variant == "contact"
+    assert twin.members[-1].trial.theta[0] == pytest.approx(WAY_M, rel=0.2)
+    assert fitter.score(twin) < fitter.score(fit)
+
+
+@pytest.mark.parametrize(
+    ("richer", "plain"),
+    [
+        (Trial((3e-5,), "spread0"), Trial((3e-5,), "contact")),
+        (Trial((0.02, 1.0, 3e-5), "contact"), Trial((3e-5,), "contact")),
+        (Trial((0.02, 1.0, 4e-4)), Trial((4e-4,))),
+        (Trial((0.02, 1.0), "sharp"), Trial((), "sharp")),
+    ],
+    ids=["bristles", "a peak of a contact", "a peak of a step", "a peak of a body that sticks"],
+)
+def test_dry_friction_begins_with_the_shape_of_the_richer_law(richer: Trial, plain: Trial) -> None:
+    assert effects.catalogue()["coulomb"].like(richer) == plain
+
+
+def searched(problem: ResidualProblem, *fits: Fit) -> Search:
+    """A search that names the first set, and has refined the others."""
+    null = refine(problem, ())
+    assert null is not None
+    return Search(problem, null, list(fits), fits[0], [], 0.0, 0.0, 0.0, 1.0, 1.0)
+
+
+def masses(least_n: float) -> tuple[ResidualProblem, Fit, Fit]:
+    """Friction, and beside it a mass of this force that is not there."""
+    problem, alone = fitted(lambda t, x, v: 60.0 * np.sign(v), "coulomb")
+    mass = effects.catalogue()["inertia"]
+    both = refine(problem, (*alone.members, Member(mass, Trial())))
+    assert both is not None
+    kg = least_n / float(np.std(problem.ctx.a))
+    order = [m.name for m in both.members].index("inertia")
+    betas = tuple(np.array([kg]) if i == order else b for i, b in enumerate(both.betas))
+    return problem, replace(both, betas=betas), alone
+
+
+def test_effect_whose_interval_includes_zero_is_not_named_beside_another() -> None:
+    problem, both, alone = masses(0.01)
+    found = remainder.without_unsure(searched(problem, both, alone), problem.ctx)
+    ruling = found.ledger[-1]
+    assert (ruling.rule, ruling.part, ruling.against) == ("unsure", "inertia", ("coulomb",))
+    assert ruling.found < ruling.wanted
+
+
+def test_effect_of_a_size_is_named_and_so_are_sets_that_fit_alike() -> None:
+    problem, both, alone = masses(40.0)
+    assert remainder.without_unsure(searched(problem, both, alone), problem.ctx).best is both
+    problem, both, alone = masses(0.01)
+    equal = replace(searched(problem, both, alone), equal=[alone])
+    assert remainder.without_unsure(equal, problem.ctx) is equal
+    # Of a set whose part was never refined nothing else can be named.
+    only = searched(problem, both)
+    assert remainder.without_unsure(only, problem.ctx) is only
