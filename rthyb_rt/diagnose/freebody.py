@@ -194,10 +194,6 @@ class Body:
         found = fit if known else self.settled(problem, begun)
         if found is None:
             return None
-        allowed = POLICY.motion_met * self.rows.size
-        if found.chi2 > allowed:
-            null = self.refined(problem, replace(fit, members=(), betas=()))
-            allowed = max(allowed, POLICY.motion_close * null.chi2) if null is not None else allowed
         base = self.case.model
         plain = _with_nuisance(base, problem, found)
         own = Augmented(plain, base, found.members, found.betas, None, self.ctx.all_ranges)
@@ -210,7 +206,12 @@ class Body:
         except (SimulationError, core.CoreError):
             return None
         rest = (motion.x - self.x)[self.rows] / self.sigma
-        return motion if float(rest @ rest) < allowed else None
+        # Not the chi-squared of the set, which may have been scaled down for correlated rows.
+        left = float(rest @ rest)
+        if left < POLICY.motion_met * self.rows.size:
+            return motion
+        null = self.refined(problem, replace(fit, members=(), betas=()))
+        return motion if null is not None and left < POLICY.motion_close * null.chi2 else None
 
     def sharp(self, fit: Fit) -> Fit | None:
         """Return a set with sharp steps of dry friction; None if it has none."""
