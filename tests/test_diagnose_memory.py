@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from diagnose_cases import C, K, M
 from scipy.signal import lfilter
 from scipy.special import gamma
 
@@ -56,6 +59,27 @@ def test_spectrum_of_relaxation_times_explains_more_than_one_with_its_limits(
 )
 def test_relaxation_with_one_time_is_what_it_is(force: Force, names: tuple[str, ...]) -> None:
     assert memory.gain(*fitted(force, *names)) < POLICY.same_evidence
+
+
+def test_spectrum_behind_a_late_load_cell_is_compared_as_that_cell_reads_it() -> None:
+    late_s, own = 8e-3, spectrum(0.7)
+
+    def late(t: np.ndarray, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        known = K * x + C * v + M * np.gradient(v, 1.0 / FS)
+        whole = known + 0.03 * own(t, x, v)
+        turn = np.exp(-2j * np.pi * np.fft.rfftfreq(2 * t.size, 1.0 / FS) * late_s)
+        both = np.fft.irfft(np.fft.rfft(np.r_[whole, whole[::-1]]) * turn)
+        return both[: t.size] - known
+
+    problem, fit = fitted(late, "maxwell", "stiffness", "time_skew")
+    assert memory.gain(problem, fit) > POLICY.same_evidence
+
+
+def test_weak_laws_are_not_given_up_for_their_price_alone() -> None:
+    """A spectrum may cost less than two laws, and must fit as well to take their place."""
+    problem, fit = fitted(lambda t, x, v: 2e4 * relaxing(x, 0.05) + 400.0 * v, "maxwell", "viscous")
+    cheap = replace(fit, chi2=fit.chi2 - 1e3)
+    assert memory.gain(problem, cheap) == -np.inf
 
 
 def test_without_relaxation_nothing_is_compared() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from rthyb_rt.diagnose import effects, force, remainder
 from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.evidence import held_out_gain
 from rthyb_rt.diagnose.force import Search
 from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
 from tests.test_diagnose_nested import yielding
@@ -29,6 +30,17 @@ def test_dry_contact_beside_a_damper_is_compared_with_bristles_that_were_found_f
     assert twin.members[-1].trial.variant == "contact"
     assert twin.members[-1].trial.theta[0] == pytest.approx(WAY_M, rel=0.2)
     assert fitter.score(twin) < fitter.score(fit)
+
+
+def test_bristles_that_bend_far_are_not_compared_with_a_contact_that_shears_as_far() -> None:
+    """A contact of any way would be the same law, and the plainer one of the two."""
+    problem, fit = fitted(
+        lambda t, x, v: 400.0 * yielding(x, 1.5e-3) / 1.5e-3 + 900.0 * v, "lugre", "viscous"
+    )
+    fitter = force._Fitter(problem)
+    fitter.keep(fit)
+    force._with_dry_friction(fitter)
+    assert list(fitter.by_names) == [("lugre", "viscous")]
 
 
 @pytest.mark.parametrize(
@@ -70,6 +82,8 @@ def test_effect_whose_interval_includes_zero_is_not_named_beside_another() -> No
     ruling = found.ledger[-1]
     assert (ruling.rule, ruling.part, ruling.against) == ("unsure", "inertia", ("coulomb",))
     assert ruling.found < ruling.wanted
+    assert found.forms[0] is both  # what friction was beside the mass widens its interval
+    assert found.held_gain == pytest.approx(held_out_gain(problem, alone))
 
 
 def test_effect_of_a_size_is_named_and_so_are_sets_that_fit_alike() -> None:

@@ -38,8 +38,9 @@ from rthyb_rt.diagnose.steady import past_forms
 FOLD_S = 0.25
 SLOW_LINES = 8
 """Number of lines from which the power of slow noise is read: to a half of itself."""
-NEAR_LINES = 4
-"""Number of lines on either side of one from which the noise at its frequency is read."""
+NEAR_LINES = (5, 12)
+"""Lines on either side of one from which the noise at its frequency is read: the nearest ones have
+what it leaves itself if it begins, ends or beats within the recording."""
 FOLDS = 4
 
 
@@ -243,7 +244,9 @@ def slow_power(problem: ResidualProblem, fit: Fit) -> float:
 def near_power(problem: ResidualProblem, fit: Fit, which: int) -> float:
     """Return the same for the lines next to that of an effect, whole periods of the test apart."""
     t, member = problem.ctx.t[problem.rows], fit.members[which]
-    apart = np.r_[-NEAR_LINES:0, 1 : NEAR_LINES + 1] / max(float(t[-1] - t[0]), problem.ctx.dt)
+    first, last = NEAR_LINES
+    apart = np.arange(first, last + 1) / max(float(t[-1] - t[0]), problem.ctx.dt)
+    apart = np.r_[-apart, apart]
     angle = 2.0 * np.pi * np.outer(member.trial.theta[0] + apart, t - t[0])
     return _power(np.vstack([np.cos(angle), np.sin(angle)]), fit.residual)
 

@@ -708,8 +708,11 @@ def _with_dry_friction(fitter: _Fitter) -> None:
             rest = fit.members[:i] + fit.members[i + 1 :]
             if dry is None or {dry.name, *(m.name for m in rest)} in map(set, fitter.by_names):
                 continue
-            members = (*rest, Member(dry, dry.like(own.trial)))
-            if compatible(members):
+            trial = dry.like(own.trial)
+            limits = dry.limits(fitter.problem.ctx, trial)
+            within = all(a <= q <= b for q, (a, b) in zip(trial.theta, limits, strict=True))
+            members = (*rest, Member(dry, trial))
+            if within and compatible(members):
                 fitter.fit(members)
 
 

@@ -206,10 +206,13 @@ class Body:
         except (SimulationError, core.CoreError):
             return None
         rest = (motion.x - self.x)[self.rows] / self.sigma
-        # Not the chi-squared of the set, which may have been scaled down for correlated rows.
         left = float(rest @ rest)
         if left < POLICY.motion_met * self.rows.size:
             return motion
+        # Chi-squared that was scaled down for correlated rows: more than noise is left, which may
+        # be a law that is missing, or friction, whose simulators differ.
+        if found.chi2 < left and not any(m.effect.dry for m in found.members):
+            return None
         null = self.refined(problem, replace(fit, members=(), betas=()))
         return motion if null is not None and left < POLICY.motion_close * null.chi2 else None
 

@@ -10,8 +10,6 @@ place. It has no name; if it explains more, relative to its price, the set is no
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.optimize import minimize_scalar
 from scipy.signal import fftconvolve
@@ -19,28 +17,53 @@ from scipy.special import gamma
 
 from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, columns_of, penalty
-from rthyb_rt.diagnose.steady import left, standing
+from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, solve
+from rthyb_rt.diagnose.steady import standing
 
 ORDERS = np.linspace(0.05, 0.95, 10)
 """Orders of the derivative that are tried first; 0 is a spring, 1 a dashpot."""
 CLOSE = 1e-3
 """Accuracy of the order."""
+MARGIN = 1.0
+"""By how much chi-squared may be larger: one standard deviation of one parameter."""
+
+
+class _Spectrum(Effect):
+    """A force with fractional memory; its shape is the order of the derivative."""
+
+    name = "memory"
+    params = (Param("c_fractional", "", 0.0, 1e12),)
+    signs = "+"
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return one coefficient; the order is the other parameter."""
+        return ("+", (None,)), 2
+
+    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
+        """Return the derivative of the displacement."""
+        return [derivative(ctx.x, ctx.dt, trial.theta[0])]
+
+
+SPECTRUM = _Spectrum()
 
 
 def gain(problem: ResidualProblem, fit: Fit) -> float:
     """Return the additional gain of such a force over relaxation and its limits, in chi-squared.
 
     Including the prices of both, and divided by the inflation due to correlated rows; minus
-    infinity if a set has no relaxation, or no slopes.
+    infinity if a set has no relaxation, or no slopes, or if it fits better with more parameters:
+    weak laws are not given up for their price alone.
     """
     kept = _others(fit)
     if len(kept) == len(fit.members) or (own := standing(problem, fit)) is None:
         return -np.inf
-    beside = replace(fit, members=kept)
-    # The coefficient and the order.
-    price = penalty(problem.ln_n, 2) + fitted.cost(problem, beside)
-    return (own[0] - _least(problem, beside) - price) / own[1]
+    rival = _least(problem, kept)
+    if rival is None or rival.chi2 > fit.chi2 + MARGIN:
+        return -np.inf
+    return (own[0] - rival.chi2 - fitted.cost(problem, rival)) / own[1]
 
 
 def _others(fit: Fit) -> tuple[Member, ...]:
@@ -62,19 +85,19 @@ def derivative(x: Floats, dt_s: float, order: float) -> Floats:
     return np.asarray(force * dt_s**-order / gamma(2.0 - order))
 
 
-def _least(problem: ResidualProblem, beside: Fit) -> float:
-    """Return the least chi-squared of the derivative beside the other effects of a set."""
-    ctx = problem.ctx
-    others = [problem.seen(c) for own in columns_of(ctx, beside.members) for c in own]
-    sigmas = [n.sigma for n in problem.nuisances]
-    free = [0.0] * (1 + len(others))
-    prior = np.diag([*free, *(0.0 if s is None else s**-2.0 for s in sigmas)])
+def _least(problem: ResidualProblem, beside: tuple[Member, ...]) -> Fit | None:
+    """Return the derivative of the best order beside some effects; None if none is physical."""
+
+    def of(order: float) -> Fit | None:
+        members = (*beside, Member(SPECTRUM, Trial((order,))))
+        return solve(problem, members, problem.blocks(members))
 
     def misfit(order: float) -> float:
-        column = problem.seen(derivative(ctx.x, ctx.dt, order))
-        return left(np.column_stack([column, *others, problem.base]), prior, problem.y)[0]
+        found = of(order)
+        return np.inf if found is None else found.chi2
 
     coarse = [misfit(float(order)) for order in ORDERS]
     at = int(np.clip(np.argmin(coarse), 1, len(ORDERS) - 2))
     near = minimize_scalar(misfit, bounds=ORDERS[[at - 1, at + 1]], options={"xatol": CLOSE})
-    return min(float(near.fun), *coarse)
+    orders = [float(near.x), *map(float, ORDERS)]
+    return of(orders[int(np.argmin([float(near.fun), *coarse]))])

@@ -498,7 +498,7 @@ class Policy:
         2.5, "multiple of the noise power", "physics",
         "Mean power of the slowest lines of a residual above which a constant force or a drift is "
         "compared with them; likewise of the lines near that of a hum.",
-        "by chance, one in a hundred for eight lines of white noise, one in a thousand for sixteen",
+        "by chance, one in a hundred for eight lines of white noise, 5e-6 for thirty-two",
     )  # fmt: skip
     hangs_together: float = _entry(
         0.05, "correlation", "numerics",

@@ -11,6 +11,7 @@ from rthyb_rt.diagnose import estimate, fitted, memory, noise, steady, stroke, v
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects.base import Context
+from rthyb_rt.diagnose.evidence import held_out_gain
 from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search
 from rthyb_rt.diagnose.freebody import Body, judged
 from rthyb_rt.diagnose.intervals import SIDES, Sure
@@ -267,7 +268,7 @@ def without_unsure(search: Search, ctx: Context) -> Search:
     recording and the forms of the other laws. Not if other sets fit as well, nor if the rest leaves
     what is no noise; nor for a simulated motion, which is fitted as a whole.
     """
-    problem, n = search.problem, search.problem.y.size * search.problem.estimate.share
+    problem = search.problem
     while len(search.best.members) > 1 and not (search.moved or search.equal):
         best, sure = search.best, Sure(search, ctx)
         sizes = [strength(sure, i) for i in range(len(best.members))]
@@ -279,11 +280,11 @@ def without_unsure(search: Search, ctx: Context) -> Search:
             break
         part = best.members[which].name
         ruling = Ruling("unsure", best.names, part, found, SIDES**2, fit.names)
+        # What it was beside the other one is a form of it as well.
         less = replace(
-            search, best=fit, excess_after=fit.chi2 * search.scale / n - 1.0, forms=[],
+            _with_best(search, fit, [best, *search.forms]),
             gain=search.null.chi2 - fit.chi2 - fitted.cost(problem, fit),
-            rivals=[f for f in search.fits if f is not fit][:RIVALS],
-            ledger=(*search.ledger, ruling),
+            held_gain=held_out_gain(problem, fit), ledger=(*search.ledger, ruling),
         )  # fmt: skip
         if not understood(less):
             break
@@ -328,12 +329,17 @@ def within_rounding(search: Search, lsb_n: float) -> Search:
     )
     own = tuple(f.names for f in search.equal)
     name, equal = verdict.within_rounding(sets, own, POLICY)
-    best, n = fits[name], problem.y.size * problem.estimate.share
-    return replace(
-        search, best=best, equal=[fits[e] for e in equal],
-        excess_after=best.chi2 * search.scale / n - 1.0,
-        rivals=[f for f in search.fits if f is not best][:RIVALS], forms=[],
-    )  # fmt: skip
+    return replace(_with_best(search, fits[name], []), equal=[fits[e] for e in equal])
+
+
+def _with_best(search: Search, fit: Fit, forms: list[Fit]) -> Search:
+    """Return a search in the force balance that names another one of its sets."""
+    n = search.problem.y.size * search.problem.estimate.share
+    # As in `force`: rows were scaled down, the model's tolerances were not.
+    rest = float(fit.residual @ fit.residual)
+    after = (rest * search.scale + fit.chi2 - rest) / n - 1.0
+    rivals = [f for f in search.fits if f is not fit][:RIVALS]
+    return replace(search, best=fit, excess_after=after, rivals=rivals, forms=forms)
 
 
 # ---- location of the residual -------------------------------------------------------------------

@@ -578,7 +578,7 @@ def _verdict(d: DiagnosisResult) -> str:
         if rival is not None:
             return (
                 f"unknown: {NAMELESS[rival.rule]} explains more than {_words(rival.names)}, by "
-                f"{rival.found:.0f} in chi-squared after subtracting the price of its parameters "
+                f"{rival.found:.0f} in chi-squared including the prices of both "
                 f"(the limit is {rival.wanted:g})"
             )
         if d.disp is not None and not d.disp.known:
