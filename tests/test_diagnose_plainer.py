@@ -95,3 +95,14 @@ def test_effect_of_a_size_is_named_and_so_are_sets_that_fit_alike() -> None:
     # Of a set whose part was never refined nothing else can be named.
     only = searched(problem, both)
     assert remainder.without_unsure(only, problem.ctx) is only
+
+
+def test_effect_that_what_is_left_makes_uncertain_is_named() -> None:
+    """More than noise is left: of a model that states no tolerance, or beside the rest."""
+    problem, both, alone = masses(0.01)
+    loud = replace(alone, residual=1.5 * alone.residual, chi2=2.25 * alone.chi2)
+    left = searched(problem, both, loud)
+    assert remainder.without_unsure(left, problem.ctx) is left
+    problem.case = replace(problem.case, model=replace(problem.case.model, k_tol=None))
+    naive = searched(problem, both, alone)
+    assert remainder.without_unsure(naive, problem.ctx) is naive

@@ -266,9 +266,12 @@ def without_unsure(search: Search, ctx: Context) -> Search:
 
     Evidence counts rows; the interval includes more, such as the scatter between parts of the
     recording and the forms of the other laws. Not if other sets fit as well, nor if the rest leaves
-    what is no noise; nor for a simulated motion, which is fitted as a whole.
+    more than noise: the interval is then wide for what no law explains, as for a naive model. Nor
+    for a simulated motion, which is fitted as a whole.
     """
     problem = search.problem
+    if problem.case.model.k_tol is None:
+        return search
     while len(search.best.members) > 1 and not (search.moved or search.equal):
         best, sure = search.best, Sure(search, ctx)
         sizes = [strength(sure, i) for i in range(len(best.members))]
@@ -286,7 +289,7 @@ def without_unsure(search: Search, ctx: Context) -> Search:
             gain=search.null.chi2 - fit.chi2 - fitted.cost(problem, fit),
             held_gain=held_out_gain(problem, fit), ledger=(*search.ledger, ruling),
         )  # fmt: skip
-        if not understood(less):
+        if less.excess_after >= POLICY.excess_as_noise or not understood(less):
             break
         search = less
     return search
