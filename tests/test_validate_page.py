@@ -52,7 +52,7 @@ def test_a_floor_is_below_what_chance_leaves_and_follows_the_number_of_cases() -
 def results() -> page.Results:
     rows = [answered("coulomb", "viscous"), answered("coulomb", "maxwell")]
     own = own_rigs.Row("specimen", "single", "single:cubic", "explained", [["cubic"]], True, True,
-                       0.01, 9.0)  # fmt: skip
+                       0.01)  # fmt: skip
     recording = real.Row("damper", "explained: gap", True, 59.0, 14.0, 18.0, 15.0, 40.0, 3.0, "gap")
     return page.Results(
         {page.FIRST: rows, page.NORMAL: rows[:1], page.HARD: rows[1:]}, {}, [own], [recording],

@@ -899,10 +899,8 @@ def _decide(
     evidence = Gathered(fitter, null, held_out)
     choice = evidence.choose()
     best, fits = evidence.fit(choice.best), [evidence.fit(h) for h in choice.ranked]
-    # The residual of a motion has its own rows; that of the balance is scaled like its problem.
     moved = isinstance(fitter, _Mover)
-    rest = float(best.residual @ best.residual) * (1.0 if moved else scale)
-    after = rest + best.chi2 - rest / scale if best.members else plain[0]
+    after = unscaled(best, scale, moved) if best.members else plain[0]
     return Search(
         problem,
         null,
@@ -919,6 +917,16 @@ def _decide(
         moved,
         ledger=choice.ledger,
     )
+
+
+def unscaled(fit: Fit, scale: float, moved: bool = False) -> float:
+    """Return the chi-squared of a set whose rows were scaled down; tolerances were not.
+
+    The residual of a simulated motion has its own rows; that of the balance is scaled like its
+    problem.
+    """
+    rest = float(fit.residual @ fit.residual) * (1.0 if moved else scale)
+    return rest + fit.chi2 - rest / scale
 
 
 def _forms(fitter: _Fitter, best: Fit, null: Fit) -> list[Fit]:

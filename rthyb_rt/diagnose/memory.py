@@ -17,7 +17,7 @@ from scipy.special import gamma
 
 from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
+from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
 from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, solve
 from rthyb_rt.diagnose.steady import standing
 
@@ -33,7 +33,6 @@ class _Spectrum(Effect):
     """A force with fractional memory; its shape is the order of the derivative."""
 
     name = "memory"
-    params = (Param("c_fractional", "", 0.0, 1e12),)
     signs = "+"
 
     def settings(

@@ -12,7 +12,7 @@ from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.evidence import held_out_gain
-from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search
+from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search, unscaled
 from rthyb_rt.diagnose.freebody import Body, judged
 from rthyb_rt.diagnose.intervals import SIDES, Sure
 from rthyb_rt.diagnose.policy import POLICY
@@ -242,6 +242,10 @@ def strength(sure: Sure, which: int = 0) -> float | None:
     return max(sizes) ** 2 if sizes else None
 
 
+NAMELESS = {"varying": varying.gain, "stroke": stroke.gain, "memory": memory.gain}
+"""Laws outside the catalogue with which a set is compared, by the rule of `verdict`."""
+
+
 def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
     """Return what `verdict` asks for."""
     if what == "sheet":
@@ -252,12 +256,8 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
         return None if ctx is None else reproduced(search, ctx)
     if what == "changes":
         return {c.part: c.deviations for c in steady.changes(search.problem, search.best)}
-    if what == "varying":
-        return varying.gain(search.problem, search.best)
-    if what == "stroke":
-        return stroke.gain(search.problem, search.best)
-    if what == "memory":
-        return memory.gain(search.problem, search.best)
+    if what in NAMELESS:
+        return NAMELESS[what](search.problem, search.best)
     return None if ctx is None else strength(Sure(search, ctx))
 
 
@@ -276,9 +276,8 @@ def without_unsure(search: Search, ctx: Context) -> Search:
         best, sure = search.best, Sure(search, ctx)
         sizes = [strength(sure, i) for i in range(len(best.members))]
         found, which = min((np.inf if s is None else s, i) for i, s in enumerate(sizes))
-        rest = best.members[:which] + best.members[which + 1 :]
-        names = tuple(sorted(m for member in rest for m in member.effect.names))
-        fit = next((f for f in search.fits if f.names == names), None)
+        rest = replace(best, members=best.members[:which] + best.members[which + 1 :])
+        fit = next((f for f in search.fits if f.names == rest.names), None)
         if found >= SIDES**2 or fit is None:
             break
         part = best.members[which].name
@@ -338,9 +337,7 @@ def within_rounding(search: Search, lsb_n: float) -> Search:
 def _with_best(search: Search, fit: Fit, forms: list[Fit]) -> Search:
     """Return a search in the force balance that names another one of its sets."""
     n = search.problem.y.size * search.problem.estimate.share
-    # As in `force`: rows were scaled down, the model's tolerances were not.
-    rest = float(fit.residual @ fit.residual)
-    after = (rest * search.scale + fit.chi2 - rest) / n - 1.0
+    after = unscaled(fit, search.scale) / n - 1.0
     rivals = [f for f in search.fits if f is not fit][:RIVALS]
     return replace(search, best=fit, excess_after=after, rivals=rivals, forms=forms)
 

@@ -149,7 +149,6 @@ class Row:
     covered: dict[str, bool] = field(default_factory=dict)
     reduction: float | None = None
     iou: float | None = None
-    seconds: float = math.nan
     failure: str = ""
     possible: frozenset[str] = frozenset()  # names that no one could call wrong
 

@@ -250,10 +250,9 @@ class Row:
     right: bool
     among: bool
     closed: float
-    seconds: float
 
 
-def score(folder: Path, answer: scoring.Answer, seconds: float) -> Row:
+def score(folder: Path, answer: scoring.Answer) -> Row:
     """Compare an answer with what was hidden."""
     truth = json.loads((folder / "answer.json").read_text())
     verdict = str(answer.get("verdict", "failed"))
@@ -264,5 +263,4 @@ def score(folder: Path, answer: scoring.Answer, seconds: float) -> Row:
     among = right or (verdict == "ambiguous" and any(w in said for w in truth["wanted"]))
     after = (answer.get("closed_loop") or {}).get("nrmse_after") or {}
     closed = float(after.get("x_meas", np.nan))
-    return Row(truth["rig"], truth["kind"], truth["label"], verdict, said, right, among, closed,
-               seconds)  # fmt: skip
+    return Row(truth["rig"], truth["kind"], truth["label"], verdict, said, right, among, closed)

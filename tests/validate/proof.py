@@ -118,7 +118,6 @@ class Proof:
         for folder in folders:
             said = asked(folder)
             row = scoring.score(folder, said.answer, said.prediction)
-            row.seconds = said.seconds
             scoring.resolve(row, lambda f: asked(f)[:2], folder, said.answer)
             found.append(row)
         return found
@@ -172,7 +171,7 @@ class Proof:
             places = {folder: places[folder] for folder in self._answered(places)}
         made = (own_rigs.make(case, folder) for folder, case in places.items())
         said = [(f, self.own_tool(f)) for f in self.ask(made, page.OWN, self.own_tool)]
-        results.own = [own_rigs.score(f, s.answer, s.seconds) for f, s in said]
+        results.own = [own_rigs.score(f, s.answer) for f, s in said]
 
     def _own_folder(self, case: own_rigs.Case) -> Path:
         """Of the recording of a shipped rig: by the program that records it, too."""
