@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from rthyb_rt.diagnose import effects, stroke
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.select import Fit, ResidualProblem
 from tests.test_diagnose_steady import fitted
 
 MASS_KG, F_HZ, ZETA, SOFTER = 12.0, 2.2, 0.02, 20.0
@@ -81,8 +82,20 @@ def test_mass_alone_is_compared_where_only_a_softer_spring_reaches_the_noise(
     assert gain(0.1 * SOFTER) == gain(0.0) == -np.inf
 
 
-def test_mass_near_the_noise_and_sets_without_one_are_not_compared() -> None:
-    force = 0.5 * riding(SOFTER)
-    assert stroke.gain(*fitted(lambda t, x, v: force, "second_mode")) == -np.inf
+def test_softer_spring_shows_before_what_it_leaves_exceeds_the_scatter_of_the_noise() -> None:
+    """Noise has an rms that scatters from recording to recording; that of one recording is one."""
+
+    def searched(per_m2: float) -> tuple[ResidualProblem, Fit]:
+        force = 0.5 * riding(per_m2)
+        return fitted(lambda t, x, v: force, "second_mode")
+
+    problem, fit = searched(SOFTER)
+    rows = problem.y.size * problem.estimate.share
+    assert fit.chi2 - rows < 3.0 * np.sqrt(2.0 * rows)
+    assert stroke.gain(problem, fit) > POLICY.same_evidence
+    assert stroke.gain(*searched(0.0)) == -np.inf
+
+
+def test_sets_without_a_mass_on_a_spring_are_not_compared() -> None:
     plain = fitted(lambda t, x, v: 2e3 * v + 60.0 * np.sign(v), "coulomb", "viscous")
     assert stroke.gain(*plain) == -np.inf

@@ -53,17 +53,15 @@ def gain(problem: ResidualProblem, fit: Fit) -> float:
 
 
 def _ends_at_noise(problem: ResidualProblem, one: float, other: float) -> bool:
-    """Return whether a chi-squared reaches the noise and another one does not.
+    """Return whether a chi-squared reaches the noise, relative to what another one leaves.
 
-    As in `decide.Court.ends_at_noise`, with the noise as it is in evidence that was scaled down.
-    The chi-squared of noise alone scatters by ``sqrt(2 n)``: one that is no farther away has
-    reached the noise, and one within three times this may be noise.
+    With the noise as it is in evidence that was scaled down. The chi-squared of noise alone
+    scatters by ``sqrt(2 n)``: one that is no farther away has reached the noise. The other one may
+    be within its scatter, which is that of the same noise: their difference hardly scatters.
     """
     rows = problem.y.size * problem.estimate.share
     noise, chance = rows / problem.loudness**2, float(np.sqrt(2.0 / rows))
-    left = other - noise
-    beyond = max(POLICY.form_seen, POLICY.power_scatter * chance) * noise
-    return left > beyond and one - noise < max(POLICY.noise_reached * left, chance * noise)
+    return one - noise < max(POLICY.noise_reached * (other - noise), chance * noise)
 
 
 def _no_form(problem: ResidualProblem, one: float, other: float) -> bool:
