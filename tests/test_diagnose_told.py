@@ -77,6 +77,48 @@ def test_what_no_effect_explains_is_unknown_and_located():
     assert d.x_m[1] - d.x_m[0] < 4e-3
 
 
+@pytest.mark.long
+def test_beside_an_unknown_force_the_actuator_that_is_known_is_told_and_the_best_known_set():
+    d = diagnosed(bump, late_s=4e-3)
+    assert (d.verdict, d.effects) == ("unknown", [])
+    told = words.sentence(d, {})
+    assert re.search(r"differently is known: 4\.0\d ms more delay of the actuator explains", told)
+    best = re.search(r"set of known effects, (.*), would leave (\S+) % of the difference; ", told)
+    assert best is not None, told
+    # The same share as --why states among the reasons of the verdict.
+    reasons = " ".join(" ".join(why.lines(why.to_json(d))).split())
+    assert f"leaves {best[2]} % of the misfit" in reasons
+    # Of two explanations of the actuator, neither is known; and it must explain something.
+    doubted = replace(d, disp=replace(d.disp, equal=[d.disp.best]))
+    worse = replace(d, fit=d.fit | {"nrmse_after_disp": 2.0})
+    for other in (doubted, worse, replace(d, fit={})):
+        assert "actuator" not in words.sentence(other, {})
+
+
+@pytest.mark.long
+def test_where_the_actuator_is_as_stated_nothing_is_said_of_it():
+    told = words.sentence(diagnosed(bump), {})
+    assert "actuator" not in told
+    assert "The best set of known effects" in told
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("before", "after", "wanted"),
+    [
+        (50.0, -1e-3, "would leave only noise; --why says why it is not named"),
+        (50.0, 20.0, "would leave 40 % of the difference; --why says"),
+        (50.0, 60.0, ""), (-1e-3, 60.0, ""), (float("nan"), float("nan"), ""),
+    ],
+)  # fmt: skip
+def test_what_the_best_known_set_would_leave_is_a_share_or_is_not_told(before, after, wanted):
+    d = diagnosed(bump)
+    search = replace(d.force, excess_before=before, excess_after=after)
+    told = words.sentence(replace(d, force=search), {})
+    assert wanted in told
+    assert ("The best set" in told) == bool(wanted)
+
+
 # ---- the law over its data -----------------------------------------------------------------------
 
 

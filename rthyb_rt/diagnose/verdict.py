@@ -76,6 +76,16 @@ class Left:
         """Number of effects of the best set."""
         return len(self.names)
 
+    @property
+    def share(self) -> float:
+        """Fraction of the misfit that the best set leaves.
+
+        For a naive model in coloured noise, measured in the force itself.
+        """
+        if self.naive and self.coloured:
+            return self.of_force
+        return self.after / max(self.before, 1e-12)
+
     def coloured_noise(self, policy: Policy) -> bool:
         """Return whether the best set's residual may be noise of a colour determined from it."""
         return self.coloured and self.after < policy.excess_as_noise

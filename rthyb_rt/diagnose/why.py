@@ -548,9 +548,8 @@ def _leaves(search: forces.Search) -> str:
     of_form = left.naive and left.coloured
     if left.coloured_noise(POLICY) and not of_form:
         return _no_noise(search)
-    share = left.of_force if of_form else left.after / max(left.before, 1e-12)
     return (
-        f"the best set leaves {_percent(share)} of the misfit; at most "
+        f"the best set leaves {_percent(left.share)} of the misfit; at most "
         f"{_percent(allowed(left, POLICY))} of the misfit can be "
         "attributed to an inexact formula of an effect"
     )

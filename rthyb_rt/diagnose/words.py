@@ -15,7 +15,9 @@ from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Effect
 from rthyb_rt.diagnose.effects.sensor import QUANTISATION
 from rthyb_rt.diagnose.engine import DiagnosisResult, Found
+from rthyb_rt.diagnose.force import Search
 from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.remainder import left_of
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.outcome import Outcome
@@ -380,6 +382,43 @@ def _rest(d: DiagnosisResult) -> str:
     return f"{error}, {'the motion is as measured' if motion else 'the rest is noise'}"
 
 
+def _despite(d: DiagnosisResult) -> list[str]:
+    """Return what is known although a force is unknown: of the actuator, and the best known set."""
+    said = []
+    before, after = d.fit.get("nrmse_before_disp", 0.0), d.fit.get("nrmse_after_disp", np.inf)
+    lag = [c for c in d.candidates if c.channel == "disp" and c.signal is not None]
+    if d.channel == "force" and lag and after < before and not (d.disp and d.disp.equal):
+        phrases = " and ".join(_phrase(c) for c in lag)
+        verb = "explain" if len(lag) > 1 else "explains"
+        said.append(
+            f"What the actuator does differently is known: {phrases} {verb} "
+            f"{_share(before, after)} of it."
+        )
+    if d.channel == "force" and d.force is not None and d.force.best.members:
+        said += _best_known(d.force)
+    return said
+
+
+def _best_known(search: Search) -> list[str]:
+    """Return what the best set of known effects would leave, in words."""
+    best = " with ".join(called(n) for n in search.best.names)
+    left, reason = left_of(search), "--why says why it is not named"
+    if left.after < POLICY.excess_as_noise:
+        return [f"The best set of known effects, {best}, would leave only noise; {reason}."]
+    if not 0.0 < left.share < 1.0:
+        return []
+    share = f"{100.0 * left.share:.3g} %"
+    return [
+        f"The best set of known effects, {best}, would leave {share} of the difference; {reason}."
+    ]
+
+
+def _share(before: float, after: float) -> str:
+    """Return the share of a difference that is explained, per cent."""
+    share = 100.0 * (1.0 - (after / before) ** 2) if before > 0 else 0.0
+    return f"{share:.3g} %" if share < 99.9 else "more than 99.9 %"
+
+
 def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
     """Return the verdict in one sentence, with a second one on its limits."""
     if d.verdict == "none":
@@ -398,7 +437,7 @@ def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
             f"{d.v_m_s[0] * 1e3:.3g} to {d.v_m_s[1] * 1e3:.3g} mm/s, {sensor} differs from the "
             "model in a way that no known effect explains."
         )
-        return text[:1].upper() + text[1:]
+        return " ".join([text[:1].upper() + text[1:], *_despite(d)])
     if d.verdict == "ambiguous":
         sets = " or ".join(" with ".join(called(n) for n in s) for s in d.ambiguous_with)
         return (
@@ -416,10 +455,9 @@ def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
     lead = f"{where} {what}" if where else what
     parts = " and ".join(_phrase(c) for c in named)
     before, after = d.fit.get("nrmse_before", 0.0), d.fit.get("nrmse_after", 0.0)
-    share = 100.0 * (1.0 - (after / before) ** 2) if before > 0 else 0.0
     verb = "explain" if len(named) > 1 else "explains"
-    part = f"{share:.3g} %" if share < 99.9 else "more than 99.9 %"
-    if share <= 0.0:
+    if not 0.0 <= after < before:
         # A coarse load cell adds nothing to the model: it is the remainder itself.
         return f"{lead[:1].upper()}{lead[1:]}: {parts} ({_rest(d)})."
-    return f"{lead[:1].upper()}{lead[1:]}: {parts} {verb} {part} of the difference ({_rest(d)})."
+    what = f"{verb} {_share(before, after)} of the difference"
+    return f"{lead[:1].upper()}{lead[1:]}: {parts} {what} ({_rest(d)})."
