@@ -9,14 +9,15 @@ above this factor as it is below a factor of 1000 with a model that is wrong by 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import SimulationError, actuator
+from rthyb_rt.diagnose import channel_signs
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
 from rthyb_rt.diagnose.column_units import USUAL, read_unit
 from rthyb_rt.diagnose.estimate import filled, nominal_time, white_noise
@@ -67,7 +68,7 @@ class Relation:
 
 def check(
     channels: Channels, model: Model, where: str, labels: dict[str, str] | None,
-    stated: dict[str, str] | None = None,
+    stated: dict[str, str] | None = None, turned: Collection[str] = (), second: bool = False,
 ) -> None:  # fmt: skip
     """Reject channels whose size is wrong by a conversion factor, or whose sign is wrong.
 
@@ -78,6 +79,8 @@ def check(
         labels: column of each channel in an external table; None for a recording of this program.
         stated: unit of each channel whose unit the file or the user states: a factor of 9.81 is
             then accepted.
+        turned: channels that the user has inverted already.
+        second: whether it is a second recording, with the columns of the first.
 
     Raises:
         InputError: with the ratio found, the likely unit and the option that corrects it.
@@ -99,7 +102,16 @@ def check(
         if said or _far(r):
             raise InputError(_message(r, said, model, labels), where)
         if abs(r.ratio + 1.0) < POLICY.unit_near and _opposed(r, channels, model):
-            raise InputError(_sign(r, labels, (stated or {}).get(r.channel)), where)
+            text = (
+                f"{r.channel} has the opposite sign to {r.than or _SAID[r.channel]} (ratio "
+                f"{r.ratio:.4g}): probably a wrong sign; a command, the displacement and the force "
+                "that resists it must be positive in the same direction; "
+            )
+            raise InputError(text + _inverted(r.channel, labels, stated, turned, second), where)
+    wrong = channel_signs.fault(channels, model)
+    if wrong is not None:
+        way = _inverted(wrong.channel, labels, stated, turned, second)
+        raise InputError(f"{wrong.seen}; {way}; {wrong.otherwise}", where)
 
 
 def _converted(r: Relation, factor: float) -> bool:
@@ -174,31 +186,36 @@ def _message(r: Relation, said: str, model: Model, labels: dict[str, str] | None
     return f"{text}; {'; '.join([*ways, 'otherwise convert the column, or correct the model'])}"
 
 
-def _sign(r: Relation, labels: dict[str, str] | None, unit: str | None) -> str:
-    label = (labels or {}).get(r.channel, r.channel) + (f" [{unit}]" if unit else "")
-    way = f'; give --map {r.channel}="-{label}"' if labels is not None else ""
-    return (
-        f"{r.channel} has the opposite sign to {_SAID[r.channel]} (ratio {r.ratio:.4g}): "
-        "probably a wrong sign; a command, the displacement and the force that resists it must "
-        f"be positive in the same direction{way}"
-    )
+def _inverted(
+    channel: str, labels: dict[str, str] | None, stated: dict[str, str] | None,
+    turned: Collection[str], second: bool,
+) -> str:  # fmt: skip
+    """Return how to invert a channel."""
+    if labels is None:
+        return f"correct the sign of {channel} in the rig file of the test, or the model"
+    if second:
+        return "invert the column in this file, because --map applies to both recordings"
+    unit = (stated or {}).get(channel)
+    label = labels.get(channel, channel) + (f" [{unit}]" if unit else "")
+    return f'give --map {channel}="{"" if channel in turned else "-"}{label}"'
 
 
 def _opposed(r: Relation, channels: Channels, model: Model) -> bool:
     """Return whether a channel equals the other with opposite sign.
 
-    A force may oppose the displacement above resonance, where mass dominates over the spring.
+    A force may oppose the displacement above resonance, where mass dominates over the spring. The
+    ground is compared with what a balance of forces leaves for it.
     """
     if r.channel == "x_meas":
         return True
+    if r.channel == "ag" and "x_num" in r.of:
+        return r.alike > POLICY.shape_balanced
     if r.channel != "f_meas" or not model.k or "x_meas" not in channels:
         return False
     x, f = filled(channels["x_meas"]), filled(channels["f_meas"])
     if np.corrcoef(f, model.spring(x))[0, 1] > -POLICY.shape_simulated:
         return False
-    speed, k = float(np.std(np.diff(x))) * model.fs_hz, max(abs(model.k), 1e-300)
-    omega = speed / (float(np.std(x)) or 1.0)
-    return (model.moving_mass + model.mass) * omega**2 < POLICY.spring_rules * k
+    return channel_signs.below_resonance(x, model)
 
 
 def check_against(first: Channels, second: Channels, where: str, labels: dict[str, str]) -> None:
@@ -333,6 +350,7 @@ def _accelerations(c: Channels, model: Model) -> Iterator[Relation]:
             inner = (model.mass * omega**2 + model.c_num * omega) * band.x
             needed = -(inner + _spectrum(filled(c["f_meas"]))) / model.mass
             r = band.held("ag", filled(c["ag"]), needed, ("x_num", "f_meas"), exact=True)
+            r = replace(r, than="what x_num and f_meas leave for it")
             # Compensated forces satisfy the balance less well: the shape must agree.
             if r.alike > POLICY.shape_balanced:
                 yield r
@@ -377,15 +395,9 @@ def _energy(name: str, push: Floats, x: Floats, model: Model, mass: float) -> It
     A specimen may absorb energy but cannot supply any; this also holds at resonance, where forces
     are inconclusive.
     """
-    h = min(max(1, round(model.fs_hz / 200.0)), (x.size - 1) // 4)
-    v = (x[2 * h :] - x[: -2 * h]) * (model.fs_hz / (2 * h))
-    inner = slice(h, -h)
-    energy = 0.5 * model.k * x[inner] ** 2 + 0.5 * mass * v**2
-    last = int(np.argmax(energy))
-    gain = float(energy[last] - np.max(energy[: max(2, energy.size // 50)]))
-    # A freely decaying body, or one in a steady state, gains no energy.
-    if gain > POLICY.energy_gained * float(energy[last]) > 0.0:
-        work = float(np.sum(np.abs(push[inner][:last] * v[:last]))) / model.fs_hz
+    gain, power = channel_signs.energy(push, x, model, mass)
+    if gain > 0.0:
+        work = float(np.sum(np.abs(power))) / model.fs_hz
         yield Relation(name, min(work / gain, 1.0), 1.0, ("x_meas",), than=_GAINED)
 
 

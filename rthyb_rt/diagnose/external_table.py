@@ -167,7 +167,8 @@ def time_unit(ratio: float) -> str | None:
 
 
 def _label(column: TableColumn) -> str:
-    return (column.name or column.header).replace('"', "'")
+    own = column.header.strip()
+    return (own if own in CHANNELS else column.name or column.header).replace('"', "'")
 
 
 def _refuse_words(column: TableColumn, channel: str, where: str) -> None:

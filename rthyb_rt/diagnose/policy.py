@@ -977,6 +977,21 @@ class Policy:
         "Ratio of inertia force to spring force up to which the force is considered proportional "
         "to displacement.",
     )  # fmt: skip
+    against_motion: float = _entry(
+        0.1, "correlation", "physics",
+        "Correlation of a force with velocity, below minus which a force that opposes the "
+        "displacement as well has the wrong sign.",
+        "no passive specimen has a negative one; the drift of a load cell and noise may",
+    )  # fmt: skip
+    energy_taken: float = _entry(
+        0.5, "fraction of the gain", "judgement",
+        "Energy that a force must take from a body that gains energy, for its sign to be wrong.",
+    )  # fmt: skip
+    channels_apart_s: float = _entry(
+        0.005, "s", "physics",
+        "Time between two channels that is allowed for before a sign is regarded as wrong.",
+        "filters and converters of one recorder; five samples at 1 kHz",
+    )  # fmt: skip
     motion_lines: float = _entry(
         30.0, "multiple of the median", "judgement",
         "Amplitude above which a line is motion, in spectra whose magnitudes are compared.",

@@ -108,7 +108,10 @@ def _of_a_size(case: Case, where: str, lab: Lab | None, judged: bool, beside: Ca
         clean = dict(case.channels)
         if not judged:
             _spikes(clean, [])  # a stray reading must not affect the size
-        channel_sizes.check(clean, case.model, where, labels, stated)
+        turned = [k for k, source in lab.sources.items() if source.sign < 0] if lab else []
+        channel_sizes.check(
+            clean, case.model, where, labels, stated, turned, second=beside is not None
+        )
 
 
 def axes_of(path: Path) -> tuple[str, ...]:
