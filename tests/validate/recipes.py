@@ -21,6 +21,7 @@ FAMILIES = ("drive", "ground", "forced", "loop")
 HISTORY = (
     "degradation", "pinching", "hysteresis", "second_mode", "sloshing", "fractional_memory",
 )  # fmt: skip
+RUN_AWAY = 30.0  # times the wanted displacement: a closed loop that grows without bound
 LARGEST = 0.5  # of the signal: what is more is another rig, not an effect
 FADING = ("viscous", "coulomb", "stiffness", "cubic", "gap", "quad_damping", "bias", "hum")
 # Alike at their ends: which of such two it is may be a matter of words.
@@ -397,6 +398,9 @@ def _finish(
     held_test.fy *= rms(test.fy) / rms(held_test.fy)
     lasting = [replace(e, onset_s=-1.0) for e in effects]
     held = rig.perform(bench, lasting, held_test.signal, held_test.fy, 0, rng)
+    # An actuator with a velocity limit stays where it is while its command grows.
+    if not rms(held.recorded.get("x_num", held.x)) < RUN_AWAY * reach:
+        raise Redraw("with these effects the closed loop of the other test is unstable")
     drop, names = [], [e.name for e in effects]
     if not bench.cell:
         drop += ["f_meas", "fy_meas"]
