@@ -57,7 +57,7 @@ INLINE = {
     "why.py count": "digits of a number",
     "words.py _plain": "digits of a number",
     "words.py _when": "length of a list",
-    "words.py _share": "digits of a number",
+    "words.py _explained": "digits of a number",
 }
 """Comparisons with a number of their own outside the table, by function, and why none of them
 decides what is said."""

@@ -8,6 +8,7 @@ that are a few milliseconds apart seem to break this rule a little, and are allo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -46,25 +47,27 @@ def fault(channels: dict[str, Floats], model: Model) -> SignFault | None:
         channels: each (n,), SI.
         model: model with which they are compared.
     """
-    seen = {k: filled(v) for k, v in channels.items() if 2 * np.isfinite(v).sum() >= v.size}
-    if "x_meas" not in seen:
+    known = {k: v for k, v in channels.items() if 2 * np.isfinite(v).sum() >= v.size}
+    if "x_meas" not in known:
         return None
-    return _of_a_drive(seen, model) or _of_a_specimen(seen, model)
+    x = filled(known["x_meas"])
+    return _of_a_drive(x, known, model) or _of_a_specimen(x, known, model)
 
 
-def _of_a_drive(channels: dict[str, Floats], model: Model) -> SignFault | None:
+def _of_a_drive(x: Floats, channels: dict[str, Floats], model: Model) -> SignFault | None:
     """Return the force on a body, or the ground that moves it, if it takes what the body gains."""
-    name, mass = ("f_in", 0.0) if model.family == "forced" else ("ag", model.mass)
-    body = model.family in ("forced", "ground")
-    if not body or name not in channels or (name == "ag" and not mass):
+    pushed = push_of(channels, model)
+    if pushed is None:
         return None
-    push = channels[name] * (-mass if mass else 1.0)
-    x, moving = channels["x_meas"], mass + model.moving_mass
+    name, push, mass = pushed
+    gain, rows, v = energy_gained(x, model, mass + model.moving_mass)
+    if gain == 0.0:
+        return None
     apart_s = min(POLICY.channels_apart_s, np.pi / 4.0 / max(pace(x, model.fs_hz), 1e-300))
     t = np.arange(x.size) / model.fs_hz
     for shift_s in np.linspace(-apart_s, apart_s, SHIFTS):
-        gain, power = energy(np.interp(t + shift_s, t, push), x, model, moving)
-        if not float(np.sum(power)) / model.fs_hz < -POLICY.energy_taken * gain < 0.0:
+        work = float(np.interp(t + shift_s, t, push)[rows] @ v) / model.fs_hz
+        if not work < -POLICY.energy_taken * gain:
             return None
     return _told(
         name, f"{name} takes energy from the body while the body gains it",
@@ -72,11 +75,14 @@ def _of_a_drive(channels: dict[str, Floats], model: Model) -> SignFault | None:
     )  # fmt: skip
 
 
-def _of_a_specimen(channels: dict[str, Floats], model: Model) -> SignFault | None:
+def _of_a_specimen(x: Floats, channels: dict[str, Floats], model: Model) -> SignFault | None:
     """Return the force of a specimen if it drives the motion."""
-    if "f_meas" not in channels or not drives(channels["x_meas"], channels["f_meas"], model):
+    if "f_meas" not in channels:
         return None
-    along_v, along_x = correlations(channels["x_meas"], channels["f_meas"])
+    f = filled(channels["f_meas"])
+    if not drives(x, f, model):
+        return None
+    along_v, along_x = correlations(x, f)
     lag_deg = -np.degrees(np.arctan2(along_v, along_x))
     return _told(
         "f_meas",
@@ -141,17 +147,30 @@ def below_resonance(x: Floats, model: Model) -> bool:
     return model.moving_mass * pace(x, model.fs_hz) ** 2 < POLICY.spring_rules * k
 
 
-def energy(push: Floats, x: Floats, model: Model, mass: float) -> tuple[float, Floats]:
-    """Return the energy that a body gained, J, and the power of a force until then, (m,), W.
+def push_of(
+    channels: dict[str, Floats], model: Model
+) -> tuple[Literal["f_in", "ag"], Floats, float] | None:
+    """Return what moves a free body: the channel, its force, (n,), N, and the mass it acts on, kg.
+
+    The mass is 0 for a force that is measured. None if nothing is recorded that moves a body.
+    """
+    if model.family == "forced" and "f_in" in channels:
+        return "f_in", filled(channels["f_in"]), 0.0
+    if model.family == "ground" and model.mass and "ag" in channels:
+        return "ag", filled(channels["ag"]) * -model.mass, model.mass
+    return None
+
+
+def energy_gained(x: Floats, model: Model, mass: float) -> tuple[float, slice, Floats]:
+    """Return the energy that a body gained, J, the rows until then, and its velocity there, m/s.
 
     The gain is 0 if the body gains none to speak of, as in a free decay or a steady state.
     """
     h = min(max(1, round(model.fs_hz / 200.0)), (x.size - 1) // 4)
     v = (x[2 * h :] - x[: -2 * h]) * (model.fs_hz / (2 * h))
-    inner = slice(h, -h)
-    stored = 0.5 * model.k * x[inner] ** 2 + 0.5 * mass * v**2
+    stored = 0.5 * model.k * x[h:-h] ** 2 + 0.5 * mass * v**2
     last = int(np.argmax(stored))
     gain = float(stored[last] - np.max(stored[: max(2, stored.size // 50)]))
     if not gain > POLICY.energy_gained * float(stored[last]) > 0.0:
-        return 0.0, np.zeros(0)
-    return gain, push[inner][:last] * v[:last]
+        gain = 0.0
+    return gain, slice(h, h + last), v[:last]

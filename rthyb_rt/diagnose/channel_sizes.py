@@ -358,12 +358,11 @@ def _accelerations(c: Channels, model: Model) -> Iterator[Relation]:
 
 def _inputs(c: Channels, model: Model) -> Iterator[Relation]:
     """Yield the force on a free body: simulated, from the balance, and its upper bound."""
-    name, mass = ("f_in", 0.0) if model.family == "forced" else ("ag", model.mass)
-    if model.family not in ("forced", "ground") or not {name, "x_meas"} <= set(c):
+    pushed = channel_signs.push_of(c, model) if "x_meas" in c else None
+    if pushed is None:
         return
-    if name == "ag" and not mass:
-        return
-    x, push = filled(c["x_meas"]), filled(c[name]) * (-mass if mass else 1.0)
+    name, push, mass = pushed
+    x = filled(c["x_meas"])
     if model.k:
         yield _simulated(name, push, mass, x, model)
     yield from _energy(name, push, x, model, mass + model.moving_mass)
@@ -395,9 +394,9 @@ def _energy(name: str, push: Floats, x: Floats, model: Model, mass: float) -> It
     A specimen may absorb energy but cannot supply any; this also holds at resonance, where forces
     are inconclusive.
     """
-    gain, power = channel_signs.energy(push, x, model, mass)
+    gain, rows, v = channel_signs.energy_gained(x, model, mass)
     if gain > 0.0:
-        work = float(np.sum(np.abs(power))) / model.fs_hz
+        work = float(np.sum(np.abs(push[rows] * v))) / model.fs_hz
         yield Relation(name, min(work / gain, 1.0), 1.0, ("x_meas",), than=_GAINED)
 
 

@@ -69,7 +69,7 @@ def read_lab(path: Path, model: Model, wishes: Sequence[Wish], needed: bool) -> 
     found, notes = sources(table, list(wishes), where, needed)
     for channel, source in found.items():
         _refuse_words(table.columns[source.column], channel, where)
-    labels = {k: _label(table.columns[s.column]) for k, s in found.items()}
+    labels = {k: table.columns[s.column].label for k, s in found.items()}
     notes = table.notes + notes
     t = _time(table, found.get("t"), labels, model, where, notes)
     channels = _channels(table, found, labels, model, where, notes)
@@ -110,7 +110,7 @@ def stated(
     found, notes = sources(table, list(wishes), where, needed=False)
     missed |= {wish.channel: error for wish in wishes if (error := missing(table, wish, where))}
     found = {name: source for name, source in found.items() if name in channels}
-    labels = {name: _label(table.columns[source.column]) for name, source in found.items()}
+    labels = {name: table.columns[source.column].label for name, source in found.items()}
     notes = table.notes + [note for note in notes if not note.startswith(UNASSIGNED)]
     problems = []
     for name in channels:
@@ -141,7 +141,7 @@ def _further(
     used = {source.column for source in found.values()}
     out = {}
     for j, column in enumerate(table.columns):
-        time = plain(column.name) in TIME_NAMES or _label(column) == labels.get("t") or column.day
+        time = plain(column.name) in TIME_NAMES or column.label == labels.get("t") or column.day
         if j in used or time or not column.header or column.fault is not None:
             continue
         values = np.where(np.abs(column.values) < HUGE, column.values, np.nan)
@@ -164,11 +164,6 @@ def time_unit(ratio: float) -> str | None:
         if abs(ratio * float(found.factor) - 1.0) < POLICY.rate_off:
             return unit
     return None
-
-
-def _label(column: TableColumn) -> str:
-    own = column.header.strip()
-    return (own if own in CHANNELS else column.name or column.header).replace('"', "'")
 
 
 def _refuse_words(column: TableColumn, channel: str, where: str) -> None:
@@ -255,7 +250,7 @@ def _counting(
             continue
         unit = time_unit(float(np.median(steps)) * model.fs_hz)
         if unit is not None and _even(steps):
-            labels["t"] = _label(column)
+            labels["t"] = column.label
             notes.append(
                 f"column {column.header!r} increases at the rate fs_hz, so it is read as t, in "
                 f"{unit}"

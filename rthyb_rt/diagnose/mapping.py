@@ -245,14 +245,9 @@ def _fitting(text: str, channel: str, column: TableColumn, where: str) -> Stated
         said = f"is not a unit for {channel}, which is in {SI[channel]}"
     raise InputError(
         f"column {column.header!r}: the unit {text!r} {said}; allowed are {known} and similar "
-        f'units, as in --map {channel}="{_plainly(column)} [{USUAL[SI[channel]][-1]}]"',
+        f'units, as in --map {channel}="{column.label} [{USUAL[SI[channel]][-1]}]"',
         where,
     )
-
-
-def _plainly(column: TableColumn) -> str:
-    """Return the name of a column for use in an option."""
-    return (column.name or column.header).replace('"', "'")
 
 
 def _named(column: TableColumn, j: int, channel: str, where: str) -> Source:

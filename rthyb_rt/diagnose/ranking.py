@@ -14,7 +14,7 @@ from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.select import Fit
-from rthyb_rt.diagnose.words import called, interval_text, law_text, value_text
+from rthyb_rt.diagnose.words import called, interval_text, law_text, together, value_text
 
 _AnyFit = TypeVar("_AnyFit", Fit, ActuatorFit)
 
@@ -82,10 +82,6 @@ def _text(name: str, params: dict[str, float], ci: dict[str, list[float]], sever
     return f"{called(name)}: {', '.join(values)}" if several else ", ".join(values)
 
 
-def _words(names: Sequence[str]) -> str:
-    return " with ".join(called(n) for n in names)
-
-
 def _actuator(d: DiagnosisResult, disp: Displacement) -> list[Row]:
     by_name = {c.name: c for c in d.candidates if c.channel == "disp"}
     fits = _distinct([disp.best, *disp.equal, *disp.rivals])
@@ -103,7 +99,7 @@ def _actuator(d: DiagnosisResult, disp: Displacement) -> list[Row]:
             for e, v in zip(fit.effects, fit.values, strict=True)
         ]
         rows.append(
-            Row(_mark(i, len(disp.equal)), _words(fit.names), params, weight, score - null,
+            Row(_mark(i, len(disp.equal)), together(fit.names), params, weight, score - null,
                 float("nan"))
         )  # fmt: skip
     return rows
@@ -130,7 +126,7 @@ def _force(d: DiagnosisResult, search: forces.Search) -> list[Row]:
                 params.append(_text(name, *shown, several) + (f"; {law}" if law else ""))
         held = float("nan") if search.moved else evidence.held_out_gain(problem, fit)
         rows.append(
-            Row(_mark(i, len(search.equal)), _words(fit.names), params, weight,
+            Row(_mark(i, len(search.equal)), together(fit.names), params, weight,
                 score - search.null.chi2, held)
         )  # fmt: skip
     return rows

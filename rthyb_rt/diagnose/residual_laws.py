@@ -14,7 +14,7 @@ from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.select import columns_of, leaning
-from rthyb_rt.diagnose.words import called
+from rthyb_rt.diagnose.words import called, together
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,7 +81,7 @@ class FittedLaw:
     @property
     def label(self) -> str:
         """Its effects in words."""
-        return " with ".join(called(n) for p in self.parts for n in p.names)
+        return together(n for p in self.parts for n in p.names)
 
     def times(self, factor: float) -> FittedLaw:
         """Return the law in another unit of its contribution."""

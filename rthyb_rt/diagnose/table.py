@@ -86,6 +86,12 @@ class TableColumn:
     fault: tuple[int, str] | None = None
     day: str = ""
 
+    @property
+    def label(self) -> str:
+        """Its name for use in an option; that of a channel has no unit in it."""
+        own = self.header.strip()
+        return (own if own in CHANNELS else self.name or self.header).replace('"', "'")
+
 
 @dataclass(frozen=True)
 class ColumnTable:

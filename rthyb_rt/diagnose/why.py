@@ -21,7 +21,7 @@ from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.remainder import bend, left_of
 from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Solved
 from rthyb_rt.diagnose.verdict import allowed, within
-from rthyb_rt.diagnose.words import called, quantity, value_text
+from rthyb_rt.diagnose.words import called, quantity, together, value_text
 from rthyb_rt.numbers import number
 
 Floats = NDArray[np.float64]
@@ -138,7 +138,7 @@ def lines(why: dict[str, Any], width: int = 100) -> list[str]:
 
 def words_of(row: dict[str, Any]) -> str:
     """Return the effects of a set by their common names."""
-    return _words(row["effects"])
+    return together(row["effects"])
 
 
 def figures(row: dict[str, Any]) -> str:
@@ -166,10 +166,6 @@ def _gain(value: float) -> str:
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.3g} %" if share >= 5e-5 else "less than 0.01 %"
-
-
-def _words(names: Sequence[str]) -> str:
-    return " with ".join(called(n) for n in names)
 
 
 # ---- the force ----------------------------------------------------------------------------------
@@ -266,7 +262,7 @@ def _not_enough(search: forces.Search, fit: Fit, gain: float) -> str:
     tiny = next((r for r in search.ledger if (r.rule, r.names) == ("beside tiny", fit.names)), None)
     if tiny is not None:
         return (
-            f"improves chi-squared by {count(gain)}, but added to {_words(tiny.against)} by "
+            f"improves chi-squared by {count(gain)}, but added to {together(tiny.against)} by "
             f"{_gain(tiny.found)}, and must improve it by {count(tiny.wanted)}"
         )
     left = fitted.left(search.problem, fit)
@@ -348,7 +344,7 @@ def _dropped(search: forces.Search) -> list[Decision]:
         why = DROPPED[ruling.rule].format(
             part=called(ruling.part) if ruling.part else "",
             found=(_percent if share else _gain)(ruling.found),
-            wanted=(_percent if share else count)(ruling.wanted), against=_words(ruling.against),
+            wanted=(_percent if share else count)(ruling.wanted), against=together(ruling.against),
         )  # fmt: skip
         out.append(Decision("force", ruling.names, "dropped", (), nan, nan, nan, why))
     return out
@@ -361,14 +357,14 @@ def _against(
     (chi2, costs, names), (best, best_costs, best_names) = own, named
     score = chi2 + costs - best - best_costs
     if set(names) > set(best_names):
-        more = _words(sorted(set(names) - set(best_names)))
+        more = together(sorted(set(names) - set(best_names)))
         return (
             f"{more}, added to the best set, improves chi-squared by {_gain(best - chi2)} at a "
             f"price of {count(costs - best_costs)}"
             + ("" if score >= 0.0 else "; so small an improvement may be due to the form of a law")
         )
     if set(names) < set(best_names):
-        less = _words(sorted(set(best_names) - set(names)))
+        less = together(sorted(set(best_names) - set(names)))
         return (
             f"without {less}, chi-squared is {count(chi2 - best)} higher and the price "
             f"{count(best_costs - costs)} lower"
@@ -545,8 +541,7 @@ def _leaves(search: forces.Search) -> str:
     """Return what the best set leaves that is neither noise nor the form of a law."""
     left = left_of(search)
     # Of a naive model, the form of its laws is measured in the force itself.
-    of_form = left.naive and left.coloured
-    if left.coloured_noise(POLICY) and not of_form:
+    if left.coloured_noise(POLICY) and not left.naive:
         return _no_noise(search)
     return (
         f"the best set leaves {_percent(left.share)} of the misfit; at most "
@@ -568,7 +563,7 @@ def _verdict(d: DiagnosisResult) -> str:
         changed = next((r for r in d.ledger if r.rule == "steady"), None)
         if changed is not None:
             return (
-                f"unknown: {_words(changed.names)} would have different parameters in "
+                f"unknown: {together(changed.names)} would have different parameters in "
                 f"{changed.part} than in the rest ({changed.found:.1f} standard deviations, of "
                 f"which chance explains {changed.wanted:g}), and so probably stands for a law "
                 "that is not known"
@@ -576,7 +571,7 @@ def _verdict(d: DiagnosisResult) -> str:
         rival = next((r for r in d.ledger if r.rule in NAMELESS), None)
         if rival is not None:
             return (
-                f"unknown: {NAMELESS[rival.rule]} explains more than {_words(rival.names)}, by "
+                f"unknown: {NAMELESS[rival.rule]} explains more than {together(rival.names)}, by "
                 f"{rival.found:.0f} in chi-squared including the prices of both "
                 f"(the limit is {rival.wanted:g})"
             )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -131,6 +132,11 @@ def law_text(c: Found) -> str:
     return "" if effect is None or c.form in ("", effect.equation) else c.form
 
 
+def together(names: Iterable[str]) -> str:
+    """Return effects that act together by their common names."""
+    return " with ".join(called(n) for n in names)
+
+
 def _phrase(c: Found) -> str:
     """Return an effect with its size in words: ``a stop at 18.2 mm with 3.1 MN/m``.
 
@@ -144,6 +150,10 @@ def _phrase(c: Found) -> str:
             pass
     values = ", ".join(value_text(k, v) for k, v in c.params.items())
     return f"{called(c.name)} ({values})" if values else called(c.name)
+
+
+def _phrases(found: Sequence[Found]) -> str:
+    return " and ".join(_phrase(c) for c in found)
 
 
 LOOP_WORDS: dict[str, str] = {
@@ -388,12 +398,8 @@ def _despite(d: DiagnosisResult) -> list[str]:
     before, after = d.fit.get("nrmse_before_disp", 0.0), d.fit.get("nrmse_after_disp", np.inf)
     lag = [c for c in d.candidates if c.channel == "disp" and c.signal is not None]
     if d.channel == "force" and lag and after < before and not (d.disp and d.disp.equal):
-        phrases = " and ".join(_phrase(c) for c in lag)
-        verb = "explain" if len(lag) > 1 else "explains"
-        said.append(
-            f"What the actuator does differently is known: {phrases} {verb} "
-            f"{_share(before, after)} of it."
-        )
+        known = _explained(lag, before, after)
+        said.append(f"What the actuator does differently is known: {known} of it.")
     if d.channel == "force" and d.force is not None and d.force.best.members:
         said += _best_known(d.force)
     return said
@@ -401,8 +407,8 @@ def _despite(d: DiagnosisResult) -> list[str]:
 
 def _best_known(search: Search) -> list[str]:
     """Return what the best set of known effects would leave, in words."""
-    best = " with ".join(called(n) for n in search.best.names)
-    left, reason = left_of(search), "--why says why it is not named"
+    best, left = together(search.best.names), left_of(search)
+    reason = "--why says why it is not named"
     if left.after < POLICY.excess_as_noise:
         return [f"The best set of known effects, {best}, would leave only noise; {reason}."]
     if not 0.0 < left.share < 1.0:
@@ -413,10 +419,14 @@ def _best_known(search: Search) -> list[str]:
     ]
 
 
-def _share(before: float, after: float) -> str:
-    """Return the share of a difference that is explained, per cent."""
+def _explained(found: Sequence[Found], before: float, after: float) -> str:
+    """Return effects in words, and the share of a difference that they explain.
+
+    ``before``, ``after``: rms of the difference without and with them, in any unit.
+    """
     share = 100.0 * (1.0 - (after / before) ** 2) if before > 0 else 0.0
-    return f"{share:.3g} %" if share < 99.9 else "more than 99.9 %"
+    text = f"{share:.3g} %" if share < 99.9 else "more than 99.9 %"
+    return f"{_phrases(found)} {'explain' if len(found) > 1 else 'explains'} {text}"
 
 
 def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
@@ -439,7 +449,7 @@ def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
         )
         return " ".join([text[:1].upper() + text[1:], *_despite(d)])
     if d.verdict == "ambiguous":
-        sets = " or ".join(" with ".join(called(n) for n in s) for s in d.ambiguous_with)
+        sets = " or ".join(together(s) for s in d.ambiguous_with)
         return (
             f"An effect is missing, but this recording cannot distinguish between {sets}; each "
             f"explains {sensor} equally well."
@@ -453,11 +463,9 @@ def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
         where = f"{where} and only where {place}" if where else f"where {place}"
     what = _difference(d, total)
     lead = f"{where} {what}" if where else what
-    parts = " and ".join(_phrase(c) for c in named)
     before, after = d.fit.get("nrmse_before", 0.0), d.fit.get("nrmse_after", 0.0)
-    verb = "explain" if len(named) > 1 else "explains"
+    said = f"{_explained(named, before, after)} of the difference"
     if not 0.0 <= after < before:
         # A coarse load cell adds nothing to the model: it is the remainder itself.
-        return f"{lead[:1].upper()}{lead[1:]}: {parts} ({_rest(d)})."
-    what = f"{verb} {_share(before, after)} of the difference"
-    return f"{lead[:1].upper()}{lead[1:]}: {parts} {what} ({_rest(d)})."
+        said = _phrases(named)
+    return f"{lead[:1].upper()}{lead[1:]}: {said} ({_rest(d)})."
