@@ -187,6 +187,8 @@ def prepare(
     for _ in range(8):
         fitted = effects.install(lab, missing)
         run = scaled_run(fitted, test, peak, seed, fy_rms)
+        if not (rms(run.x) > 0 and rms(run.f) > 0):
+            raise Redraw("with these effects nothing moves")
         parts = [contribution(fitted, run, missing, i) for i in range(len(missing))]
         if any(not np.all(np.isfinite(p)) for p in parts):
             raise Redraw("not finite")
