@@ -425,11 +425,16 @@ def _in_its_noise(
         )
         for fit in sets.values()
     ]
-    own = estimate.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blur)
+    blurs = None if blur is None else [blur] * len(tried)
+    if blur is not None and sheet:
+        changes = (fitted.change(problem, fit, blur.error) for fit in sets.values())
+        blurs = [blur.behind(change, case.fs_hz) for change in changes]
+    own = estimate.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blurs)
     if own is None:
         return found, search
     progress("noise")
-    now = replace(found, scatter=own.scatter).whitened(own.whiten, own.pieces, case.fs_hz)
+    now = replace(found, scatter=own.scatter, share=own.share)
+    now = now.whitened(own.whiten, own.pieces, case.fs_hz)
     problem = ResidualProblem(case, problem.ctx, now, effects.catalogue().values())
     return now, anew(problem, [f.members for f in search.pool])
 

@@ -8,7 +8,7 @@ the specimen's impedance, gives the noise of the force residual, which need not 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats, Model
+from rthyb_rt.diagnose.moving import gain2, sensor_colour
 from rthyb_rt.diagnose.policy import POLICY
 
 Complex = NDArray[np.complex128]
@@ -148,13 +149,48 @@ class Blur:
 
     Attributes:
         power: its power at each frequency of the transform, N^2 per row, (m,).
+        accuracy: part of it that is the limited accuracy of a model near resonance, N^2 per row.
         band: weight of each frequency in the evaluation, 0 to 1, (m,).
+        seen: fraction of the motion above its noise, 0 to 1, (m,).
         sigma_n: standard deviation of the force channel's own noise where it is white, N.
+        omega: those frequencies, rad/s, (m,).
+        error: a possible error of the estimated motion, drawn from it, each (n,).
+        direct: what that error does to the model's force, (n,), N.
+        more: what a set of effects adds to the power, N^2 per row, (m,).
     """
 
     power: Floats
+    accuracy: float
     band: Floats
+    seen: Floats
     sigma_n: float
+    omega: Floats
+    error: ComputedMotion
+    direct: Floats
+    more: Floats | float = 0.0
+
+    def behind(self, change: Floats, fs_hz: float) -> Blur:
+        """Return the contribution if a set of effects is added to the model.
+
+        A missing mass that is as large as the stated one doubles what an error of the acceleration
+        does to the force.
+
+        Args:
+            change: by how much the force of the set changes with the error, (n,), N.
+            fs_hz: rows per second.
+        """
+        if not np.isfinite(change).all() or not self.direct.any():
+            return self
+        # Of a law that diverges it is not finite.
+        with np.errstate(over="ignore", invalid="ignore"):
+            before = gain2(self.error.x, self.direct, fs_hz, self.omega)
+            now = gain2(self.error.x, self.direct + change, fs_hz, self.omega)
+            through = self.power - self.accuracy
+            more = through * (now / np.maximum(before, 1e-300) - 1.0)
+        # Less than the scatter of the noise itself cannot be seen.
+        whole = self.sigma_n**2 + self.power
+        visible = np.abs(more) * self.band**2 > np.sqrt(2.0 / change.size) * whole
+        return replace(self, more=more) if np.isfinite(more).all() and visible.any() else self
 
 
 @dataclass(frozen=True)
@@ -171,8 +207,8 @@ class Estimate:
         exact: whether the motion is simulated and therefore free of noise.
         pieces: whitens pieces of a long residual only, from their first rows (m,) and their
             length, to (m, length); None if whitening uses no other rows.
-        scatter: relative standard deviation of the noise's rms over such a recording, if its
-            colour was fitted to the residual of a set; 0: the noise is white.
+        scatter: relative standard deviation of the noise's rms over such a recording, if it was
+            determined together with a set of effects; 0: the noise is as assumed beforehand.
         blur: contribution of the estimated motion; None if unknown, or the motion is exact.
         begins: first row at which the motion and its history are known, see `begun`.
     """
@@ -191,7 +227,7 @@ class Estimate:
 
     @property
     def coloured(self) -> bool:
-        """Whether the noise has a fitted colour."""
+        """Whether the noise was determined together with a set of effects."""
         return self.scatter > 0.0
 
     def begun(self, signal: Floats, fs_hz: float) -> Floats:
@@ -322,11 +358,15 @@ class _Knowledge:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A channel of a motion, (n,); its noise: standard deviation if white, and colour."""
+    """A channel of a motion, (n,); its noise: standard deviation if white, and colour.
+
+    Also which of its rows are not part of a long gap, (n,); None: all.
+    """
 
     signal: Floats
     sigma: float
     colour: noise.Colour | None = None
+    known: NDArray[np.bool_] | None = None
 
     def power(self, omega: Floats) -> Floats:
         """Return the power of its noise at frequencies in rad/s, in its unit squared per row."""
@@ -374,6 +414,13 @@ def smoothed(
     v_hat = s.back(1j * s.omega * best)
     a_hat = s.back(-w2 * best)
     return ComputedMotion(x_hat, v_hat, a_hat), _Knowledge(variance, 1.0 / information, seen), s
+
+
+def _drawn(s: _Spectral, variance: Floats, size: int) -> ComputedMotion:
+    """Return one of the errors that an estimated motion of this variance may have, each (size,)."""
+    white = np.random.default_rng(size).standard_normal(size)
+    x = np.sqrt(variance) * s.forward(white)
+    return ComputedMotion(s.back(x), s.back(1j * s.omega * x), s.back(-(s.omega**2) * x))
 
 
 def aligned(case: Case, parts: list[Floats], sigma: float) -> Floats:
@@ -487,11 +534,13 @@ class Whitener:
         whiten: an entire signal, (n,) to (n,); linear.
         pieces: parts of it, see `Estimate`.
         scatter: relative standard deviation of the noise's rms over such a recording.
+        share: fraction of the band that is evaluated, see `Estimate`.
     """
 
     whiten: Callable[[Floats], Floats]
     pieces: Callable[[Floats, Rows, int], Floats]
     scatter: float
+    share: float
 
 
 def likelihood(
@@ -507,7 +556,7 @@ def likelihood(
     """Return -2 ln of the likelihood of a set's residual, for noise with its colour.
 
     Up to a constant, including the price of the colour's parameters. The noise level is the best
-    fit within the data sheet. The filter is None if the noise is white.
+    fit within the data sheet. The filter is None if the noise is white and the motion exact.
 
     Args:
         residual: residual of a channel, (n,), in its unit.
@@ -558,30 +607,48 @@ def _in_colour(
     power = np.ones(s.omega.size) if colour is None else colour.at(s.omega / (2.0 * np.pi))
     band = np.ones(power.size) if blur is None else blur.band
     if blur is not None:
-        power = power + blur.power / sigma**2
+        power = power + (blur.power + blur.more) / sigma**2
     cost = count * float(np.mean(band**2 * np.log(power)))
     power = sigma**2 * power
+    changed = blur is not None and bool(np.any(blur.more))
+    scatter = np.sqrt(0.5 / count) if changed else 0.0
+    if colour is not None:
+        scatter = colour.scatter(count, fs_hz)
     made = Whitener(
         _coloured(s, power, band),
         _in_pieces(s, power, band, fs_hz),
-        0.0 if colour is None else colour.scatter(count, fs_hz),
+        scatter,
+        max(float(np.mean(band**2)), 1e-3),
     )
     own = made.whiten(residual)[rows]
     cost += float(own @ own)
     if colour is None:
-        return cost, None
+        return cost, made
     return cost + colour.count * float(np.log(count)), made
 
 
+def _in_one_band(blurs: list[Blur]) -> list[Blur]:
+    """Return the contributions, weighted alike: where no motion was seen, by the largest of them.
+
+    There a law has only the noise of the sensors to act on, and a set would be preferred for
+    passing less of it.
+    """
+    first = blurs[0]
+    most = np.max([b.power + b.more - b.accuracy for b in blurs], axis=0)
+    floor = first.sigma_n**2 + first.accuracy
+    band = np.maximum(np.minimum(first.band, floor / (floor + most)), first.seen)
+    return [replace(b, band=band) for b in blurs]
+
+
 def likeliest(
-    tried: Iterable[tuple[Floats, Floats, float]],
+    tried: Sequence[tuple[Floats, Floats, float]],
     rows: NDArray[np.bool_],
     fs_hz: float,
     sigma: float,
     sheet: float | None,
-    blur: Blur | None = None,
+    blurs: list[Blur] | None = None,
 ) -> Whitener | None:
-    """Return the filter for the noise of the likeliest of some sets; None: it is white.
+    """Return the filter for the noise of the likeliest of some sets; None: it is as assumed.
 
     Of those sets whose residual is within the data sheet, if any: slow noise of arbitrary size
     would explain what a drift leaves, at frequencies where no spectral line shows it.
@@ -589,17 +656,19 @@ def likeliest(
     Args:
         tried: for each set, its residual in a channel, (n,), in its unit; the velocity of its
             motion, (n,), m/s; and its price.
-        rows, fs_hz, sigma, sheet, blur: see `likelihood`.
+        rows, fs_hz, sigma, sheet: see `likelihood`.
+        blurs: for each set, the contribution of the estimated motion; None: the motion is exact.
     """
     lines = noise.Lines(rows, fs_hz)
+    behind: Sequence[Blur | None] = _in_one_band(blurs) if blurs else [None] * len(tried)
     candidates: list[tuple[bool, float, Whitener | None]] = []
-    for left, velocity, price in tried:
+    for (left, velocity, price), blur in zip(tried, behind, strict=True):
         cost, own = likelihood(left, rows, velocity, fs_hz, sigma, sheet, blur, lines)
         # No data sheet covers the contribution of the estimated motion.
         bounded = bool(sheet) and blur is None
         scatter = own.scatter if own is not None else 0.0
         beyond = bounded and not within_sheet(left[rows], sheet or 0.0, scatter)
-        candidates.append((beyond, cost + price, own))
+        candidates.append((beyond, cost + price, own if scatter > 0.0 else None))
     return min(candidates, key=lambda t: t[:2])[2]
 
 
@@ -677,16 +746,19 @@ def _in_colour_each(
     case: Case, accelerations: list[Sensor]
 ) -> tuple[list[Sensor], noise.Colour | None]:
     """Return the accelerations, and the displacement's colour, each with that of its noise."""
-    from rthyb_rt.diagnose.moving import sensor_colour
-
     x_meas, model = case.channels["x_meas"], case.model
     forces = ("f_in",) if model.family == "forced" else ("f_meas", "x_cmd")
     beside = [filled(case.channels[n]) for n in forces if n in case.channels]
     x, sigma = filled(x_meas), noise_of(x_meas, model.x_std)
     felt = [a.signal for a in accelerations]
-    colour = sensor_colour(x, [*felt, *beside], case.fs_hz, sigma, model.x_std)
+    colour = sensor_colour(
+        x, [*felt, *beside], case.fs_hz, sigma, model.x_std, np.isfinite(filled_if_short(x_meas))
+    )
     coloured = [
-        replace(a, colour=sensor_colour(a.signal, [x, *beside], case.fs_hz, a.sigma, model.a_std))
+        replace(
+            a,
+            colour=sensor_colour(a.signal, [x, *beside], case.fs_hz, a.sigma, model.a_std, a.known),
+        )
         for a in accelerations
     ]
     return coloured, colour
@@ -706,7 +778,10 @@ def from_sensors(case: Case) -> Estimate | None:
         # On moving ground an accelerometer also measures the ground.
         parts = [filled(a_meas), -filled(ag)] if ground and ag is not None else [filled(a_meas)]
         sigma = noise_of(a_meas, model.a_std)
-        accelerations.append(Sensor(aligned(case, parts, sigma), sigma))
+        read = np.isfinite(filled_if_short(a_meas))
+        if ground and ag is not None:
+            read = read & np.isfinite(filled_if_short(ag))
+        accelerations.append(Sensor(aligned(case, parts, sigma), sigma, known=read))
     accelerations, colour = _in_colour_each(case, accelerations)
     motion, known, s = smoothed(case, accelerations, colour)
     mass = model.moving_mass
@@ -740,10 +815,14 @@ def from_sensors(case: Case) -> Estimate | None:
     rows = _edges(rows, case.fs_hz, filled(channels["x_meas"]))
     share = float(np.mean(band**2))
     measured = model.family == "forced" or f_meas is not None
+    error = _drawn(s, known.variance, force.size)
     return Estimate(
         motion, force, rows, _coloured(s, power, band), sigma, False, max(share, 1e-3),
         _in_pieces(s, power, band, case.fs_hz),
-        blur=Blur(power - channel**2, band, channel) if measured else None,
+        blur=Blur(
+            power - channel**2, sigma**2 - channel**2, band, known.seen, channel, s.omega, error,
+            model.k * error.x + model.c * error.v + mass * error.a,
+        ) if measured else None,
     )  # fmt: skip
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.decide import times_price
 from rthyb_rt.diagnose.policy import POLICY
@@ -51,6 +53,24 @@ def contribution(problem: ResidualProblem, fit: Fit, member: int) -> Floats:
     columns = columns_of(problem.ctx, [fit.members[member], *cells])[0]
     parts = [b * c for b, c in zip(fit.betas[member], columns, strict=True)]
     return np.asarray(np.sum(parts, axis=0))
+
+
+def change(problem: ResidualProblem, fit: Fit, error: ComputedMotion) -> Floats:
+    """Return by how much the force of a set changes if the motion errs by this, (n,), N.
+
+    Not finite if a law diverges.
+    """
+    ctx = problem.ctx
+    x, v, a = (ctx.x + error.x, ctx.v + error.v, ctx.a + error.a)
+    beside = replace(ctx, motion=ComputedMotion(x, v, a), ranges=ctx.all_ranges)
+    out = np.zeros(ctx.t.size)
+    # A law may diverge along the motion with the error.
+    with np.errstate(over="ignore", invalid="ignore"):
+        for along, sign in ((beside, 1.0), (ctx, -1.0)):
+            for betas, columns in zip(fit.betas, columns_of(along, fit.members), strict=True):
+                for beta, column in zip(betas, columns, strict=True):
+                    out += sign * beta * column
+    return out
 
 
 def size(problem: ResidualProblem, fit: Fit, which: Sequence[int] | None = None) -> float:

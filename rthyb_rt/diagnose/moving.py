@@ -4,7 +4,7 @@ A data sheet states the size of a sensor's noise, and its white floor shows at t
 slow noise may be a hundred times that. A motion, and the force that belongs to it, is in all
 channels at once, noise only in one: where a channel is not coherent with any other, its signal is
 noise (multiple coherence; Bendat and Piersol, Random Data, ch. 7 and 9). At lower frequencies,
-where there is motion, the noise is extrapolated.
+where there is motion, the noise is extrapolated, but not above what is coherent with no other.
 """
 
 from __future__ import annotations
@@ -22,7 +22,12 @@ Spectra = NDArray[np.complex128]
 
 
 def sensor_colour(
-    channel: Floats, others: Sequence[Floats], fs_hz: float, sigma: float, sheet: float | None
+    channel: Floats,
+    others: Sequence[Floats],
+    fs_hz: float,
+    sigma: float,
+    sheet: float | None,
+    known: NDArray[np.bool_] | None = None,
 ) -> noise.Colour | None:
     """Return the colour of a channel's noise; None if it is white or cannot be determined.
 
@@ -32,12 +37,19 @@ def sensor_colour(
         fs_hz: rows per second.
         sigma: standard deviation of the noise if white, in the channel's unit.
         sheet: the same according to the data sheet; None: nothing bounds the noise.
+        known: rows of the channel that were read rather than filled, (n,); None: all.
     """
     size = int(min(channel.size / POLICY.noise_spectra, POLICY.noise_part_s * fs_hz))
     if not others or size < 16 * noise.LINES or not sheet:
         return None
-    own = _spectra(channel / sigma, size)
-    power, shared = _apart(own, np.array([_spectra(other, size) for other in others]))
+    own, beside = _spectra(channel / sigma, size), [_spectra(other, size) for other in others]
+    if known is not None:
+        # A filled gap in a motion exceeds the noise by far.
+        whole = known[_starts(known.size, size)[:, None] + np.arange(size)].all(axis=1)
+        if whole.sum() < POLICY.noise_rows * whole.size:
+            return None
+        own, beside = own[whole], [other[whole] for other in beside]
+    power, shared = _apart(own, np.array(beside))
     f_hz = np.asarray(np.fft.rfftfreq(size, 1.0 / fs_hz), dtype=np.float64)
     # Next to the last lines that are motion rather than noise, from where little of it remains.
     reach = POLICY.noise_neighbours
@@ -50,12 +62,34 @@ def sensor_colour(
     if from_hz > POLICY.noise_room * fs_hz:
         return None
     seen = slice(first, -1)
-    return noise.colour_above(f_hz[seen], power[seen], len(own), from_hz, f_hz, sheet / sigma)
+    found = noise.colour_above(f_hz[seen], power[seen], len(own), from_hz, f_hz, power)
+    if found is None:
+        return None
+    # What comes and goes is motion of which the others show too little, or an event.
+    parts = np.mean(np.abs(own[:, seen]) ** 2 / found.at(f_hz[seen]), axis=1)
+    if np.max(parts) > POLICY.noise_burst**2 * np.mean(parts):
+        return None
+    return noise.within(found, f_hz, sheet / sigma)
+
+
+def gain2(motion: Floats, force: Floats, fs_hz: float, omega: Floats) -> Floats:
+    """Return the squared gain from a motion to its force at given frequencies, rad/s, (m,)."""
+    size = int(max(min(motion.size / POLICY.noise_spectra, POLICY.noise_part_s * fs_hz), 16))
+    of_motion, of_force = (np.mean(np.abs(_spectra(y, size)) ** 2, axis=0) for y in (motion, force))
+    at = 2.0 * np.pi * np.asarray(np.fft.rfftfreq(size, 1.0 / fs_hz), dtype=np.float64)
+    # What has been detrended has no first lines.
+    gain = of_force[2:] / np.maximum(of_motion[2:], 1e-300)
+    return np.asarray(np.interp(omega, at[2:], gain))
+
+
+def _starts(rows: int, size: int) -> NDArray[np.int_]:
+    """Return the first row of each segment."""
+    return np.arange(0, rows - size + 1, size // 2)
 
 
 def _spectra(signal: Floats, size: int) -> Spectra:
     """Return the spectra of the segments of a signal, each detrended, (parts, lines)."""
-    starts = np.arange(0, signal.size - size + 1, size // 2)
+    starts = _starts(signal.size, size)
     at = np.linspace(-1.0, 1.0, size)
     parts = signal[starts[:, None] + np.arange(size)]
     parts = parts - parts.mean(axis=1)[:, None] - np.outer(parts @ at / float(at @ at), at)

@@ -22,6 +22,7 @@ OCTAVE = 0.5
 LINES = 12
 """Least number of lines per level: its standard error is then 1 / sqrt(12), 30 per cent."""
 SCORINGS = 12
+BISECTIONS = 30
 TRIED = 12
 """Number of sets that are tried with the colour of their residual."""
 FADE_S = 0.25
@@ -35,11 +36,11 @@ class Colour:
     """A noise spectrum, relative to the white noise that it replaces.
 
     Attributes:
-        f_hz: centres of its levels above the motion, (m,).
+        f_hz: centres of its levels, above the motion or where no other channel shares it, (m,).
         power: power of each, relative to that of the white noise, (m,).
         red: the spectrum below: a floor, an addition at 1 Hz, and its exponent of 1 / f.
         from_hz: frequency from which the levels apply.
-        least_hz: frequency below which it is constant: half of the lowest line observed.
+        least_hz: frequency below which it is constant: at most half of the lowest line observed.
     """
 
     f_hz: Floats
@@ -141,7 +142,12 @@ def colour_of(
 
 
 def colour_above(
-    f_hz: Floats, power: Floats, spectra: int, from_hz: float, lines: Floats, sheet: float
+    f_hz: Floats,
+    power: Floats,
+    spectra: int,
+    from_hz: float,
+    lines: Floats,
+    seen: Floats,
 ) -> Colour | None:
     """Return the colour of noise that is observed above a frequency; None if it is white.
 
@@ -149,8 +155,7 @@ def colour_above(
         f_hz, power: lines from there on, and their power relative to white noise, (m,).
         spectra: number of spectra averaged in that power.
         from_hz: that frequency.
-        lines: all lines, Hz.
-        sheet: data sheet value relative to the standard deviation of the white noise.
+        lines, seen: all lines, Hz, and the power on them that no other channel shares.
     """
     near = f_hz < POLICY.noise_near * from_hz
     if near.sum() < 3:
@@ -158,8 +163,54 @@ def colour_above(
     red = _fitted_red(f_hz[near], power[near])
     levels = _levels(f_hz, power, 0.5 / spectra)
     found = Colour(*levels, red, from_hz, 0.5 * float(f_hz[0]))
-    # A low level was measured, but slower noise than was observed is bounded by the sheet as well.
-    return _held(found, lines, sheet, least=0.0) if _better(found, f_hz, power) else None
+    return _continued(found, lines, seen, spectra) if _better(found, f_hz, power) else None
+
+
+def _continued(found: Colour, f_hz: Floats, seen: Floats, spectra: int) -> Colour:
+    """Return a colour continued below the lowest line on which it was observed.
+
+    It is extrapolated, but no noise is larger than what a channel does not share with the others.
+
+    Args:
+        found: as observed, and extrapolated.
+        f_hz, seen: all lines, and the power on them that no other channel shares, (m,).
+        spectra: number of spectra averaged in that power.
+    """
+    below = (f_hz >= f_hz[2]) & (f_hz < found.from_hz)
+    if not below.any():
+        return replace(found, red=(float(found.power[0]), 0.0, 0.0))
+    middles, most = _levels(f_hz[below], seen[below], 0.5 / spectra)
+    power = np.append(np.minimum(found.at(middles), most), found.power)
+    return Colour(
+        np.append(middles, found.f_hz), power, (float(power[0]), 0.0, 0.0), float(middles[0]),
+        min(found.least_hz, float(middles[0])),
+    )  # fmt: skip
+
+
+def within(found: Colour, f_hz: Floats, sheet: float) -> Colour:
+    """Return a colour, constant below its levels, without what exceeds the data sheet.
+
+    The highest levels are no noise: motion that no other channel shows, or a fault of the sensor,
+    has a band of its own.
+
+    Args:
+        found: the colour as observed.
+        f_hz: all lines, (m,).
+        sheet: data sheet value relative to the standard deviation of the white noise.
+    """
+    most = (sheet * POLICY.sheet_factor) ** 2
+
+    def cut(cap: float) -> Colour:
+        red = (min(found.red[0], cap), 0.0, 0.0)
+        return replace(found, power=np.minimum(found.power, cap), red=red)
+
+    low, high = most, float(np.max(found.power))
+    if float(np.mean(found.at(f_hz))) <= most:
+        return found
+    for _ in range(BISECTIONS):
+        cap = float(np.sqrt(low * high))
+        low, high = (cap, high) if float(np.mean(cut(cap).at(f_hz))) <= most else (low, cap)
+    return cut(low)
 
 
 def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | None:
@@ -169,7 +220,6 @@ def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | 
     whether a set leaves such noise is decided by the likelihoods of all sets.
 
     Args:
-        lines, power, sheet: as for `colour_of`.
         lines, power, sheet: as for `colour_of`.
     """
     if power is None or not sheet:
@@ -182,18 +232,16 @@ def red_of(lines: Lines, power: Floats | None, sheet: float | None) -> Colour | 
     return _held(found, lines.f_hz, sheet) if red[1] > 0.0 and _better(found, f_hz, inner) else None
 
 
-def _held(found: Colour, f_hz: Floats, sheet: float, least: float | None = None) -> Colour:
+def _held(found: Colour, f_hz: Floats, sheet: float) -> Colour:
     """Return a colour scaled to the size that the data sheet permits, over all lines.
 
     This includes the lines of the motion's band, into which it is extrapolated. Slower noise
-    appears in the mean of the recording, which is a nuisance parameter. ``least`` overrides the
-    lower bound from the sheet.
+    appears in the mean of the recording, which is a nuisance parameter.
     """
     has, red = f_hz >= min(2.0 * found.least_hz, float(f_hz[2])), found.red
     total = float(np.sum(found.at(f_hz[has]))) / f_hz.size
     factor = POLICY.sheet_factor
-    low = sheet / factor if least is None else least
-    held = float(np.clip(total, low**2, (sheet * factor) ** 2)) / total
+    held = float(np.clip(total, (sheet / factor) ** 2, (sheet * factor) ** 2)) / total
     return replace(found, power=held * found.power, red=(held * red[0], held * red[1], red[2]))
 
 

@@ -430,8 +430,8 @@ class Policy:
     )  # fmt: skip
     noise_burst: float = _entry(
         1.35, "factor", "judgement",
-        "Maximum ratio of the noise in any one second to its rms over the whole recording; more is "
-        "regarded as an event.",
+        "Maximum ratio of the noise in any one second, or in one of the parts whose spectra are "
+        "averaged, to its rms over the whole recording; more is regarded as an event.",
     )  # fmt: skip
     noise_beside_motion: float = _entry(
         0.01, "fraction of the motion's power", "judgement",
