@@ -152,14 +152,14 @@ def test_an_error_of_the_motion_weighs_with_all_that_a_set_adds_to_the_model() -
         power(4e5, 1e3, 200.0), 0.0, ones, ones, 5.0, omega, ComputedMotion(*error),
         force(4e5, 1e3, 200.0),
     )  # fmt: skip
-    more = stated.behind(force(6e4, -300.0, 230.0), FS)
+    (more,) = stated.behind([force(6e4, -300.0, 230.0)], FS)
     band = (omega > 2 * np.pi * 12.0) & (omega < 2 * np.pi * 150.0)
     whole = np.asarray(more.power + more.more)
     assert_allclose(whole[band], power(4.6e5, 700.0, 430.0)[band], rtol=0.2)
     # Nothing added, what no noise would show, and laws that diverge.
     diverged = (np.full(T.size, np.nan), np.full(T.size, np.inf), 1e300 * rng.random(T.size))
     for change in (np.zeros(T.size), force(4.0, 0.0, 1e-9), *diverged):
-        assert stated.behind(change, FS) is stated
+        assert stated.behind([change], FS)[0] is stated
 
 
 def test_the_frequencies_at_which_sets_are_compared_do_not_depend_on_a_bodys_accuracy() -> None:

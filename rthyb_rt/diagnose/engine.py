@@ -428,7 +428,7 @@ def _in_its_noise(
     blurs = None if blur is None else [blur] * len(tried)
     if blur is not None and sheet:
         changes = (fitted.change(problem, fit, blur.error) for fit in sets.values())
-        blurs = [blur.behind(change, case.fs_hz) for change in changes]
+        blurs = blur.behind(changes, case.fs_hz)
     own = estimate.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blurs)
     if own is None:
         return found, search

@@ -169,21 +169,26 @@ class Blur:
     direct: Floats
     more: Floats | float = 0.0
 
-    def behind(self, change: Floats, fs_hz: float) -> Blur:
-        """Return the contribution if a set of effects is added to the model.
+    def behind(self, changes: Iterable[Floats], fs_hz: float) -> list[Blur]:
+        """Return the contribution for each of some sets of effects that are added to the model.
 
         A missing mass that is as large as the stated one doubles what an error of the acceleration
         does to the force.
 
         Args:
-            change: by how much the force of the set changes with the error, (n,), N.
+            changes: by how much the force of each set changes with the error, (n,), N.
             fs_hz: rows per second.
         """
-        if not np.isfinite(change).all() or not self.direct.any():
+        if not self.direct.any():
+            return [self for _ in changes]
+        before = gain2(self.error.x, self.direct, fs_hz, self.omega)
+        return [self._behind(change, before, fs_hz) for change in changes]
+
+    def _behind(self, change: Floats, before: Floats, fs_hz: float) -> Blur:
+        if not np.isfinite(change).all():
             return self
         # Of a law that diverges it is not finite.
         with np.errstate(over="ignore", invalid="ignore"):
-            before = gain2(self.error.x, self.direct, fs_hz, self.omega)
             now = gain2(self.error.x, self.direct + change, fs_hz, self.omega)
             through = self.power - self.accuracy
             more = through * (now / np.maximum(before, 1e-300) - 1.0)
@@ -776,12 +781,11 @@ def from_sensors(case: Case) -> Estimate | None:
     ground = model.family == "ground"
     if a_meas is not None:
         # On moving ground an accelerometer also measures the ground.
-        parts = [filled(a_meas), -filled(ag)] if ground and ag is not None else [filled(a_meas)]
+        parts = [a_meas, -ag] if ground and ag is not None else [a_meas]
         sigma = noise_of(a_meas, model.a_std)
-        read = np.isfinite(filled_if_short(a_meas))
-        if ground and ag is not None:
-            read = read & np.isfinite(filled_if_short(ag))
-        accelerations.append(Sensor(aligned(case, parts, sigma), sigma, known=read))
+        known_rows = np.all([np.isfinite(filled_if_short(part)) for part in parts], axis=0)
+        whole = aligned(case, [filled(part) for part in parts], sigma)
+        accelerations.append(Sensor(whole, sigma, known=known_rows))
     accelerations, colour = _in_colour_each(case, accelerations)
     motion, known, s = smoothed(case, accelerations, colour)
     mass = model.moving_mass

@@ -39,7 +39,7 @@ def sensor_colour(
         sheet: the same according to the data sheet; None: nothing bounds the noise.
         known: rows of the channel that were read rather than filled, (n,); None: all.
     """
-    size = int(min(channel.size / POLICY.noise_spectra, POLICY.noise_part_s * fs_hz))
+    size = _segment(channel.size, fs_hz)
     if not others or size < 16 * noise.LINES or not sheet:
         return None
     own, beside = _spectra(channel / sigma, size), [_spectra(other, size) for other in others]
@@ -58,15 +58,13 @@ def sensor_colour(
     moving = np.flatnonzero(wide[:-1] > POLICY.noise_moves)
     last = int(moving[-1]) + 1 if moving.size else 1
     first = last + int(np.argmax(wide[last:] < POLICY.noise_shared))
-    from_hz = float(f_hz[first])
-    if from_hz > POLICY.noise_room * fs_hz:
+    if f_hz[first] > POLICY.noise_room * fs_hz:
         return None
-    seen = slice(first, -1)
-    found = noise.colour_above(f_hz[seen], power[seen], len(own), from_hz, f_hz, power)
+    found = noise.colour_above(first, f_hz, power, len(own))
     if found is None:
         return None
     # What comes and goes is motion of which the others show too little, or an event.
-    parts = np.mean(np.abs(own[:, seen]) ** 2 / found.at(f_hz[seen]), axis=1)
+    parts = np.mean(np.abs(own[:, first:-1]) ** 2 / found.at(f_hz[first:-1]), axis=1)
     if np.max(parts) > POLICY.noise_burst**2 * np.mean(parts):
         return None
     return noise.within(found, f_hz, sheet / sigma)
@@ -74,12 +72,17 @@ def sensor_colour(
 
 def gain2(motion: Floats, force: Floats, fs_hz: float, omega: Floats) -> Floats:
     """Return the squared gain from a motion to its force at given frequencies, rad/s, (m,)."""
-    size = int(max(min(motion.size / POLICY.noise_spectra, POLICY.noise_part_s * fs_hz), 16))
+    size = max(_segment(motion.size, fs_hz), 16)
     of_motion, of_force = (np.mean(np.abs(_spectra(y, size)) ** 2, axis=0) for y in (motion, force))
     at = 2.0 * np.pi * np.asarray(np.fft.rfftfreq(size, 1.0 / fs_hz), dtype=np.float64)
     # What has been detrended has no first lines.
     gain = of_force[2:] / np.maximum(of_motion[2:], 1e-300)
     return np.asarray(np.interp(omega, at[2:], gain))
+
+
+def _segment(rows: int, fs_hz: float) -> int:
+    """Return the number of rows of a segment."""
+    return int(min(rows / POLICY.noise_spectra, POLICY.noise_part_s * fs_hz))
 
 
 def _starts(rows: int, size: int) -> NDArray[np.int_]:

@@ -141,22 +141,16 @@ def colour_of(
     return _held(found, f_hz, sheet)
 
 
-def colour_above(
-    f_hz: Floats,
-    power: Floats,
-    spectra: int,
-    from_hz: float,
-    lines: Floats,
-    seen: Floats,
-) -> Colour | None:
+def colour_above(first: int, lines: Floats, seen: Floats, spectra: int) -> Colour | None:
     """Return the colour of noise that is observed above a frequency; None if it is white.
 
     Args:
-        f_hz, power: lines from there on, and their power relative to white noise, (m,).
+        first: the first line observed.
+        lines, seen: all lines, Hz, and the power on them that no other channel shares, relative to
+            white noise, (m,).
         spectra: number of spectra averaged in that power.
-        from_hz: that frequency.
-        lines, seen: all lines, Hz, and the power on them that no other channel shares.
     """
+    f_hz, power, from_hz = lines[first:-1], seen[first:-1], float(lines[first])
     near = f_hz < POLICY.noise_near * from_hz
     if near.sum() < 3:
         near[:3] = True
