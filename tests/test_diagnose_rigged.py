@@ -78,6 +78,19 @@ def test_table_that_the_model_leaves_out_is_named_and_the_loop_closes(table_run,
 
 
 @pytest.mark.long
+def test_table_is_named_though_one_law_of_many_parameters_imitates_its_parts(tmp_path, capsys):
+    """Along the model's motion, a contact that slips at 8 um fits better than mass and damper."""
+    parts = {"moving_mass_kg": 53.2, "friction_n": 62.5, "viscous_n_s_per_m": 600.0}
+    folder = recording_of(changed(**parts), tmp_path / "run", "0.04", "20")
+    answer = answer_of(folder, file_of(changed(**BARE), tmp_path / "naive.toml"), capsys)
+    assert answer["effects"] == ["coulomb", "inertia", "viscous"]
+    params = {c["name"]: c["params"] for c in answer["candidates"]}
+    assert params["inertia"]["m_kg"] == pytest.approx(52.7, rel=0.03)
+    assert params["coulomb"]["Fc_N"] == pytest.approx(62.5, rel=0.02)
+    assert answer["closed_loop"]["nrmse_after"]["x_meas"] < 0.02
+
+
+@pytest.mark.long
 def test_rig_that_is_as_its_model_lacks_nothing(table_run, capsys):
     answer = answer_of(table_run, TABLE, capsys)
     assert answer["verdict"] == "none"

@@ -44,6 +44,7 @@ def said(seen: Seen, less: tuple[str, ...] = (), **answers: Any) -> Verdict:
         "sheet": False,
         "simulated": None,
         "reproduced": None,
+        "strength": 100.0,
         "changes": {},
         "varying": -50.0,
         "stroke": -50.0,
@@ -224,6 +225,10 @@ RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
         Seen(replace(FRICTION, before=0.05, coloured=True)),
         {"sheet": True, "strength": 10.0}, "none", "explained",
     ),
+    "weak": (
+        Seen(replace(FRICTION, names=("coulomb", "gap"), laws=2)), {"strength": 1.0},
+        "unknown", "explained",
+    ),
     "steady": (
         Seen(FRICTION), {"changes": {"fast motion": 6.0, "large displacements": 0.3}},
         "unknown", "explained",
@@ -285,6 +290,18 @@ def test_blur_of_an_estimated_motion_excuses_nothing_that_the_motion_itself_show
 )  # fmt: skip
 def test_a_model_that_does_not_simulate_the_motion_says_nothing(made: Simulated) -> None:
     assert said(Seen(FRICTION), simulated=made).said == "explained"
+
+
+@pytest.mark.parametrize(
+    "left",
+    [{"names": ("coulomb",)}, {"equal": (("lugre",),)}, {"naive": True}, {"moved": True}],
+    ids=["alone", "others fit as well", "naive model", "simulated motion"],
+)
+def test_a_size_that_may_be_zero_is_no_substitute_there(left: dict[str, Any]) -> None:
+    seen, answers, *_ = RULES["weak"]
+    assert seen.force is not None
+    verdict = said(replace(seen, force=replace(seen.force, **left)), **answers)
+    assert verdict.said in ("explained", "ambiguous")
 
 
 def test_an_effect_as_strong_as_its_price_is_no_chance() -> None:
@@ -410,7 +427,7 @@ def test_what_is_named_or_called_nothing_is_understood(left: Left, answers: dict
     found = said(Seen(left), **answers)
     turned = {r.rule for r in found.ledger}
     known = answers["sheet"] or understood(left, POLICY, lambda: answers["sheet"])
-    if turned & {"steady", "varying", "stroke", "memory"}:
+    if turned & {"weak", "steady", "varying", "stroke", "memory"}:
         known = needs_nothing(left, POLICY)
     elif "reproduced" in turned:
         made = answers["reproduced"]

@@ -14,7 +14,7 @@ from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects import catalogue, having, of_number
 from rthyb_rt.diagnose.effects.base import Floats, Trial
 from rthyb_rt.diagnose.evidence import Gathered, held_out_gain
-from rthyb_rt.diagnose.fitted import bent, cost
+from rthyb_rt.diagnose.fitted import bent, cost, count
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
@@ -468,6 +468,25 @@ def _seen_only(members: Iterable[Member]) -> bool:
     return any(m.effect.sensor for m in members)
 
 
+def _simplest(dictionary: Dictionary, body: Body, mover: _Mover, singles: Sequence[Fit]) -> None:
+    """Add laws of one parameter to the best set of them, one after the other.
+
+    They need the fewest simulations. A law of many parameters that imitates several of them needs
+    the most, and would leave none for them.
+    """
+    for fit in [f for f in singles if count(mover.problem, f) == 1][:LEADING]:
+        mover.move(fit)
+    for _ in range(1, body.largest):
+        best = min(mover.by_names.values(), key=mover.score, default=None)
+        if best is None or best.chi2 < body.met * mover.rows:
+            break
+        for members in _beside(dictionary, best, POOL):
+            added, names = members[-1], tuple(sorted(n for m in members for n in m.effect.names))
+            simple = added.effect.settings(mover.problem.ctx, added.trial)[1] == 1
+            if simple and names not in mover.by_names:
+                mover.fit(members)
+
+
 def _moved(
     dictionary: Dictionary, body: Body, fitter: _Fitter, named: Fit, plain: Fit, mover: _Mover
 ) -> Search | None:
@@ -493,6 +512,8 @@ def _moved(
     enough = any(
         f.chi2 < POLICY.moved_decisive * plain.chi2 for f in mover.by_names.values() if first
     )
+    if body.whole_rig:
+        _simplest(dictionary, body, mover, singles)
     pool = [f for f in ranked if body.plain(f.members)] if enough else ranked
     for fit in [*([] if enough else (*parts, *leading, *singles[:POOL])), *pool[:POOL]]:
         if fit.names not in mover.by_names and not mover.pointless(fit.names):

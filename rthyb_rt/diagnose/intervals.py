@@ -17,7 +17,7 @@ from rthyb_rt.diagnose import effects, fitted, force
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
-from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.policy import POLICY, SIDES
 from rthyb_rt.diagnose.select import (
     Fit,
     ResidualProblem,
@@ -28,8 +28,6 @@ from rthyb_rt.diagnose.select import (
     whole,
 )
 
-SIDES = 1.96
-"""Half-width in standard deviations of the 95 % interval of a normal distribution."""
 STEP = 1e-4
 Intervals = dict[str, list[float]]
 

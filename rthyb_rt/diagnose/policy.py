@@ -14,6 +14,9 @@ from typing import Any, Literal
 
 Origin = Literal["physics", "numerics", "calibrated", "judgement"]
 
+SIDES = 1.96
+"""Half-width in standard deviations of the 95 % interval of a normal distribution."""
+
 BY_HAND = "set by hand"
 """Basis of a value whose derivation was not documented."""
 

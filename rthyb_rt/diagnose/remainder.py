@@ -14,8 +14,8 @@ from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.evidence import held_out_gain
 from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search, unscaled
 from rthyb_rt.diagnose.freebody import Body, judged
-from rthyb_rt.diagnose.intervals import SIDES, Sure
-from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.intervals import Sure
+from rthyb_rt.diagnose.policy import POLICY, SIDES
 from rthyb_rt.diagnose.predict import Augmented, nrmse, output_error, predict
 from rthyb_rt.diagnose.select import Fit, ResidualProblem, leaning
 from rthyb_rt.diagnose.verdict import Asked, Left, Reproduced, Rounded, Simulated
@@ -258,7 +258,14 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
         return {c.part: c.deviations for c in steady.changes(search.problem, search.best)}
     if what in NAMELESS:
         return NAMELESS[what](search.problem, search.best)
-    return None if ctx is None else strength(Sure(search, ctx))
+    return None if ctx is None else min(_strengths(search, ctx))
+
+
+def _strengths(search: Search, ctx: Context) -> list[float]:
+    """Return the strength of each effect of the best set; infinite if it has no size."""
+    sure = Sure(search, ctx)
+    sizes = (strength(sure, i) for i in range(len(search.best.members)))
+    return [np.inf if s is None else s for s in sizes]
 
 
 def without_unsure(search: Search, ctx: Context) -> Search:
@@ -273,9 +280,8 @@ def without_unsure(search: Search, ctx: Context) -> Search:
     if problem.case.model.k_tol is None:
         return search
     while len(search.best.members) > 1 and not (search.moved or search.equal):
-        best, sure = search.best, Sure(search, ctx)
-        sizes = [strength(sure, i) for i in range(len(best.members))]
-        found, which = min((np.inf if s is None else s, i) for i, s in enumerate(sizes))
+        best = search.best
+        found, which = min((s, i) for i, s in enumerate(_strengths(search, ctx)))
         rest = replace(best, members=best.members[:which] + best.members[which + 1 :])
         fit = next((f for f in search.fits if f.names == rest.names), None)
         if found >= SIDES**2 or fit is None:

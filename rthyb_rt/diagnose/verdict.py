@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from rthyb_rt.diagnose.decide import Ruling
-from rthyb_rt.diagnose.policy import Policy, of_size
+from rthyb_rt.diagnose.policy import SIDES, Policy, of_size
 
 Said = Literal["none", "explained", "ambiguous", "unknown"]
 Names = tuple[str, ...]
@@ -165,10 +165,10 @@ class Seen:
     Attributes:
         known: answers to what was asked: "sheet", whether the residual of the set is within the
             load cell's data sheet; "simulated" and "reproduced", None if the motion is not
-            decisive; "strength", the squared ratio of a single effect's size to the standard
-            deviation of its interval; None if it has no size; "changes", how far beyond chance the
-            set's parameters differ in a part of the recording, by the description of that part, in
-            standard deviations; "varying", the additional gain of a coefficient that changes
+            decisive; "strength", the least squared ratio of an effect's size to the standard
+            deviation of its interval; None if no motion is known; "changes", how far beyond chance
+            the set's parameters differ in a part of the recording, by the description of that part,
+            in standard deviations; "varying", the additional gain of a coefficient that changes
             periodically with time, in chi-squared; "stroke" and "memory", the same for a mass whose
             own spring changes with its stroke, and for a force with fractional memory.
     """
@@ -389,6 +389,23 @@ def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     return False, known
 
 
+def weak(court: _Court, left: Left, named: bool, known: bool) -> Turn:
+    """Each effect of a set must have a size: one whose interval includes zero is a substitute.
+
+    Where the rest explains the recording, that effect has been omitted, see
+    `remainder.without_unsure`; here it stands for what no effect explains. Not if other sets fit as
+    well, which is a result of its own, nor for a naive model or a simulated motion. For a single
+    effect see `chance`.
+    """
+    if not named or left.size == 1 or left.equal or left.naive or left.moved:
+        return named, known
+    strength: float | None = court.ask("strength")
+    if strength is None or strength >= SIDES**2:
+        return named, known
+    court.rules("weak", left.names, strength, SIDES**2)
+    return False, needs_nothing(left, court.policy)
+
+
 def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     """A law has the same parameters in every part of a recording; a substitute does not.
 
@@ -451,7 +468,8 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
-    "blur": blur, "motion": motion, "reproduced": reproduced, "chance": chance, "steady": steady,
+    "blur": blur, "motion": motion, "reproduced": reproduced, "chance": chance, "weak": weak,
+    "steady": steady,
     "varying": beside_nameless("varying", 0), "stroke": beside_nameless("stroke", 1),
     "memory": beside_nameless("memory", 1), "steps": steps,
 }  # fmt: skip

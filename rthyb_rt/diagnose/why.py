@@ -515,6 +515,7 @@ TURNED = {
     "reproduced": "the best set, found in the balance of forces, does not reproduce the measured "
     "motion when it is simulated",
     "chance": "the best set is no larger than what noise of this spectrum produces by chance",
+    "weak": "the size of one effect of the best set may be zero, by its 95 % interval",
     "steady": "the parameters of the best set differ between parts of the recording",
     **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},
     "steps": "the residual of the model is that of the load cell's quantization",
