@@ -216,6 +216,25 @@ def test_mass_and_spring_are_told_apart_only_by_more_than_one_frequency(
     assert told or worse < rivals.EQUAL
 
 
+@pytest.mark.parametrize("family", ["drive", "ground", "forced"])
+def test_the_spring_behind_a_play_drives_no_free_body(family: str) -> None:
+    """It returns 4 k g (X - g) more than it takes, per cycle between X and -X with a play of g."""
+    k, g, peak = 2e5, 4e-4, 5e-3
+    x = peak * np.sin(2 * np.pi * T)
+    v, spring = np.gradient(x, H), Specimen(k, 0.0, 0.0, None, (Effect("gap", {"gap_m": g}, {}),))
+    shapes, scale = [], effects.Scale(5e-3, 0.03, 1000.0, 0.1, 0.05, 10.0, 5.0)
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        lab = prepare.draw_lab(Wanted("single", family, ("gap",)), rng)
+        shapes.append(effects.draw("gap", lab, scale, rng).shape["play"])
+    assert (max(shapes) > 0.0) == (family == "drive")
+    spring.effects[0].shape["play"] = max(shapes)
+    f = laws.along(spring, 0.0, H, x, v, np.gradient(v, H))
+    second = T >= 1.0
+    work = float(f[second] @ v[second]) * H
+    assert work == pytest.approx(-4 * k * g * (peak - g) * max(shapes), abs=0.01 * k * g * peak)
+
+
 def test_windows_are_where_the_effect_acts() -> None:
     t = np.arange(16384) / 1024
     y = np.where((t > 3) & (t < 5), np.sin(40 * t), 0) + np.where((t > 5.2) & (t < 6), 0.5, 0)

@@ -177,12 +177,12 @@ def draw(name: str, lab: bench.Lab, s: Scale, rng: Rng) -> Missing:
     sign = 1.0 if rng.random() < 0.5 else -1.0
     k = lab.truth.k
     f = 0.1 * s.f
+    free = lab.family in ("ground", "forced")
     shape: dict[str, float] = {}
     match name:
         case "stiffness":
             p, size = {"dk_ratio": sign * 0.1}, "dk_ratio"
         case "viscous":
-            free = lab.family in ("ground", "forced")
             p, size = {"c_Ns_m": (1.0 if free or rng.random() < 0.7 else -1.0) * f / s.v}, "c_Ns_m"
         case "coulomb":
             p, size = {"Fc_N": f}, "Fc_N"
@@ -197,7 +197,8 @@ def draw(name: str, lab: bench.Lab, s: Scale, rng: Rng) -> Missing:
             p, size = {"m_kg": f / (s.v * 2 * math.pi * 2)}, "m_kg"
         case "gap":
             p, size = {"gap_m": f / k}, "gap_m"
-            shape = {"play": 1.0 if rng.random() < 0.2 else 0.0}
+            # The force behind a play returns more energy than it takes: a free body would swing up.
+            shape = {"play": 1.0 if rng.random() < 0.2 and not free else 0.0}
         case "cubic":
             p, size = {"k3_N_m3": sign * 3 * f / s.x**3}, "k3_N_m3"
         case "quadratic":
