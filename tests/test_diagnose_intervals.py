@@ -238,3 +238,41 @@ def test_a_fit_to_a_simulated_motion_has_no_tolerance_that_its_laws_have_along_a
         sure = intervals.Sure(replace(d.force, best=fit), d.context)
         grown = sure.noise[1, 1] / wide[1, 1]
         assert (grown == pytest.approx(inflation(fit.residual))) == (scatter is not None)
+
+
+@pytest.mark.parametrize(
+    ("value", "other", "least", "most"),
+    [(0.11, 0.26, 0.11**2 / 0.26, 0.26), (-4.0, -8.0, -8.0, -2.0), (4.0, 1.0, 1.0, 7.0)],
+    ids=["twice as large", "of negative sign", "smaller"],
+)
+def test_other_forms_widen_an_interval_in_both_directions_but_not_to_another_sign(
+    value, other, least, most
+):
+    ends = sorted([other, intervals.opposite(other, value)])
+    assert ends == pytest.approx([least, most])
+    assert intervals.opposite(-0.1, 0.2) == pytest.approx(0.5)
+    assert intervals.opposite(1.0, 0.0) == -1.0
+
+
+@pytest.mark.parametrize(
+    ("sizes", "weak"),
+    [([2.5, 0.9], False), ([1e-3], True), ([-0.4], True)],
+    ids=["larger", "almost zero", "of another sign"],
+)
+def test_an_effect_is_as_weak_as_in_the_form_in_which_it_is_smallest(tmp_path, sizes, weak):
+    """If forms differ, it is the interval that grows: none of them says zero."""
+
+    def friction(t, x, v, a):
+        return 200.0 * np.tanh(v / 3e-4)
+
+    d = diagnosed(tmp_path, cases.channels(friction))
+    best = d.force.best
+    assert best.names == ("coulomb",)
+    forms = [replace(best, betas=(by * best.betas[0],)) for by in sizes]
+    sure = intervals.Sure(replace(d.force, forms=forms), d.context)
+    assert (sure.strength(0) < intervals.SIDES**2) == weak
+    alone = intervals.Sure(replace(d.force, forms=[]), d.context)
+    least = max(min([1.0, *sizes]), 0.0)
+    assert sure.strength(0) == pytest.approx(least**2 * alone.strength(0))
+    (fc,) = alone.of(0)[1].values()
+    assert alone.strength(0) > (0.5 * (fc[0] + fc[1]) / (fc[1] - fc[0])) ** 2

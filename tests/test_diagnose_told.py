@@ -289,6 +289,14 @@ def test_the_ledger_says_why_dry_friction_was_named_and_the_others_were_not():
     assert told[("crosstalk",)].why.startswith("not tried")
 
 
+def test_the_verdict_names_the_rule_that_withdrew_a_set_which_leaves_only_noise():
+    d = replace(diagnosed(friction), verdict="unknown")
+    assert dict(why.facts(d))["verdict"].startswith("unknown: the best set leaves")
+    weak = decide.Ruling("weak", d.force.best.names, found=1.0, wanted=3.84)
+    told = dict(why.facts(replace(d, ledger=[weak])))["verdict"]
+    assert told == f"unknown: {why.TURNED['weak']}"
+
+
 def test_the_ledger_says_that_a_set_in_whose_place_another_is_named_was_too_small():
     """It may fit better: that it is less simple is not why it is not named."""
     d = diagnosed(friction)

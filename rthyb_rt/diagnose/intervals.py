@@ -98,6 +98,31 @@ class Sure:
 
     def of(self, member: int) -> tuple[dict[str, float], Intervals]:
         """Return the parameters of one effect and their 95 % intervals."""
+        params, ci = self._in_this_form(member)
+        self._widen(ci, params, member)
+        return params, ci
+
+    def strength(self, member: int) -> float | None:
+        """Return the squared ratio of an effect's size to its standard deviation; None: no size.
+
+        Its size is the least of those in all forms of the laws found, or zero if one has another
+        sign. That forms differ does not make an effect weak: it widens only the interval.
+        """
+        fit = self.search.best
+        params, ends = self._in_this_form(member)
+        own = fit.members[member]
+        gone = own.effect.report(self.ctx, own.trial, 0.0 * fit.betas[member])
+        forms = [params, *self._in_other_forms(own.name)]
+        # Its strength, not its location: a frequency is precise however weak the hum.
+        sizes = [
+            max(min(np.sign(params[k]) * form[k] for form in forms), 0.0) / (_half(e) / SIDES)
+            for k, e in ends.items()
+            if _half(e) > 0.0 and gone[k] == 0.0
+        ]
+        return float(max(sizes)) ** 2 if sizes else None
+
+    def _in_this_form(self, member: int) -> tuple[dict[str, float], Intervals]:
+        """Return parameters and intervals as if the laws had no form but that of the best set."""
         best = self.search.best
         params, noise = intervals(replace(best, covariance=self.noise), member, self.ctx)
         shown = intervals(replace(best, covariance=self.shown), member, self.ctx)[1]
@@ -108,31 +133,35 @@ class Sure:
                 half = max(_half(noise[k]), _half(shown.get(k, [v, v])))
                 half = float(np.hypot(half, _half(more.get(k, [v, v]))))
                 ci[k] = [v - half, v + half]
-        self._widen(ci, params, member)
         return params, ci
+
+    def _in_other_forms(self, name: str) -> list[dict[str, float]]:
+        """Return the parameters of an effect in the other forms of the laws found."""
+        search = self.search
+        # A strained stated value that replaces an effect does not show how large the effect is.
+        stands = [f for f in search.forms if name not in fitted.bent(search.problem, f)]
+        return [
+            m.effect.report(self.ctx, m.trial, beta)
+            for fit in stands
+            for m, beta in zip(fit.members, fit.betas, strict=True)
+            if m.name == name
+        ]
 
     def _widen(self, ci: Intervals, params: dict[str, float], member: int) -> None:
         """Extend intervals to the results of other forms of a law, any of which may be true.
 
         These are not all possible forms either: a law with a shape has a least half-width.
         """
-        search, ctx, own = self.search, self.ctx, self.search.best.members[member]
-        name = own.name
+        search, name = self.search, self.search.best.members[member].name
         shaped = any(
             m.name == name and m.trial.theta and not m.effect.sensor for m in search.best.members
         )
         exact = search.problem.estimate.exact
         least = POLICY.interval_simulated if exact else POLICY.interval_estimated
-        # A strained stated value that replaces an effect does not show how large the effect is.
-        stands = [f for f in search.forms if name not in fitted.bent(search.problem, f)]
-        for fit in stands:
-            for i, m in enumerate(fit.members):
-                if m.name == name:
-                    other = m.effect.report(ctx, m.trial, fit.betas[i])
-                    # The true form may lie equally far on the other side of this one.
-                    for k, v in other.items():
-                        apart = abs(v - params[k])
-                        ci[k] = [min(ci[k][0], params[k] - apart), max(ci[k][1], params[k] + apart)]
+        for other in self._in_other_forms(name):
+            for k, v in other.items():
+                across = opposite(v, params[k])
+                ci[k] = [min(ci[k][0], v, across), max(ci[k][1], v, across)]
         for k, v in params.items():
             half = max(least, POLICY.interval_of_form if shaped else 0.0) * abs(v)
             ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
@@ -151,6 +180,17 @@ def inflated(covariance: Floats, prior: Floats | None, by: float) -> Floats:
     """
     stated = np.zeros_like(covariance) if prior is None else covariance @ prior @ covariance
     return np.asarray(stated + by * (covariance - stated))
+
+
+def opposite(value: float, center: float) -> float:
+    """Return what lies as far from the center as the value, on its other side.
+
+    The true form of a law may differ from that found as much as another form does, in the other
+    direction. Twice as large is opposite to half as large: a size does not change its sign.
+    """
+    if value * center > center**2:
+        return center**2 / value
+    return 2.0 * center - value
 
 
 def _half(ends: list[float]) -> float:

@@ -227,21 +227,6 @@ def _settled(body: Body, problem: ResidualProblem, fit: Fit) -> Fit | None:
     return found
 
 
-def strength(sure: Sure, which: int = 0) -> float | None:
-    """Return the squared ratio of an effect's size to its standard deviation; None: no size."""
-    fit, ctx = sure.search.best, sure.ctx
-    params, ends = sure.of(which)
-    member = fit.members[which]
-    gone = member.effect.report(ctx, member.trial, 0.0 * fit.betas[which])
-    # Its strength, not its location: a frequency is precise however weak the hum.
-    sizes = [
-        abs(params[k]) / (0.5 * (high - low) / SIDES)
-        for k, (low, high) in ends.items()
-        if high > low and gone[k] == 0.0
-    ]
-    return max(sizes) ** 2 if sizes else None
-
-
 NAMELESS = {"varying": varying.gain, "stroke": stroke.gain, "memory": memory.gain}
 """Laws outside the catalogue with which a set is compared, by the rule of `verdict`."""
 
@@ -264,17 +249,18 @@ def asked(search: Search, ctx: Context | None, what: Asked) -> Any:
 def _strengths(search: Search, ctx: Context) -> list[float]:
     """Return the strength of each effect of the best set; infinite if it has no size."""
     sure = Sure(search, ctx)
-    sizes = (strength(sure, i) for i in range(len(search.best.members)))
+    sizes = map(sure.strength, range(len(search.best.members)))
     return [np.inf if s is None else s for s in sizes]
 
 
 def without_unsure(search: Search, ctx: Context) -> Search:
-    """Return the search with the set without effects whose size may be zero, by its 95 % interval.
+    """Return the search with the set without effects whose size may be zero.
 
-    Evidence counts rows; the interval includes more, such as the scatter between parts of the
-    recording and the forms of the other laws. Not if other sets fit as well, nor if the rest leaves
-    more than noise: the interval is then wide for what no law explains, as for a naive model. Nor
-    for a simulated motion, which is fitted as a whole.
+    Of all forms found, the smallest size counts, see `Sure.strength`. Evidence counts rows; this
+    includes more, such as the scatter between parts of the recording and the forms of the other
+    laws. Not if other sets fit as well, nor if the rest leaves more than noise: the interval is
+    then wide for what no law explains, as for a naive model. Nor for a simulated motion, which is
+    fitted as a whole.
     """
     problem = search.problem
     if problem.case.model.k_tol is None:

@@ -165,8 +165,8 @@ class Seen:
     Attributes:
         known: answers to what was asked: "sheet", whether the residual of the set is within the
             load cell's data sheet; "simulated" and "reproduced", None if the motion is not
-            decisive; "strength", the least squared ratio of an effect's size to the standard
-            deviation of its interval; None if no motion is known; "changes", how far beyond chance
+            decisive; "strength", the least squared ratio of an effect's size to its standard
+            deviation; None if no motion is known; "changes", how far beyond chance
             the set's parameters differ in a part of the recording, by the description of that part,
             in standard deviations; "varying", the additional gain of a coefficient that changes
             periodically with time, in chi-squared; "stroke" and "memory", the same for a mass whose
@@ -390,7 +390,7 @@ def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 def weak(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """Each effect of a set must have a size: one whose interval includes zero is a substitute.
+    """Each effect of a set must have a size: one that may be zero is a substitute.
 
     Where the rest explains the recording, that effect has been omitted, see
     `remainder.without_unsure`; here it stands for what no effect explains. Not if other sets fit as

@@ -515,7 +515,7 @@ TURNED = {
     "reproduced": "the best set, found in the balance of forces, does not reproduce the measured "
     "motion when it is simulated",
     "chance": "the best set is no larger than what noise of this spectrum produces by chance",
-    "weak": "the size of one effect of the best set may be zero, by its 95 % interval",
+    "weak": "one effect of the best set may be zero: its size is below 1.96 standard deviations",
     "steady": "the parameters of the best set differ between parts of the recording",
     **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},
     "steps": "the residual of the model is that of the load cell's quantization",
@@ -552,7 +552,7 @@ def _leaves(search: forces.Search) -> str:
 
 
 def _verdict(d: DiagnosisResult) -> str:
-    search = d.force
+    search, turned = d.force, [TURNED[r.rule] for r in d.ledger]
     if d.verdict == "unknown" and "heldout_nrmse_after" in d.fit:
         before, after = d.fit["heldout_nrmse_before"], d.fit["heldout_nrmse_after"]
         if after > before:
@@ -586,8 +586,7 @@ def _verdict(d: DiagnosisResult) -> str:
                 "the power of the noise"
             )
         if search is not None:
-            return f"unknown: {_leaves(search)}"
-    turned = [TURNED[r.rule] for r in d.ledger]
+            return f"unknown: {turned[-1] if turned else _leaves(search)}"
     if d.verdict == "none" and search is not None and search.best.members and turned:
         return f"none: {turned[-1]}"
     return {
