@@ -151,6 +151,27 @@ def test_a_mass_beside_a_play_of_a_body_under_a_force_is_named_too(tmp_path):
     assert found(d, "gap", "gap_m") == pytest.approx(gap, rel=0.05)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("way_m", "name"), [(1.2e-5, "coulomb"), (4e-4, "lugre")], ids=["contact", "bristle"]
+)
+def test_friction_of_a_body_is_dry_if_its_contact_shears_little_before_it_slips(
+    way_m, name, tmp_path
+):
+    n, fc, z = rows(10.0), 70.0, [0.0, 0.0]
+    push, fine = swept(n, 0.3, 0.12)
+
+    def law(x, v):
+        z[0] = min(max(z[0] + x - z[1], -way_m), way_m)
+        z[1] = x
+        return SPRING * x + DASHPOT * v + fc / way_m * z[0]
+
+    x, a = moved_body(900.0 * fine, law, MASS, n)
+    d = of_a_free_body(x, 900.0 * push, a, tmp_path, x_std=1.5e-6, f_std=0.15)
+    assert (d.verdict, d.effects) == ("explained", [name])
+    assert found(d, name, "Fc_N") == pytest.approx(fc, rel=0.01)
+
+
 def of_a_shaken_body(x, a, ag, folder: Path, x_std: float, f_std: float):
     rng = np.random.default_rng(5)
     n = x.size

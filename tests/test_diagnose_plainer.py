@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rthyb_rt import core
 from rthyb_rt.diagnose import effects, force, remainder
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import held_out_gain
@@ -106,3 +107,16 @@ def test_effect_that_what_is_left_makes_uncertain_is_named() -> None:
     problem.case = replace(problem.case, model=replace(problem.case.model, k_tol=None))
     naive = searched(problem, both, alone)
     assert remainder.without_unsure(naive, problem.ctx) is naive
+
+
+def test_contact_of_a_body_is_a_spring_that_slips() -> None:
+    """Along any motion it has the force of the law, unlike a step that sticks."""
+    problem, fit = fitted(lambda t, x, v: 60.0 * yielding(x, WAY_M) / WAY_M, "coulomb")
+    ctx, (member,) = problem.ctx, fit.members
+    assert member.trial.variant == "contact"
+    (element,) = member.effect.on_a_body(ctx, member.trial, fit.betas[0])
+    force = core.CoreElement(element).run(ctx.x, ctx.v, ctx.a, ctx.dt)
+    law = fit.betas[0][0] * member.effect.columns(ctx, member.trial)[0]
+    np.testing.assert_allclose(force, law, atol=1e-6 * 60.0)
+    rest = np.zeros_like(ctx.x)
+    assert not np.any(core.CoreElement(element).run(rest, rest, rest, ctx.dt))

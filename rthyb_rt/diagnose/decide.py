@@ -366,14 +366,20 @@ class Court:
         return (self.null if without is None else without).chi2 - of.chi2
 
     def of(self, of: Hypothesis, which: tuple[int, ...]) -> Hypothesis | None:
-        """Return a set of some effects of another one; None if that is not a physical law."""
+        """Return a set of some effects of another one; None if that is not a physical law.
+
+        Richer friction contains dry friction, which takes its place where it fits better: without
+        the others, the richer one may have no peak or bristles, or was refined elsewhere.
+        """
         if not which:
             return self.null
-        known = self.by_names.get(tuple(sorted(n for i in which for n in of.parts[i].names)))
-        if known is not None:
-            return known
-        found: Hypothesis | None = self.ask("part", of, which)
-        return found
+        names = sorted(n for i in which for n in of.parts[i].names)
+        found: Hypothesis | None = self.by_names.get(tuple(names))
+        if found is None:
+            found = self.ask("part", of, which)
+        plain = self.by_names.get(tuple(sorted(self.laws.plainer.get(n, n) for n in names)))
+        fits = [h for h in (found, plain) if h is not None]
+        return min(fits, key=lambda h: h.chi2, default=None)
 
     def less(self, of: Hypothesis, which: int) -> Hypothesis | None:
         """Return a set without one of its effects; None if that is not a physical law."""

@@ -24,6 +24,7 @@ from rthyb_rt.diagnose import (
     redundant,
     remainder,
     rigged,
+    steady,
 )
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats
@@ -365,7 +366,12 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
             if freebody.judged(case) and not done.best.members:
                 return not body.reproduced(done.problem, done.null)
             coloured = not held or done.scale > POLICY.coloured_cell
-            return coloured and bool(done.best.members) and not body.motion(problem, done.best)
+            if not (coloured and done.best.members):
+                return False
+            # The estimated motion of a body that sticks is worse where it sticks: a law then seems
+            # to differ between parts, and only its simulation shows whether it does.
+            unlike = not held and steady.differs(done.problem, done.best)
+            return unlike or not body.motion(problem, done.best)
 
         search = force.search(problem, progress, body, doubtful)
 

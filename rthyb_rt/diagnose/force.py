@@ -12,7 +12,7 @@ import numpy as np
 from rthyb_rt.diagnose import decay, modulation, noise, onset, redundant
 from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects import catalogue, having, of_number
-from rthyb_rt.diagnose.effects.base import Floats, Trial
+from rthyb_rt.diagnose.effects.base import Effect, Floats, Trial
 from rthyb_rt.diagnose.evidence import Gathered, held_out_gain
 from rthyb_rt.diagnose.fitted import bent, cost, count
 from rthyb_rt.diagnose.freebody import Body
@@ -298,10 +298,14 @@ class _Mover(_Fitter):
             dry = next((e for e in self.problem.effects if e.name == name), None)
             if dry is None:
                 continue
+            own = fit.members[rich[0]]
+            sheared = _in_place(self.problem, dry, own) if own.effect.slides else None
             members, betas = list(fit.members), list(fit.betas)
-            members[rich[0]], betas[rich[0]] = Member(dry, Trial()), fit.betas[rich[0]][:1]
+            members[rich[0]] = Member(dry, sheared or Trial())
+            betas[rich[0]] = fit.betas[rich[0]][:1]
             twin = replace(fit, members=tuple(members), betas=tuple(betas), covariance=None)
-            if twin.names not in self.by_names:
+            # It may have been tried as a step, which fits worse than a contact that shears.
+            if twin.names not in self.by_names or sheared is not None:
                 self.move(twin)
 
     def springs(self) -> None:
@@ -729,12 +733,17 @@ def _with_dry_friction(fitter: _Fitter) -> None:
             rest = fit.members[:i] + fit.members[i + 1 :]
             if dry is None or {dry.name, *(m.name for m in rest)} in map(set, fitter.by_names):
                 continue
-            trial = dry.like(own.trial)
-            limits = dry.limits(fitter.problem.ctx, trial)
-            within = all(a <= q <= b for q, (a, b) in zip(trial.theta, limits, strict=True))
-            members = (*rest, Member(dry, trial))
-            if within and compatible(members):
-                fitter.fit(members)
+            trial = _in_place(fitter.problem, dry, own)
+            if trial is not None and compatible((*rest, Member(dry, trial))):
+                fitter.fit((*rest, Member(dry, trial)))
+
+
+def _in_place(problem: ResidualProblem, dry: Effect, own: Member) -> Trial | None:
+    """Return dry friction in the shape of a richer law; None if it has no such shape."""
+    trial = dry.like(own.trial)
+    limits = dry.limits(problem.ctx, trial)
+    within = all(a <= q <= b for q, (a, b) in zip(trial.theta, limits, strict=True))
+    return trial if within else None
 
 
 def _nested(dictionary: Dictionary, fitter: _Fitter) -> None:

@@ -98,6 +98,11 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     )
 
 
+def differs(problem: ResidualProblem, fit: Fit) -> bool:
+    """Return whether a set's parameters differ in a part of the recording, beyond chance."""
+    return any(c.deviations > POLICY.changed_numbers for c in changes(problem, fit))
+
+
 def _resolved(problem: ResidualProblem, fit: Fit) -> NDArray[np.bool_]:
     """Return which parameters of a set, (p,), more than single readings depend on.
 

@@ -231,8 +231,11 @@ class Coulomb(Effect):
     def on_a_body(
         self, ctx: Context, trial: Trial, beta: Floats
     ) -> list[core.ElementConfig] | None:
-        """Return the element."""
-        if trial.theta and trial.variant != "contact":
+        """Return the element: for a contact, a spring that slips."""
+        if trial.variant == "contact":
+            way = trial.theta[0]
+            return chains.elements(chains.even(way, 0.0), float(beta[0]) / way)
+        if trial.theta:
             return self.elements(ctx, trial, beta)
         width = float(STICKS * ctx.v_range)
         return [core.element("coulomb", fc_n=float(beta[0]), width_m_per_s=width)]
