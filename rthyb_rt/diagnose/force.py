@@ -25,6 +25,7 @@ from rthyb_rt.diagnose.select import (
     Solved,
     compatible,
     inflation,
+    names_of,
     refine,
     solve,
 )
@@ -485,7 +486,7 @@ def _simplest(dictionary: Dictionary, body: Body, mover: _Mover, singles: Sequen
         if best is None or best.chi2 < body.met * mover.rows:
             break
         for members in _beside(dictionary, best, POOL):
-            added, names = members[-1], tuple(sorted(n for m in members for n in m.effect.names))
+            added, names = members[-1], names_of(members)
             simple = added.effect.settings(mover.problem.ctx, added.trial)[1] == 1
             if simple and names not in mover.by_names:
                 mover.fit(members)
@@ -533,10 +534,9 @@ def _moved(
         for fit in [f for f in ahead if len(f.names) < body.largest and f.names not in grown]:
             grown.add(fit.names)
             for members in _beside(dictionary, fit, POOL):
-                names = {n for m in members for n in m.effect.names}
                 if (body.held and _seen_only(members)) or (enough and not body.plain(members)):
                     continue
-                if tuple(sorted(names)) not in mover.by_names:
+                if names_of(members) not in mover.by_names:
                     mover.fit(members)
     mover.relieve()
     mover.plain_friction()
@@ -709,7 +709,7 @@ def _sweep(
     for fit in list(fitter.by_names.values()):
         for i in range(len(fit.members) if len(fit.members) > 1 else 0):
             rest = tuple(m for j, m in enumerate(fit.members) if j != i)
-            names = tuple(sorted(n for m in rest for n in m.effect.names))
+            names = names_of(rest)
             if names not in fitter.by_names:
                 fitter.fit(rest)
     # The parts of the best sets once more, from the shapes that they have there: another form would
@@ -844,7 +844,7 @@ def _dashpots(dictionary: Dictionary, fitter: _Fitter) -> None:
             if plain is None or name in fit.names:
                 continue
             twin = (*fit.members[:i], plain, *fit.members[i + 1 :])
-            if tuple(sorted(n for m in twin for n in m.effect.names)) not in fitter.by_names:
+            if names_of(twin) not in fitter.by_names:
                 fitter.fit(twin)
 
 

@@ -152,6 +152,11 @@ def whole(problem: ResidualProblem, fit: Fit, ctx: Context) -> Floats:
     return np.asarray(ctx.total + leaning(along, fit) + np.sum(parts, axis=0))
 
 
+def names_of(members: Iterable[Member]) -> tuple[str, ...]:
+    """Return the sorted names of a set of effects, with those of a joint law listed separately."""
+    return tuple(sorted(n for m in members for n in m.effect.names))
+
+
 @dataclass
 class Fit:
     """A set of effects fitted to the residual.
@@ -180,7 +185,7 @@ class Fit:
     @property
     def names(self) -> tuple[str, ...]:
         """Sorted names, with those of a joint law listed separately."""
-        return tuple(sorted(n for m in self.members for n in m.effect.names))
+        return names_of(self.members)
 
 
 class ResidualProblem:
@@ -728,7 +733,7 @@ class Dictionary:
         kept: dict[tuple[str, ...], dict[tuple[str, ...], tuple[int, ...]]] = {}
         for groups in (tuple(row) for row in found.groups[order].tolist()):
             parts = [self.groups[g].member for g in groups]
-            names = tuple(sorted(n for m in parts for n in m.effect.names))
+            names = names_of(parts)
             if len(set(names)) < len(names) or not compatible(parts):
                 continue
             if names not in kept and len(kept) == most:
