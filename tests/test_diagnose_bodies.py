@@ -153,11 +153,14 @@ def test_a_mass_beside_a_play_of_a_body_under_a_force_is_named_too(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("way_m", "name"), [(1.2e-5, "coulomb"), (4e-4, "lugre")], ids=["contact", "bristle"]
+    ("way_m", "name"),
+    [(1.2e-5, "coulomb"), (3.6e-5, "coulomb"), (6e-5, "lugre"), (4e-4, "lugre")],
+    ids=["contact", "contact at its limit", "bristle at its limit", "bristle"],
 )
 def test_friction_of_a_body_is_dry_if_its_contact_shears_little_before_it_slips(
     way_m, name, tmp_path
 ):
+    """The limit is four thousandths of the amplitude of 12 mm."""
     n, fc, z = rows(10.0), 70.0, [0.0, 0.0]
     push, fine = swept(n, 0.3, 0.12)
 
@@ -170,6 +173,25 @@ def test_friction_of_a_body_is_dry_if_its_contact_shears_little_before_it_slips(
     d = of_a_free_body(x, 900.0 * push, a, tmp_path, x_std=1.5e-6, f_std=0.15)
     assert (d.verdict, d.effects) == ("explained", [name])
     assert found(d, name, "Fc_N") == pytest.approx(fc, rel=0.01)
+
+
+@pytest.mark.long
+def test_yielding_of_a_body_that_the_balance_proposes_is_compared_by_its_motion(tmp_path):
+    """A smooth loop, k (alpha x + (1 - alpha) z) with z' = v (1 - |z / xy|^2) while it loads."""
+    n, xy, alpha, z = rows(10.0), 5e-3, 0.85, [0.0]
+    push, fine = swept(n, 0.3, 0.12)
+    h = 1.0 / (FINE * cases.FS)
+
+    def law(x, v):
+        at = z[0]
+        z[0] += h * v * (1.0 - (0.5 + 0.5 * math.copysign(1.0, v * at)) * (at / xy) ** 2)
+        return SPRING * (alpha * x + (1.0 - alpha) * z[0]) + DASHPOT * v
+
+    x, a = moved_body(900.0 * fine, law, MASS, n)
+    d = of_a_free_body(x, 900.0 * push, a, tmp_path, x_std=1.5e-6, f_std=3.0)
+    assert (d.verdict, d.effects) == ("explained", ["hysteresis"])
+    assert found(d, "hysteresis", "xy_m") == pytest.approx(xy, rel=0.05)
+    assert found(d, "hysteresis", "alpha") == pytest.approx(alpha, rel=0.02)
 
 
 def of_a_shaken_body(x, a, ag, folder: Path, x_std: float, f_std: float):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rthyb_rt import core
-from rthyb_rt.diagnose import effects, force, remainder
+from rthyb_rt.diagnose import effects, force, onset, remainder
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import held_out_gain
 from rthyb_rt.diagnose.force import Search
@@ -120,3 +120,15 @@ def test_contact_of_a_body_is_a_spring_that_slips() -> None:
     np.testing.assert_allclose(force, law, atol=1e-6 * 60.0)
     rest = np.zeros_like(ctx.x)
     assert not np.any(core.CoreElement(element).run(rest, rest, rest, ctx.dt))
+
+
+def test_law_of_a_simulated_body_has_no_onset() -> None:
+    _, fit = fitted(lambda t, x, v: 60.0 * np.sign(v), "coulomb")
+    (member,) = fit.members
+    begun = Member(
+        onset.Late(member.effect), Trial((*member.trial.theta, 0.6), member.trial.variant)
+    )
+    found = force._lasting(replace(fit, members=(begun,)))
+    assert found.members == fit.members
+    assert found.covariance is None
+    assert force._lasting(fit) is fit

@@ -368,10 +368,11 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
             coloured = not held or done.scale > POLICY.coloured_cell
             if not (coloured and done.best.members):
                 return False
+            if not body.motion(problem, done.best):
+                return True
             # The estimated motion of a body that sticks is worse where it sticks: a law then seems
             # to differ between parts, and only its simulation shows whether it does.
-            unlike = not held and steady.differs(done.problem, done.best)
-            return unlike or not body.motion(problem, done.best)
+            return freebody.judged(case) and steady.differs(done.problem, done.best)
 
         search = force.search(problem, progress, body, doubtful)
 

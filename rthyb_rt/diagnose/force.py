@@ -305,8 +305,9 @@ class _Mover(_Fitter):
             members[rich[0]] = Member(dry, sheared or Trial())
             betas[rich[0]] = fit.betas[rich[0]][:1]
             twin = replace(fit, members=tuple(members), betas=tuple(betas), covariance=None)
+            known = self.by_names.get(twin.names)
             # It may have been tried as a step, which fits worse than a contact that shears.
-            if twin.names not in self.by_names or sheared is not None:
+            if known is None or (sheared is not None and known.chi2 > (1.0 + SETTLED) * fit.chi2):
                 self.move(twin)
 
     def springs(self) -> None:
@@ -468,6 +469,15 @@ def _slow_as() -> dict[str, str]:
     return {n: e.slow_as for n, e in catalogue().items() if e.slow_as}
 
 
+def _lasting(fit: Fit) -> Fit:
+    """Return a set whose effects act throughout: those of a simulated body have no onset.
+
+    Along an estimated motion, an onset may have only absorbed what the estimate lacks.
+    """
+    members = tuple(onset.lasting(m) for m in fit.members)
+    return fit if members == fit.members else replace(fit, members=members, covariance=None)
+
+
 def _seen_only(members: Iterable[Member]) -> bool:
     """Return whether a set contains a load cell effect, which moves nothing."""
     return any(m.effect.sensor for m in members)
@@ -497,16 +507,20 @@ def _moved(
 ) -> Search | None:
     """Evaluate the most promising sets by simulated motion; None if none reproduces it."""
     problem = dictionary.problem
-    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    ranked = [_lasting(f) for f in sorted(fitter.by_names.values(), key=fitter.score)]
     ranked = [f for f in ranked if body.quick(f) and body.distinct(f)]
     # Effects seen only by the load cell do not move the body.
     ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
     singles = [f for f in ranked if len(f.members) == 1]
     # The set named by the balance and its first set, after their subsets: the number of simulations
     # is limited.
-    felt = [f for f in (named, *ranked[:1]) if not body.held or not _seen_only(f.members)]
+    felt = [f for f in (_lasting(named), *ranked[:1]) if not body.held or not _seen_only(f.members)]
     several = range(2, body.largest + 1)
-    leading = [f for f in {f.names: f for f in felt}.values() if len(f.members) in several]
+    leading = [
+        f
+        for f in {f.names: f for f in felt}.values()
+        if len(f.members) in several or (len(f.members) == 1 and not body.quick(f))
+    ]
     parts = [f for f in singles if any(set(f.names) < set(whole.names) for whole in leading)]
     first = body.first(ranked)
     for fit in first:

@@ -105,20 +105,21 @@ class Sure:
     def strength(self, member: int) -> float | None:
         """Return the squared ratio of an effect's size to its standard deviation; None: no size.
 
-        Its size is the least of those in all forms of the laws found, or zero if one has another
-        sign. That forms differ does not make an effect weak: it widens only the interval.
+        Other forms of the laws count if they find a smaller size, or the opposite sign: that one
+        finds a much larger size widens the interval, but does not make the effect weak.
         """
         fit = self.search.best
         params, ends = self._in_this_form(member)
         own = fit.members[member]
         gone = own.effect.report(self.ctx, own.trial, 0.0 * fit.betas[member])
-        forms = [params, *self._in_other_forms(own.name)]
-        # Its strength, not its location: a frequency is precise however weak the hum.
-        sizes = [
-            max(min(np.sign(params[k]) * form[k] for form in forms), 0.0) / (_half(e) / SIDES)
-            for k, e in ends.items()
-            if _half(e) > 0.0 and gone[k] == 0.0
-        ]
+        forms = self._in_other_forms(own.name)
+        sizes = []
+        for k, e in ends.items():
+            # Its strength, not its location: a frequency is precise however weak the hum.
+            if _half(e) > 0.0 and gone[k] == 0.0:
+                size, sign = abs(params[k]), np.sign(params[k])
+                below = max((size - sign * form[k] for form in forms), default=0.0)
+                sizes.append(size / (max(_half(e), below) / SIDES))
         return float(max(sizes)) ** 2 if sizes else None
 
     def _in_this_form(self, member: int) -> tuple[dict[str, float], Intervals]:

@@ -158,7 +158,10 @@ class Augmented:
 
 
 def _substeps(model: Model, mass: float) -> int:
-    """Return the number of substeps that resolves the stiffest spring on the mass."""
+    """Return the number of substeps that resolves the model's spring, even if four times as stiff.
+
+    A dry contact is much stiffer, but its force is limited: if it is not resolved, it chatters.
+    """
     stiffest = abs(model.k) * 4.0
     step = 1.0 / model.fs_hz
     return int(np.clip(np.ceil(step * np.sqrt(stiffest / max(mass, 1e-12)) / 0.25), 4, 64))

@@ -256,11 +256,10 @@ def _strengths(search: Search, ctx: Context) -> list[float]:
 def without_unsure(search: Search, ctx: Context) -> Search:
     """Return the search with the set without effects whose size may be zero.
 
-    Of all forms found, the smallest size counts, see `Sure.strength`. Evidence counts rows; this
-    includes more, such as the scatter between parts of the recording and the forms of the other
-    laws. Not if other sets fit as well, nor if the rest leaves more than noise: the interval is
-    then wide for what no law explains, as for a naive model. Nor for a simulated motion, which is
-    fitted as a whole.
+    By 1.96 standard deviations, see `Sure.strength`. Evidence counts rows; these include more, such
+    as the scatter between parts of the recording and the forms of the laws. Not if other sets fit
+    as well, nor if the rest leaves more than noise: the interval is then wide for what no law
+    explains, as for a naive model. Nor for a simulated motion, which is fitted as a whole.
     """
     problem = search.problem
     if problem.case.model.k_tol is None:
