@@ -456,14 +456,14 @@ def test_an_effect_that_dry_friction_cannot_replace_is_no_form_of_richer_frictio
 
 def test_what_is_added_to_a_peak_that_was_refined_elsewhere_is_measured_against_friction() -> None:
     """A peak contains dry friction: alone it cannot fit worse."""
-    for alone in (of("stribeck", chi2=60_000.0), None):
-        others = [h for h in (alone, of("cubic", chi2=90_000.0)) if h is not None]
-        sets = [of("stribeck", "cubic", chi2=1000.0), *others]
-        part_of = {"part": alone, "own_size": 0.1}
-        without = evidence(*sets, null=1e5, exact=False)
-        assert decided(without, **part_of).best.names == ("cubic", "stribeck")
-        seen = evidence(*sets, of("coulomb", chi2=1100.0), null=1e5, exact=False)
-        assert decided(seen, **part_of).best.names == ("coulomb",)
+    sets = [
+        of("stribeck", "cubic", chi2=1000.0), of("stribeck", chi2=60_000.0),
+        of("cubic", chi2=90_000.0),
+    ]  # fmt: skip
+    without = evidence(*sets, null=1e5, exact=False)
+    assert decided(without).best.names == ("cubic", "stribeck")
+    seen = evidence(*sets, of("coulomb", chi2=1100.0), null=1e5, exact=False)
+    assert decided(seen).best.names == ("coulomb",)
 
 
 def test_a_peak_of_friction_is_measured_against_friction_and_not_against_a_louder_hum() -> None:

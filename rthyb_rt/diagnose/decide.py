@@ -368,8 +368,8 @@ class Court:
     def of(self, of: Hypothesis, which: tuple[int, ...]) -> Hypothesis | None:
         """Return a set of some effects of another one; None if that is not a physical law.
 
-        Richer friction contains dry friction, which takes its place where it fits better: without
-        the others, the richer one may have no peak or bristles, or was refined elsewhere.
+        Richer friction contains dry friction, which takes its place where it fits better: then the
+        richer one was refined elsewhere.
         """
         if not which:
             return self.null
@@ -378,8 +378,9 @@ class Court:
         if found is None:
             found = self.ask("part", of, which)
         plain = self.by_names.get(tuple(sorted(self.laws.plainer.get(n, n) for n in names)))
-        fits = [h for h in (found, plain) if h is not None]
-        return min(fits, key=lambda h: h.chi2, default=None)
+        if found is not None and plain is not None and plain.chi2 < found.chi2:
+            return plain
+        return found
 
     def less(self, of: Hypothesis, which: int) -> Hypothesis | None:
         """Return a set without one of its effects; None if that is not a physical law."""

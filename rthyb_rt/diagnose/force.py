@@ -311,11 +311,13 @@ class _Mover(_Fitter):
                 self.move(twin)
 
     def springs(self) -> None:
-        """Try the best sets with each form of their elastic springs.
+        """Try the best sets with each form of their elastic springs, and each form alone.
 
         The spring is nearly all of the force of a free decay, and the balance, along an estimated
-        motion, can prefer a form with which the motion cannot be simulated.
+        motion, can prefer a form with which the motion cannot be simulated. Beside a friction that
+        imitates the damping, the right form may fit no better.
         """
+        alone: set[Trial] = set()
         for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
             for i, own in enumerate(fit.members):
                 trials = own.effect.trials(self.problem.ctx) if own.effect.elastic else ()
@@ -323,6 +325,9 @@ class _Mover(_Fitter):
                 for trial in forms.values():
                     other = replace(own, trial=trial)
                     self.fit((*fit.members[:i], other, *fit.members[i + 1 :]))
+                    if len(fit.members) > 1 and trial not in alone:
+                        alone.add(trial)
+                        self.fit((other,))
 
     def _in_form(self, fit: Fit, which: int, member: Member, beta: Floats) -> None:
         members = (*fit.members[:which], member, *fit.members[which + 1 :])

@@ -247,12 +247,15 @@ class Body:
         """Return a set as from `refined`, with or without a width of its dry friction.
 
         An estimated motion smooths the step, and a simulated body creeps because of its width when
-        it
-        sticks: it is simulated without a width first, and with one if that is not sufficient.
+        it sticks: it is simulated without a width first, and with one if that is not sufficient. A
+        contact that seemed to shear along the estimate is a step as well; one that sheared in a
+        simulation, see `force._Mover.plain_friction`, continues to do so.
         """
         sharp = self.sharp(fit)
         found = self.refined(problem, sharp) if sharp is not None else None
         if found is not None and found.chi2 < POLICY.motion_met_alone * self.rows.size:
+            return found
+        if found is not None and fit.scatter is None and _shears(fit):
             return found
         rounded = self.refined(problem, fit)
         fits = [f for f in (found, rounded) if f is not None]
@@ -372,6 +375,11 @@ class Body:
         for (name, _, _), q in zip(self.loose, loose, strict=True):
             moved[name] = float(q) * self.units.get(name, 1.0)
         return np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
+
+
+def _shears(fit: Fit) -> bool:
+    """Return whether friction of a set has a contact that shears before it slips."""
+    return any(m.effect.dry and m.trial.variant == "contact" for m in fit.members)
 
 
 def _as_effects(problem: ResidualProblem, fit: Fit) -> Fit:
