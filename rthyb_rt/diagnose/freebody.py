@@ -255,7 +255,8 @@ class Body:
         found = self.refined(problem, sharp) if sharp is not None else None
         if found is not None and found.chi2 < POLICY.motion_met_alone * self.rows.size:
             return found
-        if found is not None and fit.scatter is None and _shears(fit):
+        estimated = fit.scatter is None and any(m.effect.shears(m.trial) for m in fit.members)
+        if found is not None and estimated:
             return found
         rounded = self.refined(problem, fit)
         fits = [f for f in (found, rounded) if f is not None]
@@ -375,11 +376,6 @@ class Body:
         for (name, _, _), q in zip(self.loose, loose, strict=True):
             moved[name] = float(q) * self.units.get(name, 1.0)
         return np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
-
-
-def _shears(fit: Fit) -> bool:
-    """Return whether friction of a set has a contact that shears before it slips."""
-    return any(m.effect.dry and m.trial.variant == "contact" for m in fit.members)
 
 
 def _as_effects(problem: ResidualProblem, fit: Fit) -> Fit:

@@ -334,6 +334,10 @@ class Effect:
         """Return the shape of this law nearest to one of `also`, or of a law that contains it."""
         return trial
 
+    def shears(self, trial: Trial) -> bool:
+        """Return whether it is dry friction of a contact that shears before it slips."""
+        return False
+
     def kin(self, trial: Trial) -> Sequence[Trial]:
         """Return the law in the other forms that its memory may have, with the same parameters.
 

@@ -202,6 +202,10 @@ class Coulomb(Effect):
         sheared = trial.variant == "contact" or trial.variant in BRISTLES
         return Trial(trial.theta[-1:], "contact" if sheared else "")
 
+    def shears(self, trial: Trial) -> bool:
+        """Return whether it is a contact."""
+        return trial.variant == "contact"
+
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return a step by tanh; a contact has the smallest width."""
         old = trial.theta[0] if trial.theta and not trial.variant else least
@@ -232,7 +236,7 @@ class Coulomb(Effect):
         self, ctx: Context, trial: Trial, beta: Floats
     ) -> list[core.ElementConfig] | None:
         """Return the element: for a contact, a spring that slips."""
-        if trial.variant == "contact":
+        if self.shears(trial):
             way = trial.theta[0]
             return chains.elements(chains.even(way, 0.0), float(beta[0]) / way)
         if trial.theta:
@@ -311,6 +315,10 @@ class Stribeck(Effect):
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False if it is a smooth hump rather than friction."""
         return bool(beta[1] > 0.05 * beta[0] and beta[0] > 0.02 * beta[1])
+
+    def shears(self, trial: Trial) -> bool:
+        """Return whether the peak is that of a contact."""
+        return trial.variant == "contact"
 
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return the same peak on a step by tanh."""
