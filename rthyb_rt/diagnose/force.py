@@ -317,7 +317,7 @@ class _Mover(_Fitter):
         motion, can prefer a form with which the motion cannot be simulated. Beside a friction that
         imitates the damping, the right form may fit no better.
         """
-        alone: set[Trial] = set()
+        alone: set[Member] = set()
         for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
             for i, own in enumerate(fit.members):
                 trials = own.effect.trials(self.problem.ctx) if own.effect.elastic else ()
@@ -325,8 +325,8 @@ class _Mover(_Fitter):
                 for trial in forms.values():
                     other = replace(own, trial=trial)
                     self.fit((*fit.members[:i], other, *fit.members[i + 1 :]))
-                    if len(fit.members) > 1 and trial not in alone:
-                        alone.add(trial)
+                    if len(fit.members) > 1 and other not in alone:
+                        alone.add(other)
                         self.fit((other,))
 
     def _in_form(self, fit: Fit, which: int, member: Member, beta: Floats) -> None:
@@ -518,7 +518,7 @@ def _moved(
     ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
     singles = [f for f in ranked if len(f.members) == 1]
     # The set named by the balance and its first set, after their subsets: the number of simulations
-    # is limited.
+    # is limited. Alone, a law is among the singles, unless it is slow to simulate.
     felt = [f for f in (_lasting(named), *ranked[:1]) if not body.held or not _seen_only(f.members)]
     several = range(2, body.largest + 1)
     leading = [

@@ -183,13 +183,13 @@ class Coulomb(Effect):
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the width below that of a dashpot, and the contact below a bristle."""
-        if trial.variant == "contact":
+        if self.shears(trial):
             return [(CONTACT[0] * ctx.x_range, CONTACT[1] * ctx.x_range)]
         return [(1e-5 * ctx.v_range, 0.12 * ctx.v_range) for _ in trial.theta]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the smoothed sign of velocity, or of the latest displacement."""
-        if trial.variant == "contact":
+        if self.shears(trial):
             return [slipping(ctx, trial.theta[0])]
         if trial.variant == "root":
             return [ctx.v / np.hypot(ctx.v, trial.theta[0])]
@@ -199,7 +199,7 @@ class Coulomb(Effect):
         """Return a contact that shears as far as bristles do, or the step below a peak."""
         if trial.variant == "sharp":
             return Trial((), "sharp")
-        sheared = trial.variant == "contact" or trial.variant in BRISTLES
+        sheared = self.shears(trial) or trial.variant in BRISTLES
         return Trial(trial.theta[-1:], "contact" if sheared else "")
 
     def shears(self, trial: Trial) -> bool:
@@ -220,14 +220,14 @@ class Coulomb(Effect):
         if not trial.theta:
             return "Fc sgn(v)"
         at = trial.theta[0]
-        if trial.variant == "contact":
+        if self.shears(trial):
             return f"Fc of a contact that shears by {at:.3g} m before it slips"
         step = "Fc v / sqrt(v^2 + width^2)" if trial.variant == "root" else "Fc tanh(v / width)"
         return f"{step}, width {at:.3g} m/s"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
-        shaped = trial.theta and trial.variant != "contact"
+        shaped = trial.theta and not self.shears(trial)
         width = trial.theta[0] if shaped else SHARP * ctx.v_range
         width = float(np.clip(width, 1e-7, 1.0))
         return [core.element("coulomb", fc_n=float(beta[0]), width_m_per_s=width)]
@@ -296,14 +296,14 @@ class Stribeck(Effect):
         peak = [(0.01 * r, 1.2 * r), PEAKS]
         if trial.variant == "sharp":
             return peak
-        if trial.variant == "contact":
+        if self.shears(trial):
             return [*peak, (CONTACT[0] * ctx.x_range, CONTACT[1] * ctx.x_range)]
         return [*peak, (1e-5 * r, 0.4 * trial.theta[0])]
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return sliding and additional static friction per N."""
         vs, n, width = (*trial.theta, STICKS * ctx.v_range)[:3]
-        sheared = trial.variant == "contact"
+        sheared = self.shears(trial)
         sign = slipping(ctx, width) if sheared else np.tanh(ctx.v / width)
         return [sign, sign * np.exp(-(np.abs(ctx.v / vs) ** n))]
 
@@ -322,7 +322,7 @@ class Stribeck(Effect):
 
     def rounded(self, trial: Trial, least: float) -> Trial:
         """Return the same peak on a step by tanh."""
-        old = least if trial.variant == "contact" else (*trial.theta, least)[2]
+        old = least if self.shears(trial) else (*trial.theta, least)[2]
         return Trial((*trial.theta[:2], max(old, least)))
 
     def sharp(self, trial: Trial) -> Trial:
@@ -333,7 +333,7 @@ class Stribeck(Effect):
         """Return the law of the peak, and how its sign is smoothed, over how much."""
         if trial.variant == "sharp":
             sign = "sgn(v)"
-        elif trial.variant == "contact":
+        elif self.shears(trial):
             sign = f"a contact that shears by {trial.theta[2]:.3g} m before it slips"
         else:
             sign = f"tanh(v / width), width {trial.theta[2]:.3g} m/s"
