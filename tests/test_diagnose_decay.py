@@ -89,3 +89,27 @@ def test_a_second_recording_begins_where_its_first_rows_of_force_say() -> None:
         return nrmse(predict(made, case).f, truth)
 
     assert error(head) < 0.05 < 0.5 < error(np.full(t.size, np.nan))
+
+
+def test_a_recording_that_goes_on_begins_where_its_first_rows_say_if_the_body_does_not_return() -> (
+    None
+):
+    """The error of a mass by a fiftieth, carried through the recording before, lasts."""
+    fs_hz, mass, c = 200.0, 100.0, 40.0
+    rng = np.random.default_rng(3)
+    push = np.convolve(rng.standard_normal(3000), np.hanning(60), "same")
+    truth = body(1.02 * mass, [core.element("viscous", c_n_s_per_m=c)], push, fs_hz).x
+    t, cut = np.arange(3000) / fs_hz, 2000
+    model = Model("forced", fs_hz, 0.0, c, mass)
+    every = np.ones(3000, dtype=np.bool_)
+    first = {"x_meas": truth[:cut], "f_in": push[:cut]}
+    before = Case("first", model, t[:cut], first, every[:cut])
+    made = Augmented(model, model, (), (), None, None)
+
+    def error(rows: int) -> float:
+        known = np.where(np.arange(1000) < rows, truth[cut:], np.nan)
+        second = {"x_meas": known, "f_in": push[cut:]}
+        case = Case("second", model, t[cut:], second, every[cut:])
+        return nrmse(predict(made, case, before).x[200:400], truth[cut + 200 : cut + 400])
+
+    assert error(200) < 0.25 * error(4)

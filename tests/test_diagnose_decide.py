@@ -751,3 +751,21 @@ def test_what_is_named_earns_its_price(seen: Evidence) -> None:
 @hypothesis.given(any_evidence(), st.sampled_from([0.0, float("nan"), -float("inf")]))
 def test_what_holds_on_no_other_rows_is_not_named(seen: Evidence, held: float) -> None:
     assert not decided(seen, **FREE, held_out=held).best.parts
+
+
+@pytest.mark.parametrize(
+    ("richer", "named", "equal"),
+    [
+        (1000.0, ("cubic",), [("gap",)]),
+        (980.0, ("gap",), []),
+    ],
+    ids=["by less than evidence tells", "by more"],
+)
+def test_of_single_laws_the_one_with_fewer_parameters_is_first_if_the_other_is_hardly_better(
+    richer: float, named: tuple[str, ...], equal: list[tuple[str, ...]]
+) -> None:
+    """A dead band with rough ends in a spring of free stiffness is a smooth hardening spring."""
+    seen = evidence(of("cubic", chi2=1010.0), of(part("gap", 29.0, 2), chi2=richer))
+    choice = decided(seen)
+    assert choice.best.names == named
+    assert [h.names for h in choice.equal] == equal

@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 from event_cases import Rig, late, moved, on_ground, recorded, rig
+from test_diagnose_steady import fitted
 
 from rthyb_rt.core.diagnosis_models import ActuatorModel, actuator
-from rthyb_rt.diagnose import engine, outcome, reading, why
+from rthyb_rt.diagnose import effects, engine, force, onset, outcome, reading, why
+from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.select import Member, refine
 
 SEEDS = (101, 102)
 """Two rigs, of which every scenario has one."""
@@ -295,3 +298,18 @@ def test_an_actuator_that_changes_goes_on_from_where_it_is() -> None:
     alike = np.max(np.abs(plain.x[:1501] - x[:1501])), np.max(np.abs(plain.v[:1501] - v[:1501]))
     assert np.max(np.abs(made.x - x)) < 3.0 * alike[0]
     assert np.max(np.abs(made.v - v)) < 3.0 * alike[1]
+
+
+def test_an_offset_found_beside_a_drift_is_tried_alone_from_the_same_instant() -> None:
+    """The drift may have been needed for slow noise only, before its colour was known."""
+    problem, _ = fitted(lambda t, x, v: 60.0 * (t > 4.3), "drift")
+    laws = effects.catalogue()
+    begun = Member(onset.Late(laws["bias"]), Trial((4.3,)))
+    fitter = force._Fitter(problem)
+    both = refine(problem, [Member(laws["drift"], Trial()), begun])
+    assert both is not None
+    fitter.keep(both)
+    onset.settle(fitter, 3)
+    alone = fitter.by_names["bias",]
+    assert alone.members[0].trial.theta[-1] == pytest.approx(4.3, abs=0.02)
+    assert alone.chi2 < both.chi2 + 9.0

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import diagnose_cases as cases
 import numpy as np
 import pytest
+from diagnose_answers import diagnosed, found, holds
 from diagnose_cases import F_STD
 from test_diagnose_steady import fitted
 
@@ -16,3 +20,37 @@ def test_the_frequency_of_a_hum_is_as_exact_as_its_noise_allows(f_hz: float) -> 
     n, length_s = problem.y.size, float(problem.ctx.t[-1])
     bound_hz = np.sqrt(6.0 / n) * F_STD / (np.pi * size_n * length_s)
     assert abs(fit.members[0].trial.theta[0] - f_hz) < 4.0 * bound_hz
+
+
+def heavy(hum_n: float, f_hz: float) -> tuple[dict[str, np.ndarray], str]:
+    """A heavy specimen in slow motion without an accelerometer, and the model of its lab."""
+    mass_kg, x_std_m = 200.0, 8e-6
+    rng = np.random.default_rng(4)
+    n, fine = 2048, 64
+    t = np.arange(n * fine) / (cases.FS * fine)
+    x = 6e-3 * np.sin(np.pi * t / t[-1]) ** 2 * np.sin(2.0 * np.pi * (0.5 * t + 0.2 * t**2))
+    v = np.gradient(x, t)
+    a = np.gradient(v, t)
+    t, x, v, a = (z[::fine] for z in (t, x, v, a))
+    f_meas = cases.K * x + cases.C * v + mass_kg * a + hum_n * np.sin(2.0 * np.pi * f_hz * t)
+    columns = {
+        "t": t,
+        "x_meas": x + x_std_m * rng.standard_normal(x.size),
+        "f_meas": f_meas + cases.F_STD * rng.standard_normal(x.size),
+    }
+    model = cases.baseline(moving_mass=mass_kg).replace(str(cases.X_STD), str(x_std_m))
+    first, rest = model.split("[actuator]")
+    return columns, first + "[noise]" + rest.split("[noise]")[1]
+
+
+@pytest.mark.parametrize(("hum_n", "verdict"), [(200.0, "explained"), (0.0, "none")])
+def test_a_hum_shows_where_the_motion_of_a_heavy_specimen_is_only_noise(
+    hum_n: float, verdict: str, tmp_path: Path
+) -> None:
+    """At 60 Hz the mass turns the noise of the displacement into 230 N, the hum is 140 N rms."""
+    d = diagnosed(tmp_path, *heavy(hum_n, 60.0355))
+    assert d.verdict == verdict
+    if hum_n:
+        assert d.effects == ["hum"]
+        assert holds(d, "hum", "amp_N", hum_n)
+        assert found(d, "hum", "f_Hz") == pytest.approx(60.0355, abs=0.01)

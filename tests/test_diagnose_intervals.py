@@ -15,6 +15,7 @@ from rthyb_rt.diagnose import effects, engine, intervals, reading
 from rthyb_rt.diagnose.actuation import Actuation
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
+from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import inflation
 
 LATE_S = 8.0e-5  # a normal offset in time, of the load cell
@@ -273,3 +274,29 @@ def test_an_effect_is_weak_if_another_form_finds_none_but_not_if_it_finds_more(
     strength = intervals.Sure(replace(d.force, forms=forms), d.context).strength(0)
     assert strength == pytest.approx(alone if least is None else least**2)
     assert (strength < 1.96**2) == (min(sizes) < 0.0)
+
+
+def test_the_form_of_a_law_changes_its_parameter_by_no_more_than_such_a_law_is_inexact():
+    """A test at one speed shows a law at one place of its argument, whatever function it is."""
+    rng = np.random.default_rng(13)
+    t = np.linspace(0.0, 30.0, 3000)
+    v = 0.1 * np.clip(20.0 * np.sin(2.0 * np.pi * 0.5 * t), -1.0, 1.0)
+    law, sigma = 20.0 * np.tanh(v / 1e-3), 0.1
+    design = np.column_stack([law, v]) / sigma
+    inverse = np.linalg.inv(design.T @ design)
+    near = np.column_stack(neighbours(law, [(v, 0.1)])) / sigma
+    y = design.sum(axis=1) + near @ np.full(4, 0.5) + rng.standard_normal(t.size)
+    form = of_form(design, y - design @ (inverse @ (design.T @ y)), inverse, near)
+    assert 0.2 * POLICY.form_error < np.sqrt(form[0, 0]) < 2.0 * POLICY.form_error
+
+
+def test_an_interval_ends_where_the_meaning_of_its_parameter_does():
+    known = effects.catalogue()["hysteresis"].params
+    assert {p.name: p.low for p in known} == {"xy_m": 1e-9, "alpha": -1.0}
+    ends = intervals.possible(
+        known, {"xy_m": 3e-5, "alpha": 1e-4}, {"xy_m": [-1e-5, 6e-5], "alpha": [-0.1, 0.1]}
+    )
+    assert ends["xy_m"] == pytest.approx([1.5e-5, 6e-5])
+    assert ends["alpha"] == [-0.1, 0.1]
+    dry = effects.catalogue()["coulomb"].params
+    assert intervals.possible(dry, {"Fc_N": 5.0}, {"Fc_N": [-2.0, 12.0]}) == {"Fc_N": [0.0, 12.0]}

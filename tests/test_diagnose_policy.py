@@ -45,7 +45,6 @@ INLINE = {
     "predict.py continues": "half a row: which one it is",
     "predict.py moved_by": "where an iteration ends",
     "predict.py nrmse": "rows that an error is taken of",
-    "predict.py start_of": "rows that a start is taken of",
     "reading.py _filled_in": "rows that a cubic takes",
     "reading.py _means_nothing": "an exponent",
     "select.py inflation": "rows that a correlation is taken of",

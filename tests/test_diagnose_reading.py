@@ -13,7 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rthyb_rt import cli, config
-from rthyb_rt.diagnose import column_units, engine, mapping, reading, table
+from rthyb_rt.diagnose import channel_sizes, column_units, engine, mapping, reading, table
+from rthyb_rt.diagnose.case import Model
+from rthyb_rt.diagnose.estimate import white_noise
 from rthyb_rt.errors import InputError
 
 NAMES = ("t", "x_cmd", "x_meas", "f_meas")
@@ -790,3 +792,22 @@ def test_a_steel_coupon_far_beyond_yielding_is_no_wrong_unit(tmp_path):
     del columns["x_cmd"]
     columns["f_meas"] = force
     read(tmp_path, written(columns, ",".join(columns), None, ",", "."))
+
+
+def test_fast_motion_at_few_rows_a_cycle_is_no_noise_in_a_wrong_unit():
+    """Its fourth differences are as large as itself; the quietest part of the band is noise."""
+    rng = np.random.default_rng(6)
+    rows, x_std = 4096, 1e-6
+    spectrum = np.exp(2j * np.pi * rng.random(rows // 2 + 1))
+    spectrum[int(0.6 * spectrum.size) :] = 0.0
+    x = np.fft.irfft(spectrum, rows)
+    x = 2e-3 * x / np.std(x) + x_std * rng.standard_normal(rows)
+    model = Model("forced", 512.0, 1e5, 100.0, 20.0, x_std=x_std)
+    assert white_noise(x) > 100.0 * x_std
+
+    def ratio(values: np.ndarray) -> float:
+        found = channel_sizes.relations({"x_meas": values}, model)
+        return next(r.ratio for r in found if r.channel == "x_meas" and r.bound)
+
+    assert 0.7 < ratio(x) < 1.2
+    assert ratio(1000.0 * x) > 700.0

@@ -824,7 +824,11 @@ def _settles(court: Court, part: SetMember) -> bool:
 
 
 def simplest_first(court: Court, sets: Sets) -> Sets:
-    """Of sets that differ only by the form of a law, the one with fewest parameters is first."""
+    """Of sets that differ only by the form of a law, the one with fewest parameters is first.
+
+    Also of any that are as many effects, if what the others explain beyond it is hardly worth the
+    price of their additional parameters.
+    """
     if not sets:
         return sets
     best = sets[0]
@@ -835,7 +839,11 @@ def simplest_first(court: Court, sets: Sets) -> Sets:
         for h in sets
         if len(h.names) == len(best.names)
         and h.count < best.count
-        and (best.late or (len(best.names) > 1 and set(h.names) & set(best.names)))
+        and (
+            best.late
+            or (len(best.names) > 1 and set(h.names) & set(best.names))
+            or h.score - best.score < court.policy.same_evidence
+        )
         and h.score - best.score < form
         and not court.ends_at_noise(best, h)
     ]

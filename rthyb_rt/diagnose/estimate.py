@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import noise
+from rthyb_rt.diagnose import mains, noise
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.moving import gain2, sensor_colour
 from rthyb_rt.diagnose.policy import POLICY
@@ -151,7 +151,7 @@ class Blur:
         power: its power at each frequency of the transform, N^2 per row, (m,).
         accuracy: part of it that is the limited accuracy of a model near resonance, N^2 per row.
         band: weight of each frequency in the evaluation, 0 to 1, (m,).
-        seen: fraction of the motion above its noise, 0 to 1, (m,).
+        seen: fraction of the motion above its noise, 0 to 1; 1 at lines of the load cell, (m,).
         sigma_n: standard deviation of the force channel's own noise where it is white, N.
         omega: those frequencies, rad/s, (m,).
         error: a possible error of the estimated motion, drawn from it, each (n,).
@@ -812,19 +812,25 @@ def from_sensors(case: Case) -> Estimate | None:
         # Near resonance a small force causes a large motion: accuracy is limited to some per
         # thousand.
         sigma = max(sigma, POLICY.force_accuracy * float(np.sqrt(np.mean(force[rows] ** 2))))
+    measured = model.family == "forced" or f_meas is not None
     z2 = _impedance(case, s.omega, mass) ** 2
     power = sigma**2 + z2 * known.variance
     # If displacement is only noise, so are force laws evaluated on it: no band to evaluate.
-    band = np.maximum(sigma**2 / (sigma**2 + z2 * known.measured), known.seen)
+    seen = known.seen
+    if f_meas is not None:
+        # The load cell itself may have lines elsewhere.
+        moved = model.force(motion.x, motion.v, motion.a)
+        lines = mains.lines_hz(force - moved, moved, case.dt)
+        seen = np.maximum(seen, mains.windows(s.omega / (2.0 * np.pi), lines))
+    band = np.maximum(sigma**2 / (sigma**2 + z2 * known.measured), seen)
     rows = _edges(rows, case.fs_hz, filled(channels["x_meas"]))
     share = float(np.mean(band**2))
-    measured = model.family == "forced" or f_meas is not None
     error = _drawn(s, known.variance, force.size)
     return Estimate(
         motion, force, rows, _coloured(s, power, band), sigma, False, max(share, 1e-3),
         _in_pieces(s, power, band, case.fs_hz),
         blur=Blur(
-            power - channel**2, sigma**2 - channel**2, band, known.seen, channel, s.omega, error,
+            power - channel**2, sigma**2 - channel**2, band, seen, channel, s.omega, error,
             model.k * error.x + model.c * error.v + mass * error.a,
         ) if measured else None,
     )  # fmt: skip

@@ -54,7 +54,9 @@ def of_form(design: Floats, residual: Floats, inverse: Floats, near: Floats) -> 
     noise = max(rest, 0.0) / max(residual.size - gram.size, 1)
     if not noise > 0.0:
         return np.zeros_like(inverse)
-    sizes = POLICY.form_error**2 * np.r_[0.0, np.geomspace(1e-8, 1.0, 65)]
+    # Where its argument is largest, the function is the sum of all its coefficients.
+    most = POLICY.form_error**2 / near.shape[1]
+    sizes = most * np.r_[0.0, np.geomspace(1e-8, 1.0, 65)]
     power = gram * (noise + sizes[:, None] * gram)
     likelihood = np.sum(np.log(power) + score**2 / power, axis=1)
     size2 = float(sizes[int(np.argmin(likelihood))])

@@ -15,7 +15,7 @@ import numpy as np
 from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, fitted, force
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.effects.base import Context, Trial
+from rthyb_rt.diagnose.effects.base import Context, Param, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
 from rthyb_rt.diagnose.policy import POLICY, SIDES
 from rthyb_rt.diagnose.select import (
@@ -100,7 +100,7 @@ class Sure:
         """Return the parameters of one effect and their 95 % intervals."""
         params, ci = self._in_this_form(member)
         self._widen(ci, params, member)
-        return params, ci
+        return params, possible(self.search.best.members[member].effect.params, params, ci)
 
     def strength(self, member: int) -> float | None:
         """Return the squared ratio of an effect's size to its standard deviation; None: no size.
@@ -192,6 +192,22 @@ def opposite(value: float, center: float) -> float:
     if value * center > center**2:
         return center**2 / value
     return 2.0 * center - value
+
+
+def possible(known: Sequence[Param], params: dict[str, float], ci: Intervals) -> Intervals:
+    """Return intervals that end where a parameter's meaning does.
+
+    A strength may be zero. A length or a frequency may not: its lower end is as many times smaller
+    than the value as the upper one is larger.
+    """
+    lowest = {p.name: p.low for p in known}
+    out = {}
+    for k, (low, high) in ci.items():
+        least, value = lowest.get(k, -np.inf), params[k]
+        if low < least and value > least >= 0.0:
+            low = opposite(high, value) if least > 0.0 else least
+        out[k] = [low, high]
+    return out
 
 
 def _half(ends: list[float]) -> float:

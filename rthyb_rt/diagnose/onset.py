@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import combinations
 from typing import Protocol
 
 import numpy as np
@@ -181,13 +182,21 @@ def propose(dictionary: Dictionary, fitter: OnsetFitter) -> list[Fit]:
 
 
 def settle(fitter: OnsetFitter, most: int) -> None:
-    """Search for the onset in the best sets again; one found alone may belong to another effect."""
+    """Search for the onset in the best sets again; one found alone may belong to another effect.
+
+    And one found beside other effects is that of the effect alone, or beside fewer of them: before
+    the noise was known, they may have been needed for its slow part.
+    """
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
     for fit in ranked[:most]:
-        late = [i for i, m in enumerate(fit.members) if m.effect.late]
-        for i in late if len(fit.members) > 1 else ():
-            rest = [m for j, m in enumerate(fit.members) if j != i]
-            _begun(fitter, [*rest, fit.members[i]])
+        late = [m for m in fit.members if m.effect.late]
+        rest = [m for m in fit.members if not m.effect.late]
+        for member in late if len(fit.members) > 1 else ():
+            _begun(fitter, [*(m for m in fit.members if m is not member), member])
+        if len(late) == 1:
+            for size in range(len(rest)):
+                for fewer in combinations(rest, size):
+                    _begun(fitter, [*fewer, *late])
 
 
 def _beside(dictionary: Dictionary, fitter: OnsetFitter, base: Fit) -> list[Fit]:

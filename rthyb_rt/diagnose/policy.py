@@ -526,6 +526,11 @@ class Policy:
         6.0, "factor", "judgement",
         "Ratio of a spectral line to its surroundings above which it is tried as hum.",
     )  # fmt: skip
+    hum_apart: float = _entry(
+        0.02, "fraction of the largest line", "judgement",
+        "Line of the model's force above which a line of the residual at the same frequency is "
+        "attributed to the motion.",
+    )  # fmt: skip
     faint_force: float = _entry(
         0.1, "fraction of the noise", "judgement",
         "Size of a force at a given frequency below which it carries no information on time "
@@ -674,8 +679,8 @@ class Policy:
     )  # fmt: skip
     past_better: float = _entry(
         0.5, "fraction of the misfit", "judgement",
-        "An assumed loading history is accepted if it reduces the misfit in the first rows of a "
-        "second recording to at most this fraction.",
+        "An assumed loading history, or a motion simulated anew, is accepted if it reduces the "
+        "misfit in the first rows of a second recording to at most this fraction.",
     )  # fmt: skip
 
     # ---- redundant channels, and channels unknown to the model ----------------------------------
@@ -737,6 +742,12 @@ class Policy:
         0.01, "fraction of the steepest slope", "numerics",
         "Together with a yielding law, a spring may be flat; it is regarded as falling, and is "
         "rejected, if its slope is more negative than this.",
+    )  # fmt: skip
+    p_delta: float = _entry(
+        0.3, "fraction of the elastic stiffness", "physics",
+        "Together with a yielding law, the model's spring is rejected if it is more negative than "
+        "this.",
+        "Eurocode 8, 4.4.2.2: the largest interstorey drift sensitivity to P-delta",
     )  # fmt: skip
     gap_in_spring: float = _entry(
         0.5, "fraction of the stated stiffness", "physics",

@@ -27,6 +27,10 @@ from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Member, columns_of
 
 ROUNDS = 25
+HEAD = 300
+"""Number of first rows from which the start of a motion is fitted, at most."""
+HEAD_LEAST = 8
+"""Least number of these rows."""
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,8 @@ def predict(
         late = augmented.zeros_m[1]
         result = predict(replace(augmented, zeros_m=(late, late)), whole, begun=False)
         n = case.t.size
-        return Prediction(case.t, result.f[-n:], result.x[-n:])
+        through = Prediction(case.t, result.f[-n:], result.x[-n:])
+        return _anew(augmented.lasting(), case, through)
     model = augmented.model
     other = {k: estimate.filled(v) for k, v in case.recorded.items() if np.isfinite(v).any()}
     x_meas = case.channels.get("x_meas")
@@ -225,6 +230,26 @@ def predict(
     reach = max(float(np.max(np.abs(motion.x))), augmented.ranges[0] if augmented.ranges else 0.0)
     force = loading_history.force_after(augmented.force, case, motion, other, reach)
     return Prediction(case.t, force, x_only)
+
+
+def _anew(augmented: Augmented, case: Case, through: Prediction) -> Prediction:
+    """Return the prediction of a free body from its first measured rows, if it meets them better.
+
+    The error of a motion simulated from the beginning of the recording before lasts: a body without
+    a spring never returns. A simulation that begins anew knows the state, but not the history.
+    """
+    x_meas = case.channels.get("x_meas")
+    if augmented.model.family not in ("forced", "ground") or x_meas is None or _measured(case):
+        return through
+    known = np.isfinite(x_meas)
+    if known.sum() < HEAD_LEAST:
+        return through
+    anew = predict(augmented, case)
+
+    def off(prediction: Prediction) -> float:
+        return float(np.sqrt(np.mean((prediction.x[known] - x_meas[known]) ** 2)))
+
+    return anew if off(anew) < POLICY.past_better * off(through) else through
 
 
 def _measured(case: Case) -> bool:
@@ -306,8 +331,8 @@ def start_of(
     x_meas = estimate.filled_if_short(x_meas)
     good = np.isfinite(x_meas)
     end = int(np.argmin(good)) if not good.all() else x_meas.size
-    end = min(end, 300)
-    if end < 8:
+    end = min(end, HEAD)
+    if end < HEAD_LEAST:
         return (float(x_meas[0]), 0.0) if good[0] else (0.0, 0.0)
     first = min(end, 12)
     slope = np.polyfit(np.arange(first) * dt, x_meas[:first], 3)

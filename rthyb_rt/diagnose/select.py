@@ -388,28 +388,40 @@ class ResidualProblem:
         """Return whether, with a yielding law in a naive model, an elastic spring pushes outwards.
 
         What softens there is the loop. A polynomial that imitates this has a negative slope within
-        the motion, and predicts nothing beyond it.
+        the motion, and predicts nothing beyond it. Without a law of elasticity it is the model's
+        spring, which a load on the specimen can turn negative (P-delta): up to a share of the
+        specimen's elastic stiffness.
         """
         ctx = self.ctx
         if not ctx.k_free or not any(m.effect.yields for m in fit.members):
             return False
+        elastic = [i for i, m in enumerate(fit.members) if m.effect.elastic]
         x = np.linspace(-ctx.x_range, ctx.x_range, SLOPES)
-        still, t = (
-            ComputedMotion(x, np.zeros(SLOPES), np.zeros(SLOPES)),
-            np.linspace(0.0, 1.0, SLOPES),
-        )
+        slope = np.diff(self._pulled(fit, x, elastic))
+        least, most = float(slope.min()), float(np.abs(slope).max())
+        if elastic and least < -POLICY.spring_level * most:
+            return True
+        # From rest, before anything yields.
+        first = np.array([0.0, 1e-3 * ctx.x_range / SLOPES])
+        whole = np.diff(self._pulled(fit, first, range(len(fit.members))))
+        per_m = SLOPES / (2.0 * ctx.x_range)
+        return least * per_m < -POLICY.p_delta * float(whole[0]) / float(first[1])
+
+    def _pulled(self, fit: Fit, x: Floats, which: Iterable[int]) -> Floats:
+        """Return the force of the model's spring and of some effects along a slow motion, (n,)."""
+        ctx = self.ctx
+        still = ComputedMotion(x, np.zeros(x.size), np.zeros(x.size))
+        t = np.linspace(0.0, 1.0, x.size)
         along = Context(ctx.model, still, t, still.v, {}, ctx.all_ranges)
         force = along.spring.copy()
         for b, nuisance in zip(fit.nuisance, self.nuisances, strict=True):
             if nuisance.number == "k":
                 force += b * along.spring
-        elastic = [(m, b) for m, b in zip(fit.members, fit.betas, strict=True) if m.effect.elastic]
-        for member, beta in elastic:
-            force += np.asarray(beta) @ np.array(member.effect.columns(along, member.trial))
-        slope = np.diff(force)
-        return bool(elastic) and float(slope.min()) < -POLICY.spring_level * float(
-            np.abs(slope).max()
-        )
+        for i in which:
+            member = fit.members[i]
+            columns = member.effect.columns(along, member.trial)
+            force += np.asarray(fit.betas[i]) @ np.array(columns)
+        return np.asarray(force)
 
     def beside(self, members: Sequence[Member]) -> Floats:
         """Return the evaluated nuisance columns with a set, (rows, nuisances)."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.diagnose import estimate
+from rthyb_rt.diagnose import estimate, mains
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.friction import Viscous
 from rthyb_rt.diagnose.policy import POLICY
@@ -148,33 +148,8 @@ class Hum(Effect):
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return the strongest lines that the model does not explain, away from the motion."""
-        rest = ctx.force - ctx.total
-        rest = rest - rest.mean()
-        taper = np.hanning(rest.size)
-        spectrum = np.abs(np.fft.rfft(rest * taper))
-        motion = np.abs(np.fft.rfft((ctx.total - ctx.total.mean()) * taper))
-        f = np.fft.rfftfreq(rest.size, ctx.dt)
-        local = np.array(
-            [np.median(part) for part in np.array_split(spectrum, max(spectrum.size // 128, 1))]
-        )
-        floor = np.interp(
-            np.arange(spectrum.size),
-            (np.arange(local.size) + 0.5) * spectrum.size / local.size,
-            local,
-        )
-        strength = np.where(
-            (f > 2.0) & (motion < 0.02 * motion.max()), spectrum / np.maximum(floor, 1e-300), 0.0
-        )
-        found = []
-        for _ in range(3):
-            i = int(np.argmax(strength))
-            if strength[i] < POLICY.hum_line or not 0 < i < f.size - 1:
-                break
-            low, mid, high = np.log(np.maximum(spectrum[i - 1 : i + 2], 1e-300))
-            step = 0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-12)
-            found.append(Trial((float(f[i] + step * f[1]),)))
-            strength[max(i - 6, 0) : i + 7] = 0.0
-        return found
+        lines = mains.lines_hz(ctx.force - ctx.total, ctx.total, ctx.dt)
+        return [Trial((f_hz,)) for f_hz in lines]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep the line within one bin of its initial frequency."""

@@ -1,0 +1,63 @@
+"""Lines of mains or pumps in the spectrum of what a model leaves of a force."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.policy import POLICY
+
+MOST = 3
+"""Number of lines returned, the strongest first."""
+LEAST_HZ = 2.0
+"""Frequency below which a line is regarded as motion."""
+AROUND = 6
+"""Number of lines on either side that belong to a line found: those of its taper."""
+WINDOW_HZ = 2.0
+"""Half-width of the part of the spectrum that shows a line: a filter of this width forgets the ends
+of a recording after half a second."""
+
+
+def lines_hz(rest: Floats, motion: Floats, dt: float) -> list[float]:
+    """Return the frequencies of lines that stand out of their surroundings, at most three, Hz.
+
+    Args:
+        rest: what the model leaves of a force, (n,), N.
+        motion: the force of the model, whose own lines do not count, (n,), N.
+        dt: sampling period, s.
+    """
+    rest = rest - rest.mean()
+    taper = np.hanning(rest.size)
+    spectrum = np.abs(np.fft.rfft(rest * taper))
+    moved = np.abs(np.fft.rfft((motion - motion.mean()) * taper))
+    f = np.fft.rfftfreq(rest.size, dt)
+    local = np.array(
+        [np.median(part) for part in np.array_split(spectrum, max(spectrum.size // 128, 1))]
+    )
+    floor = np.interp(
+        np.arange(spectrum.size), (np.arange(local.size) + 0.5) * spectrum.size / local.size, local
+    )
+    apart = (f > LEAST_HZ) & (moved < POLICY.hum_apart * moved.max())
+    strength = np.where(apart, spectrum / np.maximum(floor, 1e-300), 0.0)
+    found = []
+    for _ in range(MOST):
+        i = int(np.argmax(strength))
+        if strength[i] < POLICY.hum_line or not 0 < i < f.size - 1:
+            break
+        low, mid, high = np.log(np.maximum(spectrum[i - 1 : i + 2], 1e-300))
+        step = 0.5 * (low - high) / min(low - 2.0 * mid + high, -1e-12)
+        found.append(float(f[i] + step * f[1]))
+        strength[max(i - AROUND, 0) : i + AROUND + 1] = 0.0
+    return found
+
+
+def windows(f_hz: Floats, lines: list[float]) -> Floats:
+    """Return the weight of each frequency for evaluating lines, 1 at a line, (m,).
+
+    A law of the force cannot be evaluated where the motion is noise; a line of the load cell can.
+    """
+    out = np.zeros(f_hz.size)
+    for line in lines:
+        off = np.clip(np.abs(f_hz - line) / WINDOW_HZ, 0.0, 1.0)
+        out = np.maximum(out, np.cos(0.5 * np.pi * off) ** 2)
+    return out
