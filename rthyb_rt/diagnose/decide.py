@@ -818,9 +818,13 @@ def _plainer_of(court: Court, of: Hypothesis, sets: Sets) -> Hypothesis | None:
 
 
 def _settles(court: Court, part: SetMember) -> bool:
-    """Return whether the motion is so slow that an effect acts like its simpler law."""
-    quick = 0.0 < part.settles_rad < court.policy.quick_relaxation
-    return quick and part.name in court.laws.settling
+    """Return whether the motion is so slow that an effect acts like its simpler law.
+
+    Along a noisy motion it need not be as slow for the difference to be one of noise.
+    """
+    policy = court.policy
+    most = policy.quick_beside_noise if court.noisy_motion else policy.quick_relaxation
+    return 0.0 < part.settles_rad < most and part.name in court.laws.settling
 
 
 def simplest_first(court: Court, sets: Sets) -> Sets:

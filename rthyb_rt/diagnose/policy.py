@@ -177,6 +177,12 @@ class Policy:
         "equivalent to viscous damping; ratio of the motion's frequency to that of a second mode "
         "up to which the latter is a moving mass.",
     )  # fmt: skip
+    quick_beside_noise: float = _entry(
+        1.0 / 3.0, "rad", "physics",
+        "The same along an estimated motion, where the difference must be earned by the motion that "
+        "the test imposes.",
+        "a mass on a spring then acts like one that is 12 per cent larger",
+    )  # fmt: skip
     form_alone: float = _entry(
         1.5e-3, "fraction of what is explained", "judgement",
         "Maximum difference between two sets that can be due to the form of a law alone; a set "
