@@ -106,10 +106,13 @@ def test_a_recording_that_goes_on_begins_where_its_first_rows_say_if_the_body_do
     before = Case("first", model, t[:cut], first, every[:cut])
     made = Augmented(model, model, (), (), None, None)
 
-    def error(rows: int) -> float:
-        known = np.where(np.arange(1000) < rows, truth[cut:], np.nan)
+    def error(rows: int, noise_m: float = 0.0) -> float:
+        readings = truth[cut:] + noise_m * rng.standard_normal(1000)
+        known = np.where(np.arange(1000) < rows, readings, np.nan)
         second = {"x_meas": known, "f_in": push[cut:]}
         case = Case("second", model, t[cut:], second, every[cut:])
         return nrmse(predict(made, case, before).x[200:400], truth[cut + 200 : cut + 400])
 
     assert error(200) < 0.25 * error(4)
+    # So few readings do not show its velocity.
+    assert error(8, 2e-5) == error(4)

@@ -773,3 +773,19 @@ def test_of_single_laws_the_one_with_fewer_parameters_is_first_if_the_other_is_h
     choice = decided(seen)
     assert choice.best.names == named
     assert [h.names for h in choice.equal] == equal
+
+
+def test_a_stiff_second_mode_beside_a_negative_mass_must_show_in_the_motion_of_the_test() -> None:
+    """The two take mass off the noise of an estimated motion, and hardly any off the motion."""
+
+    def named(exact: bool, earned: float) -> tuple[str, ...]:
+        stiff = part("second_mode", 30.0, 3, settles_rad=0.23)
+        seen = evidence(
+            of("inertia", chi2=19_990.0), of(stiff, chi2=19_990.0), of("inertia", stiff, chi2=1e3),
+            exact=exact,
+        )  # fmt: skip
+        return decided(seen, driven=(earned, earned), driven_together=earned).best.names
+
+    assert named(exact=False, earned=5.0) == ()
+    assert named(exact=False, earned=500.0) == ("inertia", "second_mode")
+    assert named(exact=True, earned=5.0) == ("inertia", "second_mode")

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from diagnose_answers import diagnosed, found, holds
 from diagnose_cases import F_STD
+from scipy import signal
 from test_diagnose_steady import fitted
+
+from rthyb_rt.diagnose import mains, noise
 
 
 @pytest.mark.parametrize("f_hz", [16.731, 49.93, 60.0355, 101.7])
@@ -54,3 +57,42 @@ def test_a_hum_shows_where_the_motion_of_a_heavy_specimen_is_only_noise(
         assert d.effects == ["hum"]
         assert holds(d, "hum", "amp_N", hum_n)
         assert found(d, "hum", "f_Hz") == pytest.approx(60.0355, abs=0.01)
+
+
+def test_only_one_steady_sine_is_a_hum_and_no_resonance_or_pump_that_wanders() -> None:
+    rng = np.random.default_rng(8)
+    n = 4096
+    t = np.arange(n) / cases.FS
+    motion, white = 5e3 * np.sin(2.0 * np.pi * 2.0 * t), 5.0 * rng.standard_normal(n)
+    b, a = signal.iirpeak(60.0, 60.0, fs=cases.FS)
+    rings = signal.lfilter(b, a, rng.standard_normal(2 * n))[n:]
+    wanders = 60.0 + 0.3 * np.sin(2.0 * np.pi * t / 7.0)
+    told = {
+        "sine": 60.0355,
+        "resonance": None,
+        "pump": None,
+        "noise": None,
+    }
+    rests = {
+        "sine": 60.0 * np.sin(2.0 * np.pi * 60.0355 * t),
+        "resonance": 60.0 * rings / np.std(rings),
+        "pump": 60.0 * np.sin(2.0 * np.pi * np.cumsum(wanders) / cases.FS),
+        "noise": np.zeros(n),
+    }
+    for name, rest in rests.items():
+        found = mains.hum_hz(rest + white, motion, 1.0 / cases.FS)
+        assert found == (told[name] and pytest.approx(told[name], abs=0.005)), name
+    assert len(mains.lines_hz(rests["pump"] + white, motion, 1.0 / cases.FS)) > 0
+
+
+def test_steady_noise_of_a_narrow_band_has_no_bursts_however_long_it_is() -> None:
+    """A second of it has few independent values, and the loudest of many is loud by chance."""
+    rng = np.random.default_rng(9)
+    wide = rng.standard_normal(40_000)
+    narrow = signal.sosfiltfilt(signal.butter(4, 0.05, output="sos"), wide)
+    knock = np.ones(40_000)
+    knock[5000:5256] = 4.0
+    assert noise.steady(wide, cases.FS)
+    assert noise.steady(narrow, cases.FS)
+    assert not noise.steady(knock * wide, cases.FS)
+    assert not noise.steady(knock * narrow, cases.FS)

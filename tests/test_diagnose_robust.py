@@ -131,6 +131,39 @@ def test_what_gives_a_model_energy_or_takes_off_a_mass_it_has_not_is_no_answer()
     assert not stated.sensible(fit_of(stated, "gap", 0.2, 5e-4, variant="deadband"))
 
 
+def spring(problem: ResidualProblem, k_n_per_m: float) -> np.ndarray:
+    """Return the nuisances with which the model's spring has this stiffness."""
+    model = problem.case.model
+    return np.array(
+        [k_n_per_m / model.k - 1.0 if n.number == "k" else 0.0 for n in problem.nuisances]
+    )
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [(), ("drift", 500.0), ("drift", -500.0), ("hum", 100.0, -80.0), ("crosstalk", 0.05)],
+    ids=lambda b: " ".join(map(str, b)) or "alone",
+)
+def test_a_spring_that_falls_beside_a_loop_is_weighed_against_what_holds_the_specimen(beside):
+    """A load may take a part of its stiffness (P-delta); what the load cell adds holds nothing."""
+    problem = problem_of(naive(lambda x, v: 2e4 * x))
+    laws, k = effects.catalogue(), problem.case.model.k
+    members, betas = [Member(laws["hysteresis"], Trial((5e-4,), "bw1"))], [np.array([2.0])]
+    if beside:
+        theta = (50.0,) if beside[0] == "hum" else ()
+        members.append(Member(laws[beside[0]], Trial(theta)))
+        betas.append(np.array(beside[1:]))
+
+    def sensible(k_n_per_m: float) -> bool:
+        held = spring(problem, k_n_per_m)
+        return problem.sensible(Fit(tuple(members), tuple(betas), 0.0, 1, held))
+
+    # The loop holds twice the model's spring: with a falling one, the rest of it is elastic.
+    assert sensible(0.1 * k)
+    assert sensible(-0.4 * k)
+    assert not sensible(-0.6 * k)
+
+
 def test_a_motion_simulated_late_counts_like_the_others():
     """A part that is asked for after rows were taken for less evidence is no worse for that."""
     problem = problem_of(naive(lambda x, v: 2e4 * x))

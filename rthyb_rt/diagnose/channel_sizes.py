@@ -460,7 +460,7 @@ def _noises(c: Channels, model: Model, referenced: set[str]) -> Iterator[Relatio
     For channels with a reference, only if all have a hundred times their stated noise.
 
     Filtered readings have less noise than the data sheet states, and none has a hundred times more,
-    see `_floor`.
+    see `_noise`.
     An orthogonal force that is `wrong_unit` times smaller than the measured one, with noise smaller
     than a load cell's by the same factor, is in other units.
 
@@ -471,14 +471,14 @@ def _noises(c: Channels, model: Model, referenced: set[str]) -> Iterator[Relatio
         return
     sheet = {"x_meas": model.x_std, "f_meas": model.f_std, "f_in": model.f_std,
              "a_meas": model.a_std}  # fmt: skip
-    noises = {k: _floor(c[k]) / std for k, std in sheet.items() if std and k in c}
+    noises = {k: _noise(c[k]) / std for k, std in sheet.items() if std and k in c}
     # Channels that agree with one another may all be wrong: metres and meganewtons.
     together = len(noises) > 1 and min(noises.values()) > POLICY.wrong_unit
     for name, noise in noises.items():
         if together or name not in referenced:
             yield Relation(name, noise, 1.0, (), bound=True, than="the noise that the model states")
     if "fy_meas" in c and model.f_std and "fy_meas" not in referenced:
-        noise = _floor(c["fy_meas"]) / model.f_std
+        noise = white_noise(c["fy_meas"]) / model.f_std
         alone = "f_meas" not in c
         spread = 1.0 if alone else float(np.std(filled(c["f_meas"]))) or 1.0
         ratio = float(np.std(filled(c["fy_meas"]))) / spread
@@ -488,24 +488,28 @@ def _noises(c: Channels, model: Model, referenced: set[str]) -> Iterator[Relatio
         ) and 1.0 / POLICY.wrong_unit**2 < noise < 1.0 / POLICY.wrong_unit:
             yield Relation("fy_meas", noise if alone else ratio, 1.0, (), than=than)
         if alone or ratio > POLICY.fy_larger:
+            noise = _noise(c["fy_meas"]) / model.f_std
             yield Relation("fy_meas", noise, 1.0, (), bound=True, than=than)
 
 
 # ---- sizes --------------------------------------------------------------------------------------
 
 
-def _floor(values: Floats) -> float:
-    """Return the standard deviation of a channel's noise, or less.
+def _noise(values: Floats) -> float:
+    """Return the standard deviation of a channel's noise, or less if that cannot be told.
 
-    Noise that is white is as large in the quietest part of the band; fast motion, sampled at few
-    rows a cycle, is not, and its fourth differences are no noise.
+    Fourth differences of fast motion, sampled at few rows a cycle, are as large as the motion.
+    White noise is also in the quietest part of the band, but there a filter may have removed it:
+    that part is asked only where the differences are too large for the noise of a sensor.
     """
-    y = filled(values)
+    noise, y = white_noise(values), filled(values)
+    if not noise > POLICY.noise_of_sensor * float(np.std(y)):
+        return noise
     window = np.hanning(y.size)
     power = np.abs(np.fft.rfft((y - np.mean(y)) * window)[1:]) ** 2
     # Each line of white noise is distributed exponentially: its median is ln 2 of its mean.
     least = min(float(np.median(part)) for part in np.array_split(power, PARTS)) / math.log(2.0)
-    return min(white_noise(values), math.sqrt(least / float(window @ window)))
+    return min(noise, math.sqrt(least / float(window @ window)))
 
 
 class _Band:

@@ -830,8 +830,8 @@ def _settles(court: Court, part: SetMember) -> bool:
 def simplest_first(court: Court, sets: Sets) -> Sets:
     """Of sets that differ only by the form of a law, the one with fewest parameters is first.
 
-    Also of any that are as many effects, if what the others explain beyond it is hardly worth the
-    price of their additional parameters.
+    Likewise of any sets of equally many effects, if the additional parameters of the others are
+    hardly worth their price.
     """
     if not sets:
         return sets
@@ -865,7 +865,9 @@ def driven(court: Court, of: Hypothesis) -> bool:
     without a load cell is noise that its inertia turns into force: a law can recover or subtract
     it, see `feedback`. A delayed load cell must do so in any
     recording: together with an offset of its channel it filters that noise, moved or not. However,
-    if an accelerometer shows its delay, that is evidence of its own.
+    if an accelerometer shows its delay, that is evidence of its own. And a law that acts like its
+    simpler one in the motion of the test acts otherwise in noise: a stiff second mode beside a
+    negative mass takes mass off the noise of an estimated motion, and hardly any off the motion.
 
     They must also earn it together: of two that cancel, each is needed beside the other, and what
     is left of them filters the noise.
@@ -873,12 +875,15 @@ def driven(court: Court, of: Hypothesis) -> bool:
     setting = court.setting
     alone = setting.judged == "force" and not setting.naive and not setting.witnessed
     late = alone and any(p.carries for p in of.parts)
-    if not setting.returns and not late:
+    quick = court.noisy_motion and any(_settles(court, p) for p in of.parts)
+    if not setting.returns and not late and not quick:
         return True
     times, earned = court.times(of), court.ask("driven", of)
     # Disturbances of the load cell itself, such as hum, are no function of the motion.
     follows = tuple(
-        i for i, p in enumerate(of.parts) if p.carries or (setting.returns and not p.sensor)
+        i
+        for i, p in enumerate(of.parts)
+        if p.carries or ((setting.returns or quick) and not p.sensor)
     )
     if not earned or not follows:
         return True

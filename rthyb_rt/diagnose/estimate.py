@@ -151,7 +151,7 @@ class Blur:
         power: its power at each frequency of the transform, N^2 per row, (m,).
         accuracy: part of it that is the limited accuracy of a model near resonance, N^2 per row.
         band: weight of each frequency in the evaluation, 0 to 1, (m,).
-        seen: fraction of the motion above its noise, 0 to 1; 1 at lines of the load cell, (m,).
+        seen: fraction of the motion above its noise, 0 to 1; 1 at a hum of the load cell, (m,).
         sigma_n: standard deviation of the force channel's own noise where it is white, N.
         omega: those frequencies, rad/s, (m,).
         error: a possible error of the estimated motion, drawn from it, each (n,).
@@ -818,10 +818,11 @@ def from_sensors(case: Case) -> Estimate | None:
     # If displacement is only noise, so are force laws evaluated on it: no band to evaluate.
     seen = known.seen
     if f_meas is not None:
-        # The load cell itself may have lines elsewhere.
+        # The load cell itself may hum elsewhere.
         moved = model.force(motion.x, motion.v, motion.a)
-        lines = mains.lines_hz(force - moved, moved, case.dt)
-        seen = np.maximum(seen, mains.windows(s.omega / (2.0 * np.pi), lines))
+        line_hz = mains.hum_hz(force - moved, moved, case.dt)
+        if line_hz is not None:
+            seen = np.maximum(seen, mains.window(s.omega / (2.0 * np.pi), line_hz))
     band = np.maximum(sigma**2 / (sigma**2 + z2 * known.measured), seen)
     rows = _edges(rows, case.fs_hz, filled(channels["x_meas"]))
     share = float(np.mean(band**2))

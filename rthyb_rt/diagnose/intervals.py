@@ -99,8 +99,9 @@ class Sure:
     def of(self, member: int) -> tuple[dict[str, float], Intervals]:
         """Return the parameters of one effect and their 95 % intervals."""
         params, ci = self._in_this_form(member)
+        ci = possible(self.search.best.members[member].effect.params, params, ci)
         self._widen(ci, params, member)
-        return params, possible(self.search.best.members[member].effect.params, params, ci)
+        return params, ci
 
     def strength(self, member: int) -> float | None:
         """Return the squared ratio of an effect's size to its standard deviation; None: no size.
@@ -125,9 +126,9 @@ class Sure:
     def _in_this_form(self, member: int) -> tuple[dict[str, float], Intervals]:
         """Return parameters and intervals as if the laws had no form but that of the best set."""
         best = self.search.best
-        params, noise = intervals(replace(best, covariance=self.noise), member, self.ctx)
-        shown = intervals(replace(best, covariance=self.shown), member, self.ctx)[1]
-        more = intervals(replace(best, covariance=self.more), member, self.ctx)[1]
+        params, noise = _symmetric(replace(best, covariance=self.noise), member, self.ctx)
+        shown = _symmetric(replace(best, covariance=self.shown), member, self.ctx)[1]
+        more = _symmetric(replace(best, covariance=self.more), member, self.ctx)[1]
         ci = {}
         for k, v in params.items():
             if k in noise:
@@ -197,16 +198,18 @@ def opposite(value: float, center: float) -> float:
 def possible(known: Sequence[Param], params: dict[str, float], ci: Intervals) -> Intervals:
     """Return intervals that end where a parameter's meaning does.
 
-    A strength may be zero. A length or a frequency may not: its lower end is as many times smaller
-    than the value as the upper one is larger.
+    A strength may be zero. A size that cannot (a length, a time, a frequency) is as many times
+    larger than the lower end as the upper end is larger than the size.
     """
-    lowest = {p.name: p.low for p in known}
+    limits = {p.name: (p.low, p.high) for p in known}
     out = {}
     for k, (low, high) in ci.items():
-        least, value = lowest.get(k, -np.inf), params[k]
-        if low < least and value > least >= 0.0:
-            low = opposite(high, value) if least > 0.0 else least
-        out[k] = [low, high]
+        (least, most), value = limits.get(k, (-np.inf, np.inf)), params[k]
+        if value > 0.0 and least > 0.0:
+            low = opposite(high, value)
+        elif value >= least:
+            low = max(low, least)
+        out[k] = [low, min(high, most) if value <= most else high]
     return out
 
 
@@ -263,10 +266,14 @@ def of_the_spring_there_is(
     ci[key] = [min(ends), max(ends)]
 
 
-def intervals(
-    fit: Fit, member: int, ctx: Context
-) -> tuple[dict[str, float], dict[str, list[float]]]:
+def intervals(fit: Fit, member: int, ctx: Context) -> tuple[dict[str, float], Intervals]:
     """Return the parameters of one effect and their 95 % intervals."""
+    params, ci = _symmetric(fit, member, ctx)
+    return params, possible(fit.members[member].effect.params, params, ci)
+
+
+def _symmetric(fit: Fit, member: int, ctx: Context) -> tuple[dict[str, float], Intervals]:
+    """Return the same, as the covariance alone gives it."""
     m = fit.members[member]
     params = m.effect.report(ctx, m.trial, fit.betas[member])
     if fit.covariance is None:

@@ -1,4 +1,4 @@
-"""Lines of mains or pumps in the spectrum of what a model leaves of a force."""
+"""Single lines, as of mains or pumps, in the spectrum of what a model leaves of a force."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ LEAST_HZ = 2.0
 """Frequency below which a line is regarded as motion."""
 AROUND = 6
 """Number of lines on either side that belong to a line found: those of its taper."""
+FINER = 10
+"""Number of steps to either side in which a frequency is refined, twice."""
 WINDOW_HZ = 2.0
 """Half-width of the part of the spectrum that shows a line: a filter of this width forgets the ends
 of a recording after half a second."""
@@ -51,13 +53,35 @@ def lines_hz(rest: Floats, motion: Floats, dt: float) -> list[float]:
     return found
 
 
-def windows(f_hz: Floats, lines: list[float]) -> Floats:
-    """Return the weight of each frequency for evaluating lines, 1 at a line, (m,).
+def hum_hz(rest: Floats, motion: Floats, dt: float) -> float | None:
+    """Return the frequency of the strongest line if it is one steady sine, Hz; None: it is not.
+
+    A resonance, or a pump that wanders, still stands out when the best sine is taken off: that is
+    no hum, and where the motion is noise, nothing can be said of it. Arguments as for `lines_hz`.
+    """
+    found = lines_hz(rest, motion, dt)
+    if not found:
+        return None
+    t, rest = dt * np.arange(rest.size), rest - rest.mean()
+    step = 1.0 / (dt * rest.size)
+
+    def off(f_hz: float) -> Floats:
+        waves = np.column_stack([np.sin(2.0 * np.pi * f_hz * t), np.cos(2.0 * np.pi * f_hz * t)])
+        return np.asarray(rest - waves @ np.linalg.lstsq(waves, rest, rcond=None)[0])
+
+    best = found[0]
+    for width in (step, step / FINER):
+        tried = best + width * np.linspace(-1.0, 1.0, 2 * FINER + 1)
+        best = float(min(tried, key=lambda f_hz: float(np.sum(off(f_hz) ** 2))))
+    again = lines_hz(off(best), motion, dt)
+    near = AROUND * step
+    return None if any(abs(line - best) < near for line in again) else best
+
+
+def window(f_hz: Floats, line_hz: float) -> Floats:
+    """Return the weight of each frequency for evaluating a line, 1 there, (m,).
 
     A law of the force cannot be evaluated where the motion is noise; a line of the load cell can.
     """
-    out = np.zeros(f_hz.size)
-    for line in lines:
-        off = np.clip(np.abs(f_hz - line) / WINDOW_HZ, 0.0, 1.0)
-        out = np.maximum(out, np.cos(0.5 * np.pi * off) ** 2)
-    return out
+    off = np.clip(np.abs(f_hz - line_hz) / WINDOW_HZ, 0.0, 1.0)
+    return np.asarray(np.cos(0.5 * np.pi * off) ** 2)

@@ -10,6 +10,7 @@ misfit is a finding, whatever its spectrum.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,8 @@ TRIED = 12
 """Number of sets that are tried with the colour of their residual."""
 FADE_S = 0.25
 """Time over which the data are faded out next to rows that are not evaluated."""
+SELDOM = 0.01
+"""Probability that steady noise has a second louder than is accepted."""
 EULER = 0.5772156649015329
 """Logarithm of the mean of a line's power less the mean of its logarithm."""
 
@@ -335,10 +338,19 @@ def mere(rest: Floats, white: Floats, sheet: float, fs_hz: float) -> bool:
 
 
 def steady(white: Floats, fs_hz: float) -> bool:
-    """Return whether whitened noise, (n,), has no bursts of a second."""
+    """Return whether whitened noise, (n,), has no bursts of a second.
+
+    In a narrow band, a second has few independent values, and the loudest of many is loud by chance
+    (chi-squared by Wilson and Hilferty, Proc. Natl. Acad. Sci. 17 (1931) 684).
+    """
     count = max(int(white.size / max(fs_hz, 1.0)), 1)
     loudest = max(_rms(part) for part in np.array_split(white, count))
-    return loudest < POLICY.noise_burst * _rms(white)
+    power = np.abs(np.fft.rfft(white)[1:]) ** 2
+    # Of lines distributed exponentially, the mean square is twice the square of the mean.
+    values = 4.0 * float(np.sum(power)) ** 2 / max(float(np.sum(power**2)), 1e-300)
+    w = 2.0 * count / (9.0 * max(values, 1.0))
+    chance = (1.0 - w + NormalDist().inv_cdf(1.0 - SELDOM / count) * np.sqrt(w)) ** 3
+    return loudest < max(POLICY.noise_burst, float(np.sqrt(max(chance, 0.0)))) * _rms(white)
 
 
 def _rms(signal: Floats) -> float:

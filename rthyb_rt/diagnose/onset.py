@@ -20,6 +20,7 @@ from rthyb_rt.diagnose.select import (
     Scan,
     compatible,
     inflation,
+    names_of,
     refine,
     solve,
 )
@@ -188,6 +189,7 @@ def settle(fitter: OnsetFitter, most: int) -> None:
     the noise was known, they may have been needed for its slow part.
     """
     ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    done: set[tuple[str, ...]] = set()
     for fit in ranked[:most]:
         late = [m for m in fit.members if m.effect.late]
         rest = [m for m in fit.members if not m.effect.late]
@@ -196,7 +198,10 @@ def settle(fitter: OnsetFitter, most: int) -> None:
         if len(late) == 1:
             for size in range(len(rest)):
                 for fewer in combinations(rest, size):
-                    _begun(fitter, [*fewer, *late])
+                    members = [*fewer, *late]
+                    if names_of(members) not in done:
+                        done.add(names_of(members))
+                        _begun(fitter, members)
 
 
 def _beside(dictionary: Dictionary, fitter: OnsetFitter, base: Fit) -> list[Fit]:

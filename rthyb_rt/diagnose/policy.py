@@ -179,8 +179,8 @@ class Policy:
     )  # fmt: skip
     quick_beside_noise: float = _entry(
         1.0 / 3.0, "rad", "physics",
-        "The same along an estimated motion, where the difference must be earned by the motion that "
-        "the test imposes.",
+        "The same along an estimated motion, where the difference must be earned by the motion "
+        "that the test imposes.",
         "a mass on a spring then acts like one that is 12 per cent larger",
     )  # fmt: skip
     form_alone: float = _entry(
@@ -961,6 +961,12 @@ class Policy:
         "Ratio (or its inverse) beyond which a channel with the expected shape has a wrong unit.",
         "a specimen may be 30 times softer than its model; a unit that is wrong by 1000 still "
         "gives 100 if the model is wrong by ten in the other direction",
+    )  # fmt: skip
+    noise_of_sensor: float = _entry(
+        0.03, "fraction of the signal", "physics",
+        "Fourth differences above which a channel's noise is taken from the quietest part of its "
+        "band.",
+        "the fourth differences of motion at nine rows per cycle",
     )  # fmt: skip
     shape_alike: float = _entry(
         0.5, "correlation", "judgement",

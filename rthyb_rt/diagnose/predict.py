@@ -233,23 +233,35 @@ def predict(
 
 
 def _anew(augmented: Augmented, case: Case, through: Prediction) -> Prediction:
-    """Return the prediction of a free body from its first measured rows, if it meets them better.
+    """Return the prediction of a free body from its first measured rows, if that is better.
 
     The error of a motion simulated from the beginning of the recording before lasts: a body without
-    a spring never returns. A simulation that begins anew knows the state, but not the history.
+    a spring never returns. A simulation that begins anew knows the state, but not the history, and
+    the error of its initial velocity lasts as well.
     """
-    x_meas = case.channels.get("x_meas")
-    if augmented.model.family not in ("forced", "ground") or x_meas is None or _measured(case):
+    model, x_meas = augmented.model, case.channels.get("x_meas")
+    if model.family not in ("forced", "ground") or x_meas is None or _measured(case):
         return through
-    known = np.isfinite(x_meas)
-    if known.sum() < HEAD_LEAST:
+    good = np.isfinite(x_meas)
+    known = min(int(np.argmin(good)) if not good.all() else good.size, HEAD)
+    if known < HEAD_LEAST:
         return through
     anew = predict(augmented, case)
 
     def off(prediction: Prediction) -> float:
-        return float(np.sqrt(np.mean((prediction.x[known] - x_meas[known]) ** 2)))
+        miss = prediction.x[:known] - x_meas[:known]
+        return float(np.sqrt(np.mean(miss**2)))
 
-    return anew if off(anew) < POLICY.past_better * off(through) else through
+    if not np.isfinite(off(through)):
+        return anew
+    # Standard deviation of the slope of a line through so many rows, see any text on regression.
+    rate = off(anew) * np.sqrt(12.0 / known) / (known * case.dt)
+    mass = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+    lasts = float(case.t[-1] - case.t[0])
+    if model.k > 0.0 and mass > 0.0:
+        lasts = min(lasts, float(np.sqrt(mass / model.k)))
+    error = float(np.hypot(off(anew), rate * lasts))
+    return anew if error < POLICY.past_better * off(through) else through
 
 
 def _measured(case: Case) -> bool:

@@ -401,10 +401,11 @@ class ResidualProblem:
         least, most = float(slope.min()), float(np.abs(slope).max())
         if elastic and least < -POLICY.spring_level * most:
             return True
-        # From rest, before anything yields.
+        # From rest, before anything yields; what the load cell adds holds nothing.
         first = np.array([0.0, 1e-3 * ctx.x_range / SLOPES])
-        whole = np.diff(self._pulled(fit, first, range(len(fit.members))))
-        per_m = SLOPES / (2.0 * ctx.x_range)
+        holding = [i for i, m in enumerate(fit.members) if m.effect.elastic or m.effect.yields]
+        whole = np.diff(self._pulled(fit, first, holding))
+        per_m = (SLOPES - 1) / (2.0 * ctx.x_range)
         return least * per_m < -POLICY.p_delta * float(whole[0]) / float(first[1])
 
     def _pulled(self, fit: Fit, x: Floats, which: Iterable[int]) -> Floats:
