@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
+import diagnose_cases as cases
 import numpy as np
 import pytest
 from event_cases import Rig, late, moved, on_ground, recorded, rig
@@ -313,3 +314,26 @@ def test_an_offset_found_beside_a_drift_is_tried_alone_from_the_same_instant() -
     alone = fitter.by_names["bias",]
     assert alone.members[0].trial.theta[-1] == pytest.approx(4.3, abs=0.02)
     assert alone.chi2 < both.chi2 + 9.0
+
+
+def test_a_stop_that_is_touched_once_for_a_tenth_of_a_second_is_named(tmp_path: Path) -> None:
+    """Held out in blocks of a quarter of a second, no other block would have confirmed it."""
+    rng = np.random.default_rng(5)
+    t = np.arange(2048) / cases.FS
+    u = cases.command() * (1.0 + 0.5 * np.exp(-(((t - 3.1) / 0.2) ** 2)))
+    x, v, a = cases.moved(u)
+    peaks = np.sort(x[1:-1][(x[1:-1] > x[:-2]) & (x[1:-1] > x[2:])])
+    stop_m = 0.5 * float(peaks[-1] + peaks[-2])
+    force_n = cases.K * x + cases.C * v + cases.M * a + 4e6 * np.maximum(x - stop_m, 0.0)
+    touched = x > stop_m
+    assert 10 < touched.sum() < 40
+    assert np.abs(np.diff(touched.astype(int))).sum() == 2
+    columns = {
+        "t": t,
+        "x_cmd": u,
+        "x_meas": x + cases.X_STD * rng.standard_normal(t.size),
+        "f_meas": force_n + cases.F_STD * rng.standard_normal(t.size),
+    }
+    d = diagnosed(cases.write(tmp_path, columns))
+    assert (d.verdict, d.effects) == ("explained", ["stopper"])
+    assert d.candidates[0].params["xs_m"] == pytest.approx(stop_m, rel=0.02)

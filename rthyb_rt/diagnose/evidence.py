@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any, Literal, Protocol
 
@@ -41,6 +41,8 @@ SLOW_LINES = 8
 NEAR_LINES = (5, 12)
 """Lines on either side of one from which the noise at its frequency is read: the nearest ones have
 what it leaves itself if it begins, ends or beats within the recording."""
+BLOCK_LEAST = 4.0
+"""Least number of rows of a block."""
 FOLDS = 4
 
 
@@ -299,11 +301,25 @@ def drift(problem: ResidualProblem, fit: Fit, laws: Laws) -> DriftRates:
     return DriftRates(whole, within, float(np.sum(weights)) ** -0.5)
 
 
+def _fold_rows(problem: ResidualProblem, fit: Fit, blocks: Sequence[Floats]) -> float:
+    """Return the number of rows of a block, of which every event must have some in each fold.
+
+    A stop that is reached once acts for a tenth of a second. How long a set acts, in rows, is the
+    square of the sum of its power over the sum of the squares (its participation ratio).
+    """
+    usual = max(FOLD_S * problem.case.fs_hz, BLOCK_LEAST)
+    power = sum((c @ beta for c, beta in zip(blocks, fit.betas, strict=True)), 0.0 * problem.y) ** 2
+    acts = problem.thin * float(np.sum(power)) ** 2 / max(float(np.sum(power**2)), 1e-300)
+    if acts < FOLDS * BLOCK_LEAST:
+        return usual
+    return float(np.clip(acts / (2 * FOLDS), BLOCK_LEAST, usual))
+
+
 def held_out_gain(problem: ResidualProblem, fit: Fit) -> float:
     """Return how much of a set's gain is confirmed on blocks to which it was not fitted.
 
-    Blocks of a quarter of a second alternate between the folds, so that each fold contains part of
-    every event.
+    Blocks of a quarter of a second, or less, alternate between the folds, so that each fold
+    contains part of every event.
     """
     blocks = problem.blocks(fit.members)
     design = np.column_stack([*blocks, problem.base])
@@ -325,7 +341,7 @@ def held_out_gain(problem: ResidualProblem, fit: Fit) -> float:
         if nuisance.sigma is not None:
             ridge[j] = 1.0 / (nuisance.sigma * scale[j]) ** 2
         j += 1
-    block = (problem.rows / max(FOLD_S * problem.case.fs_hz, 4.0)).astype(int)
+    block = (problem.rows / _fold_rows(problem, fit, blocks)).astype(int)
     before = after = 0.0
     y = problem.y
     for fold in range(FOLDS):

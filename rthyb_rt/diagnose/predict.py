@@ -254,7 +254,7 @@ def _anew(augmented: Augmented, case: Case, through: Prediction) -> Prediction:
 
     if not np.isfinite(off(through)):
         return anew
-    # Standard deviation of the slope of a line through so many rows, see any text on regression.
+    # A straight line fitted to n equidistant rows over T has a slope of variance 12 s^2 / (n T^2).
     rate = off(anew) * np.sqrt(12.0 / known) / (known * case.dt)
     mass = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
     lasts = float(case.t[-1] - case.t[0])
