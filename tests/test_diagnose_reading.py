@@ -811,3 +811,14 @@ def test_fast_motion_at_few_rows_a_cycle_is_no_noise_in_a_wrong_unit():
 
     assert 0.7 < ratio(x) < 1.2
     assert ratio(1000.0 * x) > 700.0
+
+
+def test_a_random_force_up_to_half_the_sampling_rate_is_no_noise_in_a_wrong_unit():
+    """Of a second test whose motion is to be foretold, nothing else says how large its force is."""
+    rng = np.random.default_rng(6)
+    push = 20.0 * rng.standard_normal(4096)
+    model = Model("forced", 512.0, 1e5, 100.0, 20.0, x_std=1e-6, f_std=0.05)
+    assert white_noise(push) > 100.0 * 0.05
+    assert not [r for r in channel_sizes.relations({"f_in": push}, model) if r.channel == "f_in"]
+    start = {"f_in": push, "x_meas": np.where(np.arange(4096) < 300, 1e-4, np.nan)}
+    channel_sizes.check(start, model, "second.csv", None)

@@ -475,7 +475,8 @@ def _noises(c: Channels, model: Model, referenced: set[str]) -> Iterator[Relatio
     # Channels that agree with one another may all be wrong: metres and meganewtons.
     together = len(noises) > 1 and min(noises.values()) > POLICY.wrong_unit
     for name, noise in noises.items():
-        if together or name not in referenced:
+        # A force that is applied may be as random as noise, over the whole band.
+        if together or (name not in referenced and name != "f_in"):
             yield Relation(name, noise, 1.0, (), bound=True, than="the noise that the model states")
     if "fy_meas" in c and model.f_std and "fy_meas" not in referenced:
         noise = white_noise(c["fy_meas"]) / model.f_std
