@@ -96,6 +96,11 @@ class Model:
         """How a command or a force is interpolated between rows."""
         return self.actuator.hold if self.actuator else "foh"
 
+    @property
+    def whole_mass(self) -> float:
+        """Mass that moves, kg: of the specimen, and on moving ground of the body on it."""
+        return self.moving_mass + (self.mass if self.family == "ground" else 0.0)
+
     def spring(self, x: Floats) -> Floats:
         """Return the restoring force along displacements of shape (n,), N."""
         if self.bouc_wen is None:

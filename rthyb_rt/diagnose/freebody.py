@@ -105,7 +105,7 @@ class Body:
         self.sigma = float(np.hypot(noise, POLICY.simulators_differ * spread))
         self.spread = spread
         model = case.model
-        self.whole = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+        self.whole = model.whole_mass
         self.units = {"blur": POLICY.mass_blur * self.whole, "skew": POLICY.offset_prior_s}
 
     def _loose(self) -> Loose:

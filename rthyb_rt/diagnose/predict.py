@@ -242,8 +242,7 @@ def _anew(augmented: Augmented, case: Case, through: Prediction) -> Prediction:
     model, x_meas = augmented.model, case.channels.get("x_meas")
     if model.family not in ("forced", "ground") or x_meas is None or _measured(case):
         return through
-    good = np.isfinite(x_meas)
-    known = min(int(np.argmin(good)) if not good.all() else good.size, HEAD)
+    known = _head(x_meas)
     if known < HEAD_LEAST:
         return through
     anew = predict(augmented, case)
@@ -256,12 +255,18 @@ def _anew(augmented: Augmented, case: Case, through: Prediction) -> Prediction:
         return anew
     # A straight line fitted to n equidistant rows over T has a slope of variance 12 s^2 / (n T^2).
     rate = off(anew) * np.sqrt(12.0 / known) / (known * case.dt)
-    mass = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+    mass = model.whole_mass
     lasts = float(case.t[-1] - case.t[0])
     if model.k > 0.0 and mass > 0.0:
         lasts = min(lasts, float(np.sqrt(mass / model.k)))
     error = float(np.hypot(off(anew), rate * lasts))
     return anew if error < POLICY.past_better * off(through) else through
+
+
+def _head(x_meas: Floats) -> int:
+    """Return the number of first rows that are measured, up to those of a start."""
+    good = np.isfinite(x_meas)
+    return min(int(np.argmin(good)) if not good.all() else good.size, HEAD)
 
 
 def _measured(case: Case) -> bool:
@@ -341,11 +346,9 @@ def start_of(
     """Return displacement and velocity at the first row, from the first measured rows."""
     dt = case.dt
     x_meas = estimate.filled_if_short(x_meas)
-    good = np.isfinite(x_meas)
-    end = int(np.argmin(good)) if not good.all() else x_meas.size
-    end = min(end, HEAD)
+    end = _head(x_meas)
     if end < HEAD_LEAST:
-        return (float(x_meas[0]), 0.0) if good[0] else (0.0, 0.0)
+        return (float(x_meas[0]), 0.0) if end else (0.0, 0.0)
     first = min(end, 12)
     slope = np.polyfit(np.arange(first) * dt, x_meas[:first], 3)
     p = np.array([float(x_meas[0]), float(slope[-2])])

@@ -267,7 +267,7 @@ class ResidualProblem:
             yield Nuisance(name, one, sigma, "zero of the load cell", "N", cell=True)
         if model.k_tol is not None and self.blurred:
             # An estimated acceleration is slightly too small: not a finding about the mass.
-            kg = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+            kg = model.whole_mass
             if kg > 0.0:
                 yield Nuisance("blur", ctx.a, POLICY.mass_blur * kg, "mass", "kg", effect=mass)
         if model.family == "forced":
@@ -341,7 +341,7 @@ class ResidualProblem:
         lag, that would be a dashpot by another name.
         """
         model = self.case.model
-        there = model.moving_mass + (model.mass if model.family == "ground" else 0.0)
+        there = model.whole_mass
         added = [m.effect.mass_kg(b) for m, b in zip(fit.members, fit.betas, strict=True)]
         return there + sum(kg for kg in added if kg is not None) < 0.0
 
