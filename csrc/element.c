@@ -47,6 +47,7 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_MENEGOTTO_PINTO] = "+0++0+",
     [RTHYB_CHABOCHE] = "++0000",
     [RTHYB_RC_COLUMN] = "+0++0+0+000-+",
+    [RTHYB_PEAK_ORIENTED] = "00++0+",
     [RTHYB_OWN] = "",
 };
 /* clang-format on */
@@ -93,6 +94,8 @@ static int shape_ok(int32_t kind, const double *p)
         return p[1] <= 1.0 && within(p[3], 0.1, ETA_MAX) && p[5] > p[2] && p[6] <= LOSS_MAX &&
                p[8] <= LOSS_MAX && p[9] <= LOSS_MAX && p[10] <= 0.5 && fabs(p[11]) <= 1.0 &&
                within(p[12], 0.01, EXPONENT_MAX);
+    case RTHYB_PEAK_ORIENTED: /* pinched or straight; a backbone that bends or is straight */
+        return within(p[3], 1.0, EXPONENT_MAX) && p[4] <= 1.0 && p[5] < p[2];
     default:
         return 1;
     }
@@ -256,6 +259,8 @@ static double law(rthyb_element *element, double x, double v, double a, double d
         return rthyb_chaboche(p, s, x);
     case RTHYB_RC_COLUMN:
         return rthyb_rc_column(p, s, x);
+    case RTHYB_PEAK_ORIENTED:
+        return rthyb_peak_oriented(p, s, x);
     case RTHYB_OWN:
         return own_force(element, x, v, a, dt);
     default:

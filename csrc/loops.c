@@ -239,3 +239,17 @@ double rthyb_rc_column(const double *p, double *s, double x)
     s[6] = elastic * x + force * z;
     return s[6];
 }
+
+/* A spring without loops of its own that is slack within the largest displacement so far, and whose
+ * force returns, on each side, to where that was reached: the peak-oriented rule (Clough & Johnston,
+ * Proc. Japan Earthq. Eng. Symp., 1966; with pinching, Ibarra, Medina & Krawinkler, Earthq. Eng. Struct. Dyn. 34, 2005),
+ * with powers for their straight lines. state: largest x and -x so far. */
+double rthyb_peak_oriented(const double *p, double *s, double x)
+{
+    const int down = x < 0.0;
+    const double far = fabs(x), reach = p[2];
+    s[down] = fmax(s[down], far);
+    const double peak = fmax(s[down], p[5]);
+    const double most = p[down] * reach * power(peak / reach, p[4]);
+    return copysign(most * power(far / peak, p[3]), x);
+}

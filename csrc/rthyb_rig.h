@@ -44,7 +44,8 @@ enum rthyb_element_kind {
     /* k, a, xy, eta, pivot, ultimate m, strength lost there, energy J, strength and stiffness lost with it,
      * slip, its level and width */
     RTHYB_RC_COLUMN,
-    RTHYB_OWN, /* no parameters: user-defined function */
+    RTHYB_PEAK_ORIENTED, /* k up, k down, reach, exponent, backbone, start */
+    RTHYB_OWN,           /* no parameters: user-defined function */
     RTHYB_ELEMENT_KINDS
 };
 

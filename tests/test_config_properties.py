@@ -156,6 +156,8 @@ def tables(draw: st.DrawFn, model: type[Table]) -> dict[str, Any]:
         data["fs_n"] = max(data["fs_n"], data["fc_n"])
     if "ultimate_m" in data:
         data["ultimate_m"] = max(data["ultimate_m"], 1.001 * data["xy_m"])
+    if "start_m" in data:
+        data["reach_m"] = max(data["reach_m"], 1.001 * data["start_m"])
     if "oil_stiffness_n_per_m" in data:
         stiffest = 3.99 * data["moving_mass_kg"] * (1024 * data["substeps"]) ** 2
         data["oil_stiffness_n_per_m"] = min(data["oil_stiffness_n_per_m"], stiffest)

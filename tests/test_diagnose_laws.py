@@ -12,7 +12,7 @@ from scipy import signal
 
 from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
-from rthyb_rt.diagnose import effects, engine, reading
+from rthyb_rt.diagnose import effects, engine, outcome, reading
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
@@ -102,6 +102,28 @@ def test_every_form_says_what_it_is(ctx):
     assert any("one" in form or "only" in form for form in forms["stopper"])
 
 
+@pytest.mark.parametrize("name", sorted(effects.catalogue()))
+def test_parameters_at_the_ends_of_a_shape_are_numbers(name, tmp_path):
+    """Also those of a candidate that loses are printed, and may end anywhere within the limits."""
+    _, toml = cases.write(tmp_path, cases.channels(), naive())
+    x, v, a = cases.moved(cases.command())
+    t, model = np.arange(x.size) * H, reading.read_model(toml)
+    ctx = Context(model, ComputedMotion(x, v, a), t, K * x, {"fy_meas": 0.1 * K * x})
+    effect, done = effects.catalogue()[name], set()
+    for trial in effect.trials(ctx):
+        if trial.variant in done:
+            continue
+        done.add(trial.variant)
+        (signs, _), _ = effect.settings(ctx, trial)
+        limits = effect.limits(ctx, trial)
+        for end in (0, 1):
+            at = replace(trial, theta=tuple(float(pair[end]) for pair in limits))
+            for size in (1e-9, 1.0, 1e9):
+                said = effect.report(ctx, at, np.full(len(signs), size))
+                assert np.all(np.isfinite(list(said.values()))), (trial.variant, end, size, said)
+                assert effect.form(ctx, at)
+
+
 LAWS = {
     "hysteresis, Menegotto-Pinto": lambda x, v: (
         element("menegotto_pinto", x, k_n_per_m=K, post_yield_ratio=0.1, xy_m=3e-3, r0=20.0,
@@ -174,6 +196,52 @@ def test_a_worn_column_beside_a_naive_model_yields_pinches_and_degrades(tmp_path
     assert any(one.element == "rc_column" for one in config.parse_rig(text).specimen)
 
 
+def wall(x):
+    """A slider of .8 kN, and a wall whose cracks open, on either side, up to where it has been."""
+    slides = np.zeros(x.size)
+    for i in range(1, x.size):
+        slides[i] = np.clip(slides[i - 1] + 4e5 * (x[i] - x[i - 1]), -800.0, 800.0)
+    largest, force = np.full(2, 1e-4), np.zeros(x.size)
+    for i, here in enumerate(x):
+        side = int(here < 0.0)
+        largest[side] = max(largest[side], abs(here))
+        whole = (3e5, 2.2e5)[side] * 0.02 * (largest[side] / 0.02) ** 0.5
+        # Straight from zero to a third of that force at two thirds of the way, then to the peak.
+        share = np.interp(abs(here) / largest[side], [0.0, 2 / 3, 1.0], [0.0, 1 / 3, 1.0])
+        force[i] = np.sign(here) * whole * share
+    return slides + force
+
+
+def test_a_wall_aimed_at_its_largest_displacement_is_named_and_foretold(tmp_path):
+    """Cycles of growing amplitude; the straight lines of the wall are not the powers of the law."""
+    turns = np.repeat([2, 4, 6, 9, 12, 16, 20, 25], 2) * 1e-3
+    turns = np.ravel(np.column_stack([turns, -turns]))
+    x = np.interp(np.arange(40 * (turns.size + 1)) / 40, np.arange(turns.size + 1), np.r_[0, turns])
+    f = wall(x) + 10.0 * np.random.default_rng(5).standard_normal(x.size)
+    t, end = np.arange(x.size) / 10, 40 * 24
+    for name, rows in (("first", slice(end)), ("then", slice(end, None))):
+        table = np.column_stack([t, x, f])[rows]
+        np.savetxt(
+            tmp_path / f"{name}.csv", table, "%.9g", ",", header="t,x_meas,f_meas", comments=""
+        )
+    toml = tmp_path / "model.toml"
+    toml.write_text(
+        'schema = "rthyb-baseline/1"\nfamily = "drive"\nfs_hz = 10\n[specimen]\nk = 2.5e5\nc = 0\n'
+        "moving_mass = 0\n[noise]\nx_std = 1e-6\nf_std = 10\n"
+    )
+    model = reading.read_model(toml)
+    first = reading.read_case(tmp_path / "first.csv", model)
+    then = reading.read_case(tmp_path / "then.csv", model, judged=False)
+    d = engine.diagnose(first)
+    assert (d.verdict, d.effects) == ("explained", ["degradation", "hysteresis", "pinching"])
+    found = engine.augmented(d)
+    assert "aimed" in found.members[0].effect.form(d.context, found.members[0].trial)
+    text, lost = rig_toml(found)
+    assert lost == []
+    assert {"hysteresis", "peak_oriented"} <= {e.element for e in config.parse_rig(text).specimen}
+    assert outcome.finish(d, then, None).heldout["heldout_nrmse_after"] < 0.1
+
+
 RIG = """schema = "rthyb-rig/1"
 [rig]
 name = "chain"
@@ -213,17 +281,23 @@ def test_a_rig_file_may_have_nothing_but_a_loop_for_a_specimen(tmp_path, monkeyp
     assert (d.verdict, d.effects) == ("explained", ["coulomb"])
 
 
-@pytest.mark.parametrize("variant", ["slack", "worn"])
-def test_the_column_of_the_core_is_the_one_that_was_fitted(variant, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "variant"),
+    [("hysteresis+degradation", v) for v in ("aimed", "aimed, uneven")]
+    + [("hysteresis+pinching+degradation", v) for v in ("slack", "worn", "aimed", "aimed, uneven")],
+)
+def test_the_column_of_the_core_is_the_one_that_was_fitted(name, variant, tmp_path):
     _, toml = cases.write(tmp_path, cases.channels(), naive())
     x, v, a = cases.moved(cases.command())
     ctx = Context(
         reading.read_model(toml), ComputedMotion(x, v, a), np.arange(x.size) * H, K * x, {}
     )
-    effect = effects.catalogue()["hysteresis+pinching+degradation"]
+    effect = effects.catalogue()[name]
     trial = next(one for one in effect.trials(ctx) if one.variant == variant)
-    fitted = effect.columns(ctx, trial)[0] * 0.9
-    found = force_of(effect.elements(ctx, trial, np.array([0.9])), ctx)
+    columns = np.column_stack(effect.columns(ctx, trial))
+    beta = np.array([0.9, 0.6])[: columns.shape[1]]
+    fitted = columns @ beta
+    found = force_of(effect.elements(ctx, trial, beta), ctx)
     np.testing.assert_allclose(found, fitted, atol=1e-9 * np.max(np.abs(fitted)))
 
 

@@ -71,6 +71,10 @@ ONE_OF_EACH = {
         "strength_lost_with_energy": 0.2, "stiffness_lost_with_energy": 0.3, "slip": 0.2,
         "slip_level": 0.3, "slip_width": 0.2,
     },
+    "peak_oriented": {
+        "k_up_n_per_m": 1e6, "k_down_n_per_m": 8e5, "reach_m": 0.02, "exponent": 2.2,
+        "backbone": 0.6, "start_m": 2e-4,
+    },
 }  # fmt: skip
 
 
@@ -554,6 +558,9 @@ MUST_BE_POSITIVE = [
     ("rc_column", "xy_m"),
     ("rc_column", "energy_j"),
     ("rc_column", "slip_width"),
+    ("peak_oriented", "reach_m"),
+    ("peak_oriented", "start_m"),
+    ("peak_oriented", "exponent"),
 ]
 NOT_NEGATIVE = [
     ("coulomb", "fc_n"),
@@ -593,6 +600,9 @@ NOT_NEGATIVE = [
     ("rc_column", "pivot"),
     ("rc_column", "strength_lost_at_ultimate"),
     ("rc_column", "slip"),
+    ("peak_oriented", "k_up_n_per_m"),
+    ("peak_oriented", "k_down_n_per_m"),
+    ("peak_oriented", "backbone"),
 ]
 NOT_ABOVE = [
     ("power_damping", "exponent", 11.0),
@@ -611,6 +621,10 @@ NOT_ABOVE = [
     ("rc_column", "slip", 0.6),
     ("rc_column", "slip_level", -1.1),
     ("rc_column", "slip_width", 11.0),
+    ("peak_oriented", "exponent", 11.0),
+    ("peak_oriented", "start_m", 0.02),
+    ("peak_oriented", "exponent", 0.9),
+    ("peak_oriented", "backbone", 1.1),
 ]
 
 
@@ -674,6 +688,8 @@ def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() ->
         ("chaboche", {"kinematic_n_per_m": 1e15, "recovery_per_m": 1e-15}),
         ("rc_column", {"k_n_per_m": 1e15, "xy_m": 1e-15, "ultimate_m": 1e15, "slip": 0.5}),
         ("rc_column", {"xy_m": 1e-15, "energy_j": 1e-15, "slip_width": 0.01, "pivot": 1e15}),
+        ("peak_oriented", {"reach_m": 2e-15, "start_m": 1e-15, "exponent": 10.0}),
+        ("peak_oriented", {"k_up_n_per_m": 1e15, "reach_m": 1e15, "start_m": 1e-15, "backbone": 0}),
         (
             "rc_column",
             {

@@ -330,6 +330,44 @@ def test_rc_column_is_elastic_before_it_yields_whatever_its_slip() -> None:
     np.testing.assert_allclose(f, [10.0, 20.0], rtol=1e-4)
 
 
+# --- aimed at the peak --------------------------------------------------------------------------
+
+
+def peak_oriented_by_rows(x: Floats, k_up: float, k_down: float) -> Floats:
+    """The rule, row by row: what was reached on this side, its force, and the share of it here."""
+    largest = {True: 2e-4, False: 2e-4}
+    force = np.zeros(x.size)
+    for i, here in enumerate(x):
+        down = bool(here < 0.0)
+        largest[down] = max(largest[down], abs(here))
+        whole = (k_down if down else k_up) * 0.02 * (largest[down] / 0.02) ** 0.6
+        force[i] = np.sign(here) * whole * (abs(here) / largest[down]) ** 2.2
+    return force
+
+
+def test_peak_oriented_is_slack_within_what_was_reached_and_returns_to_it() -> None:
+    x = there_and_back(0.01, -0.004, 0.01, 0.03, -0.03, 0.03)
+    f = run("peak_oriented", x)
+    np.testing.assert_allclose(f, peak_oriented_by_rows(x, 1e6, 8e5), rtol=1e-12)
+    tops = np.flatnonzero(np.isclose(x, 0.01, atol=1e-9))
+    assert f[tops[0]] == pytest.approx(1e6 * 0.02 * 0.5**0.6)
+    assert f[tops[1]] == pytest.approx(f[tops[0]])  # it is aimed at
+    assert f[tops[-1]] == pytest.approx(1e6 * 0.02 * 1.5**0.6 / 3**2.2)  # slack, beyond it
+
+
+def test_peak_oriented_spring_returns_all_work_except_that_of_going_farther() -> None:
+    x = there_and_back(0.02, -0.02, 0.02, 0.0)
+    f = run("peak_oriented", x)
+    assert work(f[8000:], x[8000:]) == pytest.approx(0.0, abs=1e-2)
+    assert work(f[:4001], x[:4001]) > 1.0
+
+
+def test_peak_oriented_reaches_one_side_without_the_other() -> None:
+    only_up = run("peak_oriented", there_and_back(0.02, 0.0, -0.01))
+    never_up = run("peak_oriented", there_and_back(-0.01))
+    assert only_up[-1] == pytest.approx(never_up[-1], rel=1e-12)
+
+
 # --- all that yield ------------------------------------------------------------------------------
 
 LOOPS = ("iwan", "menegotto_pinto", "chaboche", "rc_column")
@@ -381,7 +419,7 @@ NEW = {
     if model.__name__ in (
         "CoulombUnevenElement", "GapUnevenElement", "PowerDampingElement", "PowerSpringElement",
         "PendulumElement", "FrictionPendulumElement", "IwanElement", "MenegottoPintoElement",
-        "ChabocheElement", "RcColumnElement",
+        "ChabocheElement", "RcColumnElement", "PeakOrientedElement",
     )
 }  # fmt: skip
 
@@ -409,6 +447,10 @@ def test_ends_of_the_ranges_of_a_rig_file_are_within_those_of_the_core(kind: str
                 change["ultimate_m"] = 50.0
             if (kind, key, value) == ("rc_column", "ultimate_m", 1e-5):
                 change["xy_m"] = 1e-6
+            if (kind, key) == ("peak_oriented", "reach_m"):
+                change["start_m"] = 1e-7
+            if (kind, key) == ("peak_oriented", "start_m"):
+                change["reach_m"] = 50.0
             rig = config.parse_rig(rig_text(kind, **change))
             core.CoreElement(experiment.specimen_elements(rig)[0])
         for part in limits:
@@ -420,6 +462,11 @@ def test_ends_of_the_ranges_of_a_rig_file_are_within_those_of_the_core(kind: str
 def test_rc_column_that_ends_before_it_yields_is_refused_at_its_line() -> None:
     with pytest.raises(InputError, match=r"rig.toml:\d+: specimen.0.ultimate_m: found 0.004; must"):
         config.parse_rig(rig_text("rc_column", ultimate_m=0.004), "rig.toml")
+
+
+def test_spring_aimed_at_the_peak_that_ends_within_its_first_excursion_is_refused() -> None:
+    with pytest.raises(InputError, match=r"rig.toml:\d+: specimen.0.reach_m: found 0.0001; must"):
+        config.parse_rig(rig_text("peak_oriented", reach_m=1e-4), "rig.toml")
 
 
 def test_damper_stated_at_one_metre_per_second_is_stated_by_its_constant() -> None:
@@ -450,6 +497,12 @@ def notes(rig: str, mass: float) -> str:
 def test_elastic_stiffness_is_held_against_the_yielding_element(kind: str) -> None:
     assert "check rig.elastic_stiffness" in notes(rig_text(kind, k=2e6), 1e3)
     assert "check rig.elastic_stiffness" not in notes(rig_text(kind), 1e3)
+
+
+def test_elastic_stiffness_of_a_spring_aimed_at_the_peak_is_that_of_its_first_excursion() -> None:
+    first = 1e6 * (0.02 / 2e-4) ** 0.4  # of the stiffer direction
+    assert "check rig.elastic_stiffness" in notes(rig_text("peak_oriented", k=1e6), 1e3)
+    assert "check rig.elastic_stiffness" not in notes(rig_text("peak_oriented", k=first), 1e3)
 
 
 def test_damping_and_friction_too_steep_for_the_reference_are_named_with_a_width() -> None:

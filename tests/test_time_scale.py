@@ -154,10 +154,10 @@ VALUES = {
     "fc_n": 80.0, "fs_n": 120.0, "vs_m_per_s": 0.01, "width_m_per_s": 0.002, "c_n_s_per_m": 900.0,
     "c2_n_s2_per_m2": 4000.0, "m_kg": 40.0, "tau_s": 0.2, "km_n_per_m": 4e5, "m2_kg": 20.0,
     "f2_hz": 6.0, "zeta2": 0.03, "sigma0_n_per_m": 1e6, "sigma1_n_s_per_m": 300.0,
-    "sigma2_n_s_per_m": 200.0, "at_m_per_s": 0.1, "exponent": 0.5, "force_n": 100.0,
+    "sigma2_n_s_per_m": 200.0, "at_m_per_s": 0.1, "exponent": 1.5, "force_n": 100.0,
     "mu_slow": 0.03, "mu_fast": 0.08, "mu_rate_s_per_m": 40.0, "weight_n": 1e4, "radius_m": 1.0,
     "xy_m": 0.004, "r0": 15.0, "cr1": 0.9, "cr2": 0.15, "ultimate_m": 0.05, "pivot": 3.0,
-    "slip_width": 0.5, "work_j": 2e3, "amplitude_m": 0.05,
+    "slip_width": 0.5, "work_j": 2e3, "amplitude_m": 0.05, "start_m": 1e-3,
 }  # fmt: skip
 
 

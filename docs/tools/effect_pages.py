@@ -61,6 +61,7 @@ EXAMPLES: dict[str, tuple[Trial, tuple[float, ...]]] = {
     "hysteresis": (Trial((5e-3,), "bw2"), (0.7,)),
     "pinching": (Trial((2.5e-3,), "x"), (0.7,)),
     "degradation": (Trial((0.06,), "loop"), (0.4,)),
+    "hysteresis+degradation": (Trial((2e-3, 0.5), "aimed"), (0.5, 0.4)),
     "hysteresis+pinching+degradation": (Trial((3e-3, 1.5, 0.25), "slack"), (0.7,)),
     "maxwell": (Trial((0.05,)), (1.5e5,)),
     "bias": (Trial(), (500.0,)),

@@ -223,6 +223,9 @@ MEANINGS: dict[str, str] = {
     "work",
     "DegradationElement.amplitude_m": "the largest displacement over which it is lost; absent: "
     "not with amplitude",
+    "RcColumnElement.pivot": "the pivot of unloading; 4 degrades strongly, 200 hardly at all",
+    "PeakOrientedElement.exponent": "the power of reloading; 1 does not pinch",
+    "PeakOrientedElement.backbone": "the power of first loading; 0 does not harden, 1 is straight",
     "RcColumnElement.ultimate_m": "displacement at which `strength_lost_at_ultimate` is reached",
     "RcColumnElement.energy_j": "work of the yielding part at which the two energy-dependent "
     "losses reach the values below",

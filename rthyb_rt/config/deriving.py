@@ -23,6 +23,7 @@ from rthyb_rt.config.rigfile import (
     IwanElement,
     MenegottoPintoElement,
     PDeltaElement,
+    PeakOrientedElement,
     PendulumElement,
     PowerDampingElement,
     PureDelay,
@@ -575,6 +576,9 @@ def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
             total += element.k_n_per_m * (ratio + (1 - ratio) * element.a)
         elif isinstance(element, PDeltaElement):
             total -= element.gravity_load_n / element.height_m
+        elif isinstance(element, PeakOrientedElement):
+            first = (element.start_m / element.reach_m) ** (element.backbone - 1.0)
+            total += max(element.k_up_n_per_m, element.k_down_n_per_m) * first
         elif isinstance(element, PendulumElement):
             total += element.weight_n / element.length_m
     k_e = rig.rig.elastic_stiffness_n_per_m

@@ -642,9 +642,7 @@ class RcColumnElement(Table):
     post_yield_ratio: Annotated[float, Range("", 0, 1, "post-yield over elastic stiffness")]
     xy_m: Annotated[float, Range("m", 1e-6, 10, "the yield displacement")]
     eta: Annotated[float, Range("", 1, 20, "the sharpness of yielding")] = 2.0
-    pivot: Annotated[
-        float, Range("", 0, 1e6, "the pivot of unloading; 4 degrades strongly, 200 hardly at all")
-    ] = 200.0
+    pivot: Annotated[float, Range("", 0, 1e6, "the pivot of unloading")] = 200.0
     ultimate_m: Annotated[float, Range("m", 1e-5, 100, "the displacement of that loss")] = 10.0
     strength_lost_at_ultimate: Lost = 0.0
     energy_j: Annotated[float, Range("J", 1e-6, 1e15, "the energy of the losses with it")] = 1e12
@@ -653,6 +651,30 @@ class RcColumnElement(Table):
     slip: Annotated[float, Range("", 0, 0.5, "slip over the displacement beyond yield")] = 0.0
     slip_level: Annotated[float, Range("", -1, 1, "the force of slip over the strength")] = 0.3
     slip_width: Annotated[float, Range("", 0.01, 10, "the width of slip over the strength")] = 0.2
+
+
+def _beyond_start(start_m: float, reach_m: float) -> str | None:
+    if reach_m > start_m:
+        return None
+    return f"found {reach_m:g}; must lie beyond the first excursion start_m = {start_m:g} m"
+
+
+class PeakOrientedElement(Table):
+    """A spring that is slack within the largest displacement so far on either side: pinching."""
+
+    checks: ClassVar[tuple[Condition, ...]] = (
+        Condition("reach_m", ("start_m", "reach_m"), _beyond_start),
+    )
+
+    element: Literal["peak_oriented"]
+    k_up_n_per_m: Annotated[float, Range("N/m", 0, 1e12, "the secant stiffness upwards at reach_m")]
+    k_down_n_per_m: Annotated[
+        float, Range("N/m", 0, 1e12, "the secant stiffness downwards at reach_m")
+    ]
+    reach_m: Annotated[float, Range("m", 1e-6, 100, "the displacement of these two")]
+    exponent: Annotated[float, Range("", 1, 10, "the power of reloading")] = 2.0
+    backbone: Annotated[float, Range("", 0, 1, "the power of first loading")] = 0.6
+    start_m: Annotated[float, Range("m", 1e-7, 10, "the excursion that counts as the first")] = 1e-4
 
 
 class PythonElement(PythonClass):
@@ -690,6 +712,7 @@ SpecimenElement = (
     | MenegottoPintoElement
     | ChabocheElement
     | RcColumnElement
+    | PeakOrientedElement
     | PythonElement
 )
 

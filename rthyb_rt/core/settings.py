@@ -409,6 +409,14 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
         "slip_level",
         "slip_width",
     ),
+    "peak_oriented": (
+        "k_up_n_per_m",
+        "k_down_n_per_m",
+        "reach_m",
+        "exponent",
+        "backbone",
+        "start_m",
+    ),
 }
 _ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}
 

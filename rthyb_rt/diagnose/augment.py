@@ -245,6 +245,9 @@ def _stiffness(elements: list[core.ElementConfig]) -> float:
             total += item.params[0]
         elif item.kind == "pendulum":
             total += item.params[0] / item.params[1]
+        elif item.kind == "peak_oriented":
+            up, down, reach, _, backbone, start = item.params
+            total += max(up, down) * (start / reach) ** (backbone - 1.0)
     return max(total, 1e-3)
 
 

@@ -67,6 +67,12 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("cubic", "pinching",
      "pinching removes force around zero and none beyond; a cubic changes the force most at the "
      "largest displacement"),
+    ("hysteresis+degradation", "hysteresis+pinching+degradation",
+     "both aim at the farthest point so far; without pinching straight towards it, with it the "
+     "force stays low until shortly before"),
+    ("hysteresis+degradation", "hysteresis",
+     "a plain loop unloads and reloads alike at every amplitude; after a large cycle, one that "
+     "degrades is softer in small ones"),
     ("hysteresis+pinching+degradation", "hysteresis",
      "a plain loop returns to the same force in every cycle; a damaged column becomes softer and "
      "slacker, so repeated cycles at one amplitude separate them"),

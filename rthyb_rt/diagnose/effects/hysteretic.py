@@ -12,7 +12,6 @@ from rthyb_rt.diagnose.effects import chains
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.friction import Lugre, Viscous
 from rthyb_rt.diagnose.effects.springs import Stiffness
-from rthyb_rt.diagnose.policy import POLICY
 
 LARGE = ("multi_amplitude", "a memory of amplitude appears when small cycles follow large ones")
 BAR = {"r0": 20.0, "cr1": 0.925, "cr2": 0.15}
@@ -263,7 +262,7 @@ class Hysteresis(Effect):
             return [
                 *out,
                 *(
-                    _loop(float(b) * ctx.k_scale, y, 1.0)
+                    bouc_wen(float(b) * ctx.k_scale, y, 1.0)
                     for b, y in zip(beta, trial.theta, strict=True)
                 ),
             ]
@@ -279,7 +278,7 @@ class Hysteresis(Effect):
             ]  # fmt: skip
         shape = _shape(trial).rstrip("+")
         if shape.startswith("bw"):
-            return [*out, _loop(k, xy, float(shape[2:]))]
+            return [*out, bouc_wen(k, xy, float(shape[2:]))]
         if shape.startswith("mp"):
             return [*out, _bar(k, xy, shape)]
         return [*out, *chains.elements(_yields(shape, xy), k)]
@@ -292,7 +291,8 @@ def _shape(trial: Trial) -> str:
     return f"{trial.variant}{trial.theta[1]}" if trial.variant in SPREADS else trial.variant
 
 
-def _loop(k: float, xy: float, eta: float) -> core.ElementConfig:
+def bouc_wen(k: float, xy: float, eta: float) -> core.ElementConfig:
+    """Return a loop without hardening, of initial stiffness k, N/m, that yields at xy, m."""
     eta = min(eta, (15.0 + np.log10(0.5)) / max(-np.log10(xy), 0.1))
     half = 0.5 / xy**eta
     return core.element(
@@ -567,132 +567,6 @@ class Degradation(Effect):
         return [worn(share * k, 0.0, loop) for share, loop in parts if share > 0.0]
 
 
-BELL = (0.15, 0.25)
-"""Force at which cracks slip most, and the width of the bell, relative to the strength."""
-CYCLES = 12.5
-"""Number of full cycles whose work is the unit for energy-related loss."""
-
-
-class WornColumn(Effect):
-    """A reinforced concrete column, for which yielding, pinching and degradation are one law.
-
-    Unloading softens with the largest displacement, strength decreases with displacement and work,
-    and cracks slip before they close.
-    """
-
-    name = "hysteresis+pinching+degradation"
-    plain = "yielding with pinching and degradation"
-    params = (
-        Param("xy_m", "m", 1e-9, 10.0),
-        Param("alpha", "", -1.0, 1.0),
-        Param("depth", "", 0.0, 1.0),
-        Param("width_ratio", "", 0.0, 10.0),
-        Param("loss", "", 0.0, 1.0),
-        Param("travel_m", "m", 1e-9, 1e6),
-    )
-    equation = "a loop in series with a slip-lock spring, worn by amplitude and energy"
-    fingerprint = "loops that become flatter and slacker around zero from cycle to cycle"
-    static = True
-    shown_by = LARGE
-    signs = "+"
-    complete = True
-    wears = True
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All three names."""
-        return ("degradation", "hysteresis", "pinching")
-
-    def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return columns with early or late yielding and slight or strong degradation.
-
-        None if k is known. Variant "slack" has only the loss of unloading stiffness and slip,
-        "worn" all losses.
-        """
-        if not ctx.k_free:
-            return []
-        shapes = [
-            (float(xy), pivot, slip)
-            for xy in ctx.x_range * np.array([0.12, 0.25, 0.45])
-            for pivot in (1.5, 6.0)
-            for slip in (0.08, 0.25)
-        ]
-        worn = (1.2, 0.1, 0.1, *BELL)
-        return [
-            *(Trial(shape, "slack") for shape in shapes),
-            *(Trial((*shape, *worn), "worn") for shape in shapes),
-        ]
-
-    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep yielding within the motion and all fractions below one."""
-        ends = [
-            (0.02 * ctx.x_range, 0.9 * ctx.x_range), (0.05, 200.0), (1e-3, 0.5), (1.0, 10.0),
-            (1e-3, 0.9), (1e-3, 0.9), (0.02, 0.9), (0.05, 1.0),
-        ]  # fmt: skip
-        return ends[: len(trial.theta)]
-
-    def settings(
-        self, ctx: Context, trial: Trial
-    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient, the stiffness, and the parameters of the loop."""
-        return ("+", (None,)), 1 + len(trial.theta)
-
-    @staticmethod
-    def _whole(trial: Trial) -> tuple[float, ...]:
-        return (*trial.theta, 1.0, 0.0, 0.0, *BELL) if len(trial.theta) == 3 else trial.theta
-
-    def _element(self, ctx: Context, trial: Trial, k: float, xy: float) -> core.ElementConfig:
-        """Return the column with the yield displacement scaled to the motion."""
-        per = xy / trial.theta[0]
-        _, pivot, slip, eta, amplitude, energy, level, width = self._whole(trial)
-        reach = ctx.x_range * per
-        return core.element(
-            "rc_column", k_n_per_m=k, post_yield_ratio=0.0, xy_m=xy, eta=eta, pivot=pivot,
-            ultimate_m=2.0 * reach, strength_lost_at_ultimate=amplitude,
-            energy_j=4.0 * CYCLES * k * xy * reach, strength_lost_with_energy=energy,
-            stiffness_lost_with_energy=0.0, slip=slip, slip_level=level, slip_width=width,
-        )  # fmt: skip
-
-    def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the loop's force per unit of relative stiffness."""
-        xy = trial.theta[0]
-        column = core.CoreElement(self._element(ctx, trial, 1.0, 1.0))
-        return [ctx.k_scale * xy * column.run(ctx.x / xy)]
-
-    def _worn(self, ctx: Context, trial: Trial) -> tuple[float, float]:
-        """Return the slack at the centre of the bell and the loss, at the largest displacement."""
-        xy, pivot, slip, _, amplitude, _, _, width = self._whole(trial)
-        beyond = ctx.x_range / xy - 1.0
-        left = (1.0 + pivot) / (1.0 + beyond + pivot)
-        bell = np.sqrt(2.0 / np.pi) * slip * 2.0 * beyond / width
-        strength = 1.0 - amplitude * beyond / (2.0 * ctx.x_range / xy - 1.0)
-        return float(1.0 - 1.0 / (1.0 + left * bell)), float(1.0 - strength * left)
-
-    def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Return False if it neither pinches nor degrades: then it is a plain loop."""
-        return min(self._worn(ctx, trial)) > POLICY.seen_wear
-
-    def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
-        """Return the loop, its slack, and the final losses of stiffness and strength."""
-        slack, lost = self._worn(ctx, trial)
-        return {
-            "xy_m": trial.theta[0],
-            "alpha": ctx.model.k / (ctx.model.k + float(beta[0]) * ctx.k_scale),
-            "depth": slack,
-            "width_ratio": self._whole(trial)[7],
-            "loss": lost,
-            "travel_m": float(ctx.travel[-1]) or 1.0,
-        }
-
-    def form(self, ctx: Context, trial: Trial) -> str:
-        """Return the law by the names of its authors."""
-        return "reinforced concrete column (Sivaselvan-Reinhorn, Park-Ang)"
-
-    def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element."""
-        return [self._element(ctx, trial, float(beta[0]) * ctx.k_scale, trial.theta[0])]
-
-
 class Maxwell(Effect):
     """Relaxation: a spring and a dashpot in series."""
 
@@ -743,6 +617,4 @@ class Maxwell(Effect):
         return [core.element("maxwell", km_n_per_m=float(beta[0]), tau_s=trial.theta[0])]
 
 
-EFFECTS: tuple[Effect, ...] = (
-    Hysteresis(), Pinching(), Degradation(), WornColumn(), Maxwell(),
-)  # fmt: skip
+EFFECTS: tuple[Effect, ...] = (Hysteresis(), Pinching(), Degradation(), Maxwell())
