@@ -206,6 +206,21 @@ def test_relaxation_that_is_over_at_once_is_a_dashpot() -> None:
     assert decided(slow).best.names == ("maxwell",)
 
 
+def test_a_pair_of_one_parameter_each_is_no_larger_than_a_law_of_two() -> None:
+    """Power damping nearly imitates friction and a dashpot, with as many parameters."""
+
+    def named(count: int) -> tuple[str, ...]:
+        seen = evidence(
+            of("coulomb", chi2=8000.0), of("viscous", chi2=9000.0),
+            of(part("power_damping", 20.0, count), chi2=1060.0),
+            of("coulomb", "viscous", chi2=1010.0), naive=True,
+        )  # fmt: skip
+        return decided(seen).best.names
+
+    assert named(2) == ("coulomb", "viscous")
+    assert named(1) == ("power_damping",)
+
+
 def test_a_second_mass_on_a_spring_too_stiff_for_the_motion_is_a_moving_mass() -> None:
     def seen(settles_rad: float) -> Evidence:
         return evidence(

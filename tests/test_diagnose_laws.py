@@ -175,6 +175,26 @@ def naive():
     return "\n".join(line for line in cases.baseline().splitlines() if "_tol" not in line)
 
 
+def test_friction_and_a_dashpot_beside_a_naive_model_are_not_one_damper(tmp_path):
+    """A power of velocity has as many parameters as the two, and leaves five times as much."""
+    t = np.arange(3 * 1024) / 512
+    x = 8e-3 * np.sin(3 * np.pi * t) * np.minimum(t, 1.0)
+    v = np.gradient(x, t)
+    rng = np.random.default_rng(3)
+    f = 3e4 * x + 400.0 * np.tanh(v / 2e-4) + 7500.0 * v + 2.0 * rng.standard_normal(t.size)
+    columns = {"t": t, "x_meas": x + 1e-6 * rng.standard_normal(t.size), "f_meas": f}
+    recording, model = cases.write(
+        tmp_path, columns,
+        'schema = "rthyb-baseline/1"\nfamily = "drive"\nfs_hz = 512\n[specimen]\nk = 3e4\nc = 0\n'
+        "moving_mass = 0\n[noise]\nx_std = 1e-6\nf_std = 2\n",
+    )  # fmt: skip
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(model)))
+    assert (d.verdict, d.effects) == ("explained", ["coulomb", "viscous"])
+    params = {k: v for c in d.candidates[:2] for k, v in c.params.items()}
+    assert params["Fc_N"] == pytest.approx(400.0, rel=0.02)
+    assert params["c_Ns_m"] == pytest.approx(7500.0, rel=0.02)
+
+
 @pytest.mark.long
 def test_a_worn_column_beside_a_naive_model_yields_pinches_and_degrades(tmp_path):
     def law(t, x, v, a):

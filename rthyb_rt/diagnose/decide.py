@@ -683,13 +683,15 @@ def worth_their_size(court: Court, sets: Sets) -> Sets:
     """For a naive model, a set must be better than the best set with fewer laws.
 
     Its misfit is due to form: if two laws have the wrong form, a third can absorb what another pair
-    would explain.
+    would explain. But a law of two parameters or more is no simpler than two of one each.
     """
     if not court.setting.naive:
         return sets
     out = []
     for of in sets:
-        fewer = [h.chi2 for h in sets if len(h.parts) < len(of.parts)]
+        pair = len(of.parts) == of.count == 2
+        simpler = [h for h in sets if not pair or h.count < of.count]
+        fewer = [h.chi2 for h in simpler if len(h.parts) < len(of.parts)]
         own = min(fewer, default=np.inf) - of.chi2
         # What the last law can explain; in a decay, the damping, see above.
         wanted = court.share(of) * min(court.explained(of, i) for i in range(len(of.parts)))
