@@ -40,6 +40,14 @@ def ctx(tmp_path_factory):
     return Context(reading.read_model(toml), ComputedMotion(x, v, a), t, K * x, {})
 
 
+@pytest.fixture(scope="module")
+def free(ctx, tmp_path_factory):
+    """The same, without tolerances: what is not stated may be anything."""
+    _, toml = cases.write(tmp_path_factory.mktemp("free"), cases.channels(), naive())
+    other = {"fy_meas": 0.1 * ctx.force}
+    return Context(reading.read_model(toml), ctx.motion, ctx.t, ctx.force, other)
+
+
 def force_of(found, ctx):
     return sum(core.CoreElement(one).run(ctx.x, ctx.v, ctx.a, ctx.dt) for one in found)
 
@@ -103,25 +111,21 @@ def test_every_form_says_what_it_is(ctx):
 
 
 @pytest.mark.parametrize("name", sorted(effects.catalogue()))
-def test_parameters_at_the_ends_of_a_shape_are_numbers(name, tmp_path):
+def test_parameters_at_the_ends_of_a_shape_are_numbers(name, free):
     """Also those of a candidate that loses are printed, and may end anywhere within the limits."""
-    _, toml = cases.write(tmp_path, cases.channels(), naive())
-    x, v, a = cases.moved(cases.command())
-    t, model = np.arange(x.size) * H, reading.read_model(toml)
-    ctx = Context(model, ComputedMotion(x, v, a), t, K * x, {"fy_meas": 0.1 * K * x})
     effect, done = effects.catalogue()[name], set()
-    for trial in effect.trials(ctx):
+    for trial in effect.trials(free):
         if trial.variant in done:
             continue
         done.add(trial.variant)
-        (signs, _), _ = effect.settings(ctx, trial)
-        limits = effect.limits(ctx, trial)
+        (signs, _), _ = effect.settings(free, trial)
+        limits = effect.limits(free, trial)
         for end in (0, 1):
             at = replace(trial, theta=tuple(float(pair[end]) for pair in limits))
             for size in (1e-9, 1.0, 1e9):
-                said = effect.report(ctx, at, np.full(len(signs), size))
+                said = effect.report(free, at, np.full(len(signs), size))
                 assert np.all(np.isfinite(list(said.values()))), (trial.variant, end, size, said)
-                assert effect.form(ctx, at)
+                assert effect.form(free, at)
 
 
 LAWS = {
@@ -239,19 +243,19 @@ def test_a_wall_aimed_at_its_largest_displacement_is_named_and_foretold(tmp_path
     x = np.interp(np.arange(40 * (turns.size + 1)) / 40, np.arange(turns.size + 1), np.r_[0, turns])
     f = wall(x) + 10.0 * np.random.default_rng(5).standard_normal(x.size)
     t, end = np.arange(x.size) / 10, 40 * 24
-    for name, rows in (("first", slice(end)), ("then", slice(end, None))):
-        table = np.column_stack([t, x, f])[rows]
-        np.savetxt(
-            tmp_path / f"{name}.csv", table, "%.9g", ",", header="t,x_meas,f_meas", comments=""
-        )
-    toml = tmp_path / "model.toml"
-    toml.write_text(
+    stated = (
         'schema = "rthyb-baseline/1"\nfamily = "drive"\nfs_hz = 10\n[specimen]\nk = 2.5e5\nc = 0\n'
         "moving_mass = 0\n[noise]\nx_std = 1e-6\nf_std = 10\n"
     )
+
+    def written(name, rows):
+        columns = {"t": t[rows], "x_meas": x[rows], "f_meas": f[rows]}
+        return cases.write(tmp_path / name, columns, stated)
+
+    recording, toml = written("first", slice(end))
     model = reading.read_model(toml)
-    first = reading.read_case(tmp_path / "first.csv", model)
-    then = reading.read_case(tmp_path / "then.csv", model, judged=False)
+    first = reading.read_case(recording, model)
+    then = reading.read_case(written("then", slice(end, None))[0], model, judged=False)
     d = engine.diagnose(first)
     assert (d.verdict, d.effects) == ("explained", ["degradation", "hysteresis", "pinching"])
     found = engine.augmented(d)
@@ -306,18 +310,13 @@ def test_a_rig_file_may_have_nothing_but_a_loop_for_a_specimen(tmp_path, monkeyp
     [("hysteresis+degradation", v) for v in ("aimed", "aimed, uneven")]
     + [("hysteresis+pinching+degradation", v) for v in ("slack", "worn", "aimed", "aimed, uneven")],
 )
-def test_the_column_of_the_core_is_the_one_that_was_fitted(name, variant, tmp_path):
-    _, toml = cases.write(tmp_path, cases.channels(), naive())
-    x, v, a = cases.moved(cases.command())
-    ctx = Context(
-        reading.read_model(toml), ComputedMotion(x, v, a), np.arange(x.size) * H, K * x, {}
-    )
+def test_the_column_of_the_core_is_the_one_that_was_fitted(name, variant, free):
     effect = effects.catalogue()[name]
-    trial = next(one for one in effect.trials(ctx) if one.variant == variant)
-    columns = np.column_stack(effect.columns(ctx, trial))
+    trial = next(one for one in effect.trials(free) if one.variant == variant)
+    columns = np.column_stack(effect.columns(free, trial))
     beta = np.array([0.9, 0.6])[: columns.shape[1]]
     fitted = columns @ beta
-    found = force_of(effect.elements(ctx, trial, beta), ctx)
+    found = force_of(effect.elements(free, trial, beta), free)
     np.testing.assert_allclose(found, fitted, atol=1e-9 * np.max(np.abs(fitted)))
 
 

@@ -154,7 +154,7 @@ VALUES = {
     "fc_n": 80.0, "fs_n": 120.0, "vs_m_per_s": 0.01, "width_m_per_s": 0.002, "c_n_s_per_m": 900.0,
     "c2_n_s2_per_m2": 4000.0, "m_kg": 40.0, "tau_s": 0.2, "km_n_per_m": 4e5, "m2_kg": 20.0,
     "f2_hz": 6.0, "zeta2": 0.03, "sigma0_n_per_m": 1e6, "sigma1_n_s_per_m": 300.0,
-    "sigma2_n_s_per_m": 200.0, "at_m_per_s": 0.1, "exponent": 1.5, "force_n": 100.0,
+    "sigma2_n_s_per_m": 200.0, "at_m_per_s": 0.1, "exponent": 0.5, "force_n": 100.0,
     "mu_slow": 0.03, "mu_fast": 0.08, "mu_rate_s_per_m": 40.0, "weight_n": 1e4, "radius_m": 1.0,
     "xy_m": 0.004, "r0": 15.0, "cr1": 0.9, "cr2": 0.15, "ultimate_m": 0.05, "pivot": 3.0,
     "slip_width": 0.5, "work_j": 2e3, "amplitude_m": 0.05, "start_m": 1e-3,
@@ -164,6 +164,8 @@ VALUES = {
 @pytest.mark.parametrize("kind", list(core.ELEMENT_PARAMS))
 def test_every_element_has_the_same_force_on_the_same_motion_in_slow_motion(kind: str) -> None:
     values = {name: VALUES.get(name, 0.01) for name in core.ELEMENT_PARAMS[kind]}
+    if kind == "peak_oriented":
+        values["exponent"] = 1.5  # it does not reload above a straight line
     element = core.element(kind, **values)
     slow, h = 8.0, 1 / 1024
     t = np.arange(2048) * h

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import itertools
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import Field, PrivateAttr, StrictBool
@@ -621,10 +621,15 @@ class ChabocheElement(Table):
     isotropic_rate_per_m: Annotated[float, Range("1/m", 0, 1e8, "the rate of that growth")] = 0.0
 
 
-def _beyond_yield(xy_m: float, ultimate_m: float) -> str | None:
-    if ultimate_m > xy_m:
-        return None
-    return f"found {ultimate_m:g}; must lie beyond the yield displacement xy_m = {xy_m:g} m"
+def _beyond(what: str) -> Callable[[float, float], str | None]:
+    """Return the check that a displacement lies beyond another one, which ``what`` names."""
+
+    def problem(least_m: float, found_m: float) -> str | None:
+        if found_m > least_m:
+            return None
+        return f"found {found_m:g}; must lie beyond {what} = {least_m:g} m"
+
+    return problem
 
 
 Lost = Annotated[float, Range("", 0, 0.99, "the share lost")]
@@ -634,7 +639,7 @@ class RcColumnElement(Table):
     """A reinforced concrete column: pinching and degradation with amplitude and energy."""
 
     checks: ClassVar[tuple[Condition, ...]] = (
-        Condition("ultimate_m", ("xy_m", "ultimate_m"), _beyond_yield),
+        Condition("ultimate_m", ("xy_m", "ultimate_m"), _beyond("the yield displacement xy_m")),
     )
 
     element: Literal["rc_column"]
@@ -653,17 +658,11 @@ class RcColumnElement(Table):
     slip_width: Annotated[float, Range("", 0.01, 10, "the width of slip over the strength")] = 0.2
 
 
-def _beyond_start(start_m: float, reach_m: float) -> str | None:
-    if reach_m > start_m:
-        return None
-    return f"found {reach_m:g}; must lie beyond the first excursion start_m = {start_m:g} m"
-
-
 class PeakOrientedElement(Table):
     """A spring that is slack within the largest displacement so far on either side: pinching."""
 
     checks: ClassVar[tuple[Condition, ...]] = (
-        Condition("reach_m", ("start_m", "reach_m"), _beyond_start),
+        Condition("reach_m", ("start_m", "reach_m"), _beyond("the first excursion start_m")),
     )
 
     element: Literal["peak_oriented"]

@@ -122,6 +122,10 @@ class Aimed(Effect):
         return [bouc_wen(loop, trial.theta[0], 1.0), self._spring(ctx, trial, spring)]
 
 
+def _is_aimed(trial: Trial) -> bool:
+    return trial.variant in (AIMED, UNEVEN)
+
+
 BELL = (0.15, 0.25)
 """Force at which cracks slip most, and the width of the bell, relative to the strength."""
 CYCLES = 12.5
@@ -179,7 +183,7 @@ class WornColumn(Aimed):
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep yielding within the motion and all fractions below one."""
-        if trial.variant in (AIMED, UNEVEN):
+        if _is_aimed(trial):
             loop, hardening, *uneven = super().limits(ctx, trial)
             return [loop, hardening, (1.0, 8.0), *uneven]
         ends = [
@@ -192,7 +196,7 @@ class WornColumn(Aimed):
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
         """Return the stiffness of the column, or of loop and spring, and the shape."""
-        if trial.variant in (AIMED, UNEVEN):
+        if _is_aimed(trial):
             return super().settings(ctx, trial)
         return ("+", (None,)), 1 + len(trial.theta)
 
@@ -214,32 +218,35 @@ class WornColumn(Aimed):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force of the column, or of loop and spring, per unit of stiffness."""
-        if trial.variant in (AIMED, UNEVEN):
+        if _is_aimed(trial):
             return super().columns(ctx, trial)
         xy = trial.theta[0]
         column = core.CoreElement(self._element(ctx, trial, 1.0, 1.0))
         return [ctx.k_scale * xy * column.run(ctx.x / xy)]
 
+    def _left(self, ctx: Context, trial: Trial) -> tuple[float, float]:
+        """Return ductility beyond yielding, and the unloading stiffness left, at the largest x."""
+        xy, pivot, *_ = trial.theta
+        beyond = ctx.x_range / xy - 1.0
+        return beyond, (1.0 + pivot) / (1.0 + beyond + pivot)
+
     def _lost(self, ctx: Context, trial: Trial, beta: Floats) -> float:
         """Return the loss of stiffness, or of strength and stiffness, of the whole law."""
-        if trial.variant in (AIMED, UNEVEN):
+        if _is_aimed(trial):
             return super()._lost(ctx, trial, beta)
-        return self._worn(ctx, trial)[1]
+        beyond, left = self._left(ctx, trial)
+        amplitude = self._whole(trial)[4]
+        strength = 1.0 - amplitude * beyond / (2.0 * ctx.x_range / trial.theta[0] - 1.0)
+        return float(1.0 - strength * left)
 
     def _slack(self, ctx: Context, trial: Trial) -> float:
         """Return the slack half way to the largest displacement, or at the centre of the bell."""
-        if trial.variant in (AIMED, UNEVEN):
+        if _is_aimed(trial):
             return float(1.0 - 2.0 ** (1.0 - self._powers(trial)[0]))
-        return self._worn(ctx, trial)[0]
-
-    def _worn(self, ctx: Context, trial: Trial) -> tuple[float, float]:
-        """Return the slack at the centre of the bell and the loss, at the largest displacement."""
-        xy, pivot, slip, _, amplitude, _, _, width = self._whole(trial)
-        beyond = ctx.x_range / xy - 1.0
-        left = (1.0 + pivot) / (1.0 + beyond + pivot)
+        beyond, left = self._left(ctx, trial)
+        slip, width = trial.theta[2], self._whole(trial)[7]
         bell = np.sqrt(2.0 / np.pi) * slip * 2.0 * beyond / width
-        strength = 1.0 - amplitude * beyond / (2.0 * ctx.x_range / xy - 1.0)
-        return float(1.0 - 1.0 / (1.0 + left * bell)), float(1.0 - strength * left)
+        return float(1.0 - 1.0 / (1.0 + left * bell))
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False if it neither pinches nor degrades: then it is a plain loop."""
@@ -248,21 +255,21 @@ class WornColumn(Aimed):
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the loop, its slack, and the final losses of stiffness and strength."""
-        aimed = trial.variant in (AIMED, UNEVEN)
         # Of the bell, or where the spring has half of its force.
+        aimed = _is_aimed(trial)
         width = 0.5 ** (1.0 / self._powers(trial)[0]) if aimed else self._whole(trial)[7]
         whole = super().report(ctx, trial, beta)
         return whole | {"depth": self._slack(ctx, trial), "width_ratio": width}
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the law by the names of its authors."""
-        if trial.variant in (AIMED, UNEVEN):
+        if _is_aimed(trial):
             return super().form(ctx, trial)
         return "reinforced concrete column (Sivaselvan-Reinhorn, Park-Ang)"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the column, or the loop and the spring."""
-        if trial.variant in (AIMED, UNEVEN):
+        if _is_aimed(trial):
             return super().elements(ctx, trial, beta)
         return [self._element(ctx, trial, float(beta[0]) * ctx.k_scale, trial.theta[0])]
 
