@@ -258,3 +258,19 @@ def test_sine_recorded_in_mid_course_leaves_mass_and_stiffness_one(tmp_path):
     jump = np.zeros(columns["t"].size)
     jump[0] = 1e6 * F_STD
     assert not np.any(d.estimate.whiten(jump))
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [random_walk_over_white, pytest.param(resonant, marks=pytest.mark.long)],
+    ids=["slow", "resonant"],
+)
+def test_damping_that_begins_in_mid_test_is_damping_in_coloured_noise(tmp_path, shape):
+    """It is half of the stated damping, whose tolerance is no doubt of its beginning."""
+    columns = recorded(
+        np.random.default_rng(1), lambda t, x, v: np.where(t > 6.0, 600.0 * v, 0.0), shape()
+    )
+    d = written(tmp_path, columns, DRIVE)
+    assert (d.verdict, d.effects) == ("explained", ["viscous"])
+    assert d.candidates[0].params["c_Ns_m"] == pytest.approx(600.0, rel=0.05)
+    assert any("viscous begins at 6.0" in note for note in d.notes)

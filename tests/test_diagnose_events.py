@@ -15,10 +15,12 @@ import pytest
 from event_cases import Rig, late, moved, on_ground, recorded, rig
 from test_diagnose_steady import fitted
 
-from rthyb_rt.core.diagnosis_models import ActuatorModel, actuator
+from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
 from rthyb_rt.diagnose import effects, engine, force, onset, outcome, reading, why
+from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.select import Member, refine
+from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.select import Member, ResidualProblem, refine
 
 SEEDS = (101, 102)
 """Two rigs, of which every scenario has one."""
@@ -314,6 +316,36 @@ def test_an_offset_found_beside_a_drift_is_tried_alone_from_the_same_instant() -
     alone = fitter.by_names["bias",]
     assert alone.members[0].trial.theta[-1] == pytest.approx(4.3, abs=0.02)
     assert alone.chi2 < both.chi2 + 9.0
+
+
+@pytest.mark.parametrize(
+    ("gain", "k_off", "absent"),
+    [((0.0, 0.03), 0.02, True), ((0.0, 0.03), -0.02, True), ((0.021, 0.03), -0.02, False)],
+    ids=["a stiffer spring", "a softer spring", "a gain from the start"],
+)
+def test_amplifier_that_fails_in_mid_test_is_told_from_a_stiffness_within_its_tolerance(
+    gain: tuple[float, float], k_off: float, absent: bool
+) -> None:
+    """A gain also scales damping and inertia, which are most of this specimen's force."""
+    k, c, m = 5e4, 1.5e4, 300.0
+    x, v, a = cases.moved(cases.command())
+    t = np.arange(x.size) / cases.FS
+    factor = 1.0 + np.where(t > 4.0, gain[1], gain[0])
+    force_n = factor * (k * (1.0 + k_off) * x + c * v + m * a)
+    force_n = force_n + cases.F_STD * np.random.default_rng(1).standard_normal(x.size)
+    model = Model(
+        "drive", cases.FS, k=k, c=c, moving_mass=m, k_tol=0.01, c_tol=0.15, f_std=cases.F_STD
+    )
+    rows = np.ones(x.size, dtype=np.bool_)
+    case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": force_n}, rows)
+    found = Estimate(
+        ComputedMotion(x, v, a), force_n, rows, lambda y: y / cases.F_STD, cases.F_STD, True
+    )
+    law = effects.catalogue()["stiffness"]
+    problem = ResidualProblem(case, engine.context_of(case, found), found, [law])
+    fit = refine(problem, [Member(onset.Late(law), Trial((4.0,), "gain"))])
+    assert fit is not None
+    assert onset.absent_before(problem, fit) is absent
 
 
 def test_a_stop_that_is_touched_once_for_a_tenth_of_a_second_is_named(tmp_path: Path) -> None:

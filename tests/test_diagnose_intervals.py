@@ -16,7 +16,7 @@ from rthyb_rt.diagnose.actuation import Actuation
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import inflation
+from rthyb_rt.diagnose.select import inflated, inflation
 
 LATE_S = 8.0e-5  # a normal offset in time, of the load cell
 
@@ -205,9 +205,9 @@ def test_equals_are_told_at_the_time_of_the_load_cell_as_well(tmp_path, monkeypa
 def test_a_stated_tolerance_does_not_grow_with_the_noise_of_the_rows():
     """Of one parameter of evidence a and prior p: (by a + p) / (a + p)^2; of two, by chance."""
     a, p, by = 4.0, 25.0, 9.0
-    one = intervals.inflated(np.array([[1.0 / (a + p)]]), np.array([[p]]), by)
+    one = inflated(np.array([[1.0 / (a + p)]]), np.array([[p]]), by)
     assert one[0, 0] == pytest.approx((by * a + p) / (a + p) ** 2)
-    assert intervals.inflated(np.eye(2), None, by) == pytest.approx(by * np.eye(2))
+    assert inflated(np.eye(2), None, by) == pytest.approx(by * np.eye(2))
     random = np.random.default_rng(4)
     design = random.standard_normal((40, 3)) @ np.array([[1, 1, 0], [0, 0.1, 0], [0, 0, 2.0]])
     prior = np.diag([0.0, 1.0 / 0.3**2, 0.0])
@@ -218,7 +218,7 @@ def test_a_stated_tolerance_does_not_grow_with_the_noise_of_the_rows():
         [3.0 * random.standard_normal((40, 40_000)), random.standard_normal((1, 40_000))]
     )
     assert np.cov(inverse @ rows.T @ errors) == pytest.approx(
-        intervals.inflated(inverse, prior, by), rel=0.05, abs=2e-3
+        inflated(inverse, prior, by), rel=0.05, abs=2e-3
     )
 
 

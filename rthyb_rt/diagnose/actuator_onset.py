@@ -19,7 +19,7 @@ from rthyb_rt.diagnose.actuation import CATALOGUE, Actuation, ActuatorEffect, Ac
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.onset import SINGLES
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import inflation
+from rthyb_rt.diagnose.select import inflated, inflation
 
 BLOCKS = 48
 """Number of intervals between trial onsets: a quarter of a second each in twelve seconds."""
@@ -246,10 +246,11 @@ def _absent_before(task: Actuation, fit: ActuatorFit) -> bool:
         return False
     base = np.column_stack([np.ones(task.rows.size), *_moved_by(task, fit)])
     design = np.column_stack([column, base])
-    gram = design.T @ design
-    gram[2, 2] += POLICY.offset_prior_s**-2
+    prior = np.zeros((design.shape[1], design.shape[1]))
+    prior[2, 2] = POLICY.offset_prior_s**-2
+    gram = design.T @ design + prior
     size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     inverse = np.linalg.pinv(gram / np.outer(size, size), hermitian=True) / np.outer(size, size)
     part = float((inverse @ (design.T @ fit.residual))[0])
-    width = float(np.sqrt(inverse[0, 0] * inflation(fit.residual)))
+    width = float(np.sqrt(inflated(inverse, prior, inflation(fit.residual))[0, 0]))
     return part + POLICY.absent_sure * width < POLICY.absent_before

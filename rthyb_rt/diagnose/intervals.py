@@ -23,6 +23,7 @@ from rthyb_rt.diagnose.select import (
     ResidualProblem,
     clustered,
     design_of,
+    inflated,
     inflation,
     priors_of,
     whole,
@@ -167,21 +168,6 @@ class Sure:
         for k, v in params.items():
             half = max(least, POLICY.interval_of_form if shaped else 0.0) * abs(v)
             ci[k] = [min(ci[k][0], v - half), max(ci[k][1], v + half)]
-
-
-def inflated(covariance: Floats, prior: Floats | None, by: float) -> Floats:
-    """Return the covariance of parameters if rows are less informative than their number, (p, p).
-
-    With the evidence of the rows, A, and of the priors, P, ``C = (A + P)^-1``: errors of the rows
-    with ``by`` times the power give ``C (by A + P) C``. A stated tolerance does not grow with them.
-
-    Args:
-        covariance: C, (p, p).
-        prior: P, (p, p); None: not known, so that everything grows.
-        by: power of the errors relative to that assumed for A.
-    """
-    stated = np.zeros_like(covariance) if prior is None else covariance @ prior @ covariance
-    return np.asarray(stated + by * (covariance - stated))
 
 
 def opposite(value: float, center: float) -> float:

@@ -19,8 +19,10 @@ from rthyb_rt.diagnose.select import (
     ResidualProblem,
     Scan,
     compatible,
+    inflated,
     inflation,
     names_of,
+    priors_of,
     refine,
     solve,
 )
@@ -317,9 +319,16 @@ def absent_before(problem: ResidualProblem, fit: Fit) -> bool:
     if size == 0.0:
         return False
     # Its size before the onset relative to its later size, and the standard error.
-    along = blocks[-1].T @ shown / size
+    weights = np.zeros(both.covariance.shape[0])
     first = sum(b.size for b in both.betas[:-1])
-    own = slice(first, first + beta.size)
-    part = float(along @ both.betas[-1])
-    width = float(along @ both.covariance[own, own] @ along) * inflation(both.residual)
+    weights[first : first + beta.size] = blocks[-1].T @ shown / size
+    # A stated value is fitted as well. If it is the law's own, that is its size before the onset.
+    own = member.effect.whole(problem.ctx, member.trial)[0]
+    for j, nuisance in enumerate(problem.nuisances, first + beta.size):
+        same = nuisance.name == member.name and np.array_equal(nuisance.column, own)
+        weights[j] = 1.0 / float(beta[0]) if same else 0.0
+    part = float(weights @ np.r_[(*both.betas, both.nuisance)])
+    prior = priors_of(problem, members, 0, weights.size)
+    covariance = inflated(both.covariance, prior, inflation(both.residual))
+    width = float(weights @ covariance @ weights)
     return part + POLICY.absent_sure * float(np.sqrt(max(width, 0.0))) < POLICY.absent_before

@@ -1113,3 +1113,18 @@ def inflation(residual: Floats) -> float:
     cut = int(np.argmax(alone)) if alone.any() else rho.size
     tau = 1.0 + 2.0 * float(np.sum(rho[1:cut]))
     return max(1.0, float(np.mean(residual**2)) * max(tau, 1.0))
+
+
+def inflated(covariance: Floats, prior: Floats | None, by: float) -> Floats:
+    """Return the covariance of parameters if rows are less informative than their number, (p, p).
+
+    With the evidence of the rows, A, and of the priors, P, ``C = (A + P)^-1``: errors of the rows
+    with ``by`` times the power give ``C (by A + P) C``. A stated tolerance does not grow with them.
+
+    Args:
+        covariance: C, (p, p).
+        prior: P, (p, p); None: not known, so that everything grows.
+        by: power of the errors relative to that assumed for A.
+    """
+    stated = np.zeros_like(covariance) if prior is None else covariance @ prior @ covariance
+    return np.asarray(stated + by * (covariance - stated))
