@@ -19,7 +19,7 @@ from test_diagnose_colour import (
 )
 from test_diagnose_noise import DRIVE, F_STD, written
 
-from rthyb_rt.diagnose import engine, estimate, evidence, noise, reading
+from rthyb_rt.diagnose import engine, estimate, evidence, noise, reading, remainder
 
 ALL = np.ones(N, dtype=np.bool_)
 LINES = noise.Lines(ALL, FINE_HZ)
@@ -80,6 +80,55 @@ def red_at_the_ends(random: np.random.Generator, extra) -> dict[str, np.ndarray]
 def test_slow_noise_of_a_load_cell_is_neither_an_offset_nor_a_drift(tmp_path, seed):
     d = written(tmp_path, red_at_the_ends(np.random.default_rng(seed), lambda t, x, v: 0.0), DRIVE)
     assert (d.verdict, d.effects) == ("none", [])
+
+
+def slower_than_the_recording() -> np.ndarray:
+    """A random walk over white, down to 0.02 Hz: 14 s of it have a mean like their scatter."""
+    return 1.0 + (2.0 / np.maximum(F_GRID, 0.02)) ** 2
+
+
+@pytest.mark.parametrize(
+    ("friction_n", "names"),
+    [(60.0, ["coulomb"]), pytest.param(0.0, [], marks=pytest.mark.long)],
+    ids=["friction", "nothing missing"],
+)
+def test_mean_of_noise_slower_than_the_recording_is_no_unknown_law(tmp_path, friction_n, names):
+    random = np.random.default_rng(4)
+    columns = recorded(
+        random, lambda t, x, v: friction_n * np.tanh(v / 1e-3), slower_than_the_recording()
+    )
+    d = written(tmp_path, columns, DRIVE)
+    assert (d.verdict, d.effects) == ("explained" if names else "none", names)
+
+
+def test_noise_is_within_its_sheet_about_its_mean_and_without_bursts():
+    white = np.random.default_rng(7).standard_normal(N)
+    assert noise.mere(white + 3.0, white, 1.0, FINE_HZ)
+    assert not noise.mere(1.3 * white, white, 1.0, FINE_HZ)
+    burst = np.where(np.arange(N) < FINE_HZ, 1.5, 0.9) * white
+    assert not noise.mere(burst, burst, 1.0, FINE_HZ)
+
+
+@pytest.mark.parametrize(
+    ("rms", "error_of_motion", "within"),
+    [(1.2, 0.0, True), (1.3, 0.0, False), (1.3, 0.5, True), (1.5, 0.5, False)],
+)
+def test_sheet_holds_along_an_estimated_motion_with_the_error_of_the_estimate(
+    monkeypatch, rms, error_of_motion, within
+):
+    """Whitened, the residual is too large for the colour; its lines need not be those of a law."""
+    white = np.random.default_rng(3).standard_normal(N)
+    left = rms * white / np.std(white)
+    found = SimpleNamespace(
+        coloured=True, blur=SimpleNamespace(rms=error_of_motion), share=1.0, rows=ALL, scatter=0.0,
+        whiten=lambda y: 1.3 * y / np.std(y),
+    )  # fmt: skip
+    case = SimpleNamespace(channels={"f_meas": left}, fs_hz=FINE_HZ)
+    search = SimpleNamespace(problem=SimpleNamespace(case=case, estimate=found), best=None)
+    monkeypatch.setattr(remainder, "stated", lambda _: 1.0)
+    monkeypatch.setattr(remainder, "bend", lambda *_: 0.0)
+    monkeypatch.setattr(remainder, "left_by", lambda *_: left)
+    assert remainder.by_the_sheet(search) is within
 
 
 @pytest.mark.long

@@ -169,6 +169,11 @@ class Blur:
     direct: Floats
     more: Floats | float = 0.0
 
+    @property
+    def rms(self) -> float:
+        """Standard deviation of the contribution to a force, N, without the model's accuracy."""
+        return float(np.sqrt(np.mean(np.maximum(self.power - self.accuracy + self.more, 0.0))))
+
     def behind(self, changes: Iterable[Floats], fs_hz: float) -> list[Blur]:
         """Return the contribution for each of some sets of effects that are added to the model.
 
@@ -678,7 +683,7 @@ def likeliest(
 
 
 def within_sheet(rest: Floats, sheet: float, scatter: float) -> bool:
-    """Return whether a channel's residual, (n,), is as small as its data sheet permits.
+    """Return whether a channel's residual, (n,), with its mean, is as small as the sheet permits.
 
     The rms of one recording of slow noise has a relative ``scatter`` about the data sheet value.
     """

@@ -165,7 +165,8 @@ class Body:
         own = estimate.likelihood(x, rows, self.ctx.v, self.case.fs_hz, self.sigma, sheet)[1]
         white = fit.residual if own is None else own.whiten(x)[rows]
         wider = sheet * (1.0 + (own.scatter if own is not None else 0.0))
-        return noise.mere(x[rows], white, wider, self.case.fs_hz)
+        # No zero of the sensor is fitted: a constant is a body that rests elsewhere.
+        return estimate.within_sheet(x[rows], wider, 0.0) and noise.steady(white, self.case.fs_hz)
 
     def _ends(self, first: Augmented, place: tuple[str, int, int]) -> tuple[float, float]:
         """Return the range of a parameter: for a shape, that of its effect, as logarithms."""

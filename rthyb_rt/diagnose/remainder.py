@@ -153,15 +153,16 @@ def by_the_sheet(search: Search) -> bool:
     if not sheet or not verdict.within(bend(search.problem, search.best), POLICY):
         return False
     rest = left_by(search, search.best)
+    white = found.whiten(rest)[found.rows]
+    blur = 0.0 if found.blur is None else found.blur.rms
     if found.coloured and found.blur is not None:
         # No sheet covers the error of an estimated motion; its colour was limited by its own.
-        white = found.whiten(rest)[found.rows]
         count = found.share * white.size
         most = 1.0 + POLICY.excess_as_noise + POLICY.power_scatter * np.sqrt(2.0 / count)
-        return float(white @ white) < most * count and noise.steady(white, case.fs_hz)
-    return "f_meas" in case.channels and noise.mere(
-        rest[found.rows], found.whiten(rest)[found.rows], sheet * (1.0 + found.scatter), case.fs_hz
-    )
+        if float(white @ white) < most * count and noise.steady(white, case.fs_hz):
+            return True
+    most_n = float(np.hypot(sheet * (1.0 + found.scatter), blur))
+    return "f_meas" in case.channels and noise.mere(rest[found.rows], white, most_n, case.fs_hz)
 
 
 def simulated(search: Search) -> Simulated | None:
