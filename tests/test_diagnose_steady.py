@@ -92,6 +92,25 @@ def test_the_form_of_a_law_is_no_change_of_its_numbers(part: float) -> None:
     assert max(found.values()) < POLICY.changed_numbers
 
 
+@pytest.mark.parametrize("sigma0_n_per_m", [100e3, 200e3, 400e3])
+def test_bristles_with_a_peak_in_sliding_have_the_same_numbers_everywhere(
+    sigma0_n_per_m: float,
+) -> None:
+    """Bristles that slide at 150 N, and at 90 N more in slow motion: LuGre without its damping."""
+
+    def held(t: Floats, x: Floats, v: Floats) -> Floats:
+        slides = 150.0 * (1.0 + 0.6 * np.exp(-((v / 0.02) ** 2)))
+        end = slides * np.sign(v) / sigma0_n_per_m
+        passed = np.exp(-np.abs(v) / FS * sigma0_n_per_m / slides)
+        z, out = 0.0, []
+        for towards, left in zip(end, passed, strict=True):
+            z = float(towards + (z - towards) * left)
+            out.append(sigma0_n_per_m * z)
+        return np.array(out)
+
+    assert max(changes_of(held, "lugre").values()) < POLICY.changed_numbers
+
+
 @pytest.mark.parametrize("power", [0.8, 1.0, 1.3, 1.6])
 def test_wear_by_another_law_of_travel_is_no_change_of_its_numbers(power: float) -> None:
     def lost(t: Floats, x: Floats, v: Floats) -> Floats:

@@ -7,8 +7,8 @@ motion, each part gets parameters of its own, and the gain is compared with chan
 Econometrica 28 (1960) 591). The right law is only approximate, too: its `form.neighbours` are
 included, as large as a form may be off, and what they also explain is no evidence; those of a law
 that wears with travel are functions of the travel as well, else its form would differ between early
-and late motion. Nor is a slight warming or wear of the specimen: parameters may differ by some per
-cent.
+and late motion, and a law whose forms are no functions of the motion may be any of its kin. Nor is
+a slight warming or wear of the specimen: parameters may differ by some per cent.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     own = unfiltered_slopes(problem, fit)
     seen = _resolved(problem, fit)
     own = own[:, seen]
-    design, prior = with_forms(problem, fit, slopes)
+    design, prior = _beside(*with_forms(problem, fit, slopes), _kin(problem, fit))
     design, prior = _with_instants(problem, fit, design, prior)
     shapes = sum(len(m.trial.theta) for m in fit.members)
     # Change of each parameter: for shapes, of the logarithm.
@@ -244,14 +244,18 @@ def with_forms(problem: ResidualProblem, fit: Fit, slopes: Floats) -> tuple[Floa
     Returns:
         Design, (rows, q), and prior, (q, q): a neighbour is no larger than a form may be off.
     """
-    design = np.column_stack([slopes, _near(problem, fit)])
-    prior = np.zeros((design.shape[1],) * 2)
     shapes = sum(len(m.trial.theta) for m in fit.members)
-    known = slopes.shape[1]
-    prior[:known, :known] = priors_of(problem, fit.members, shapes, known)
-    at = np.arange(known, design.shape[1])
-    prior[at, at] = POLICY.form_error**-2
-    return design, prior
+    prior = priors_of(problem, fit.members, shapes, slopes.shape[1])
+    return _beside(slopes, prior, [_near(problem, fit)])
+
+
+def _beside(design: Floats, prior: Floats, forms: list[Floats]) -> tuple[Floats, Floats]:
+    """Return design and prior with columns that are no larger than a form may be off."""
+    more = np.column_stack([design, *forms])
+    wider = np.pad(prior, (0, more.shape[1] - design.shape[1]))
+    at = np.arange(design.shape[1], more.shape[1])
+    wider[at, at] = POLICY.form_error**-2
+    return more, wider
 
 
 def _near(problem: ResidualProblem, fit: Fit) -> Floats:
