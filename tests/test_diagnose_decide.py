@@ -353,12 +353,31 @@ def test_a_stated_number_is_seen_against_its_tolerance() -> None:
     )
 
 
-def test_without_it_a_time_offset_would_have_to_stand_in() -> None:
-    strained = of("coulomb", chi2=1160.0, offset_sd=1.01 * POLICY.strained_offset)
-    seen = replace(a_form(), sets=(strained, *a_form().sets[1:]))
-    assert decided(seen).best.names == ("coulomb", "cubic")
-    naive = replace(seen, setting=replace(seen.setting, naive=True))
-    assert decided(naive).best.names == ("coulomb",)
+OFFSET = {"offset_sd": 1.01 * POLICY.strained_offset}
+STIFFNESS = {"strained": frozenset({"stiffness"})}
+
+
+@pytest.mark.parametrize("strain", [OFFSET, STIFFNESS], ids=["a time offset", "a stiffness"])
+def test_without_it_a_stated_value_would_have_to_stand_in(strain: dict[str, Any]) -> None:
+    def named(less: dict[str, Any], both: dict[str, Any], naive: bool = False) -> tuple[str, ...]:
+        alone, other, pair = a_form().sets
+        seen = replace(a_form(), sets=(replace(alone, **less), other, replace(pair, **both)))
+        return decided(replace(seen, setting=replace(seen.setting, naive=naive))).best.names
+
+    assert named(strain, {}) == ("coulomb", "cubic")
+    assert named({"offset_sd": 0.99 * POLICY.strained_offset}, {}) == ("coulomb",)
+    assert named(strain, strain) == ("coulomb",)
+    assert named(strain, {}, naive=True) == ("coulomb",)
+
+
+@pytest.mark.parametrize(("chi2", "named"), [(1101.0, "stiffness"), (1130.0, "cubic")])
+def test_a_changed_stiffness_is_named_unless_a_law_in_its_place_fits_clearly_better(
+    chi2: float, named: str
+) -> None:
+    alone, other, pair = a_form().sets
+    changed = of("coulomb", "stiffness", chi2=chi2), of("stiffness", chi2=15_000.0)
+    seen = replace(a_form(), sets=(replace(alone, **STIFFNESS), other, pair, *changed))
+    assert decided(seen).best.names == ("coulomb", named)
 
 
 def test_a_small_effect_beside_loud_crosstalk_earns_its_price_beside_other_forms() -> None:

@@ -73,6 +73,7 @@ class Hypothesis:
         bent: effects that it replaces by moving a stated value out of its tolerance.
         offset_sd: fitted time offset, in standard deviations of its tolerance.
         held_n_per_m, lost_n_per_m: stiffness of its bristles, and loss of its spring.
+        strained: effects of the stated values that it moves farther than the model may be wrong.
     """
 
     parts: tuple[SetMember, ...]
@@ -81,6 +82,7 @@ class Hypothesis:
     offset_sd: float = 0.0
     held_n_per_m: float = 0.0
     lost_n_per_m: float = 0.0
+    strained: frozenset[str] = frozenset()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -390,9 +392,18 @@ class Court:
         """Return the multiple of its price that an effect of a set must earn."""
         return times_price(self.policy, len(of.parts))
 
-    def strained(self, of: Hypothesis) -> bool:
-        """Return whether a set has a time offset too large to be a nuisance parameter."""
-        return of.offset_sd > self.policy.strained_offset
+    def relieves(self, of: Hypothesis, less: Hypothesis) -> bool:
+        """Return whether a set needs no abnormal time offset or stated value that another needs.
+
+        It must fit clearly better than the other set together with that change of a stated value.
+        """
+        if of.offset_sd <= self.policy.strained_offset < less.offset_sd:
+            return True
+        for name in less.strained - of.strained - set(less.names):
+            changed = self.by_names.get(tuple(sorted((*less.names, name))))
+            if changed is None or of.score + self.policy.same_evidence < changed.score:
+                return True
+        return False
 
     def ends_at_noise(self, one: Hypothesis, other: Hypothesis) -> bool:
         """Return whether a set reaches the noise and another one leaves more."""
@@ -430,14 +441,13 @@ def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
         # A change of a stated value shows against its tolerance, not in the residual.
         by_force = part.stated and court.setting.judged == "force"
         stated = by_force or (not part.late and part.name in less.bent)
-        if own >= least or stated or _no_form(court, of, i, less):
-            if in_any_form and not _past_forms(court, of, i, own):
-                return False
-            continue
-        # Except if an abnormal time offset would otherwise have to compensate. For a naive model
-        # this is no evidence: there an offset absorbs errors in the form of a law.
-        if court.setting.naive or court.strained(of) or not court.strained(less):
+        # Except if an abnormal time offset or stated value would otherwise have to compensate. For
+        # a naive model this is no evidence: there an offset absorbs errors in the form of a law.
+        relieves = not court.setting.naive and court.relieves(of, less)
+        if not (own >= least or stated or _no_form(court, of, i, less) or relieves):
             return court.refuse("share", of, part=part.name, found=own, wanted=least)
+        if in_any_form and not _past_forms(court, of, i, own):
+            return False
     return _needed_together(court, of)
 
 

@@ -22,7 +22,7 @@ from rthyb_rt.diagnose.decide import (
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
 from rthyb_rt.diagnose.feedback import Driven, inferred, returns
-from rthyb_rt.diagnose.fitted import bent, contribution, left, offset_sd, size
+from rthyb_rt.diagnose.fitted import bent, contribution, left, offset_sd, size, strained
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
@@ -121,6 +121,7 @@ class Gathered:
             offset_sd(problem, fit),
             held,
             lost,
+            frozenset(strained(problem, fit)),
         )
 
     def _part(self, member: Member) -> SetMember:

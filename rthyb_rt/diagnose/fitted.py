@@ -40,6 +40,19 @@ def bent(problem: ResidualProblem, fit: Fit) -> set[str]:
     }
 
 
+def strained(problem: ResidualProblem, fit: Fit) -> set[str]:
+    """Return the effects of stated values that a fit moves farther than the model may be wrong.
+
+    The mass that makes up for an estimated acceleration is none.
+    """
+    most = POLICY.within_tolerance
+    return {
+        n.effect
+        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
+        if n.number and n.sigma is not None and abs(float(b)) > most * n.sigma
+    }
+
+
 def offset_sd(problem: ResidualProblem, fit: Fit) -> float:
     """Return a fit's time offset between the channels, in standard deviations."""
     pairs = zip(fit.nuisance, problem.nuisances, strict=True)
