@@ -149,6 +149,35 @@ def test_dashpot_earns_by_the_motion_of_the_test_what_it_earns_in_all():
     assert driven == pytest.approx(everywhere, rel=0.1)
 
 
+@pytest.mark.parametrize("f_hz", [0.8, 1.33, 3.0])
+@pytest.mark.parametrize("phase_rad", [0.0, 0.8, 1.6])
+def test_late_cell_under_a_sine_that_begins_at_speed_earns_by_it_what_it_earns_in_all(
+    f_hz, phase_rad
+):
+    """A dashpot of the model, far out of its tolerance, stands in for it but for its cost."""
+    late_s, t = 0.01, np.arange(int(12 * FS_HZ)) / FS_HZ
+
+    def sine(at_s):
+        turning = 5e-3 * np.exp(1j * (2.0 * np.pi * f_hz * at_s + phase_rad))
+        return ((turning * (2j * np.pi * f_hz) ** n).imag for n in range(3))
+
+    (x, v, a), (felt, rate, bent) = sine(t), sine(t - late_s)
+    noise = F_STD * np.random.default_rng(1).standard_normal(t.size)
+    force = K * felt + C * rate + M * bent + noise
+    model = Model("drive", FS_HZ, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=F_STD)
+    rows = np.ones(t.size, dtype=np.bool_)
+    rows[:20] = rows[-20:] = False
+    case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": force}, rows)
+    motion = ComputedMotion(x, v, a)
+    found = estimate.Estimate(motion, force, rows, lambda y: y / F_STD, F_STD, True)
+    problem = ResidualProblem(
+        case, engine.context_of(case, found), found, effects.catalogue().values()
+    )
+    everywhere, driven, wanted = earned(problem, "time_skew", late_s)
+    assert everywhere > 5.0 * wanted
+    assert driven == pytest.approx(everywhere, rel=0.02)
+
+
 @pytest.mark.parametrize(("zero", "named"), [(1.0, ()), (-1.0, ()), (20.0, ("bias",))])
 def test_zero_error_of_the_displacement_is_no_offset_of_the_load_cell(zero, named):
     """Through the spring it is the same force; one of twenty times the sensor's noise is none."""

@@ -486,12 +486,17 @@ def low_passed(signal: Floats, fs_hz: float, cut_hz: float) -> Floats:
     return s.back(gain * s.forward(signal, odd=True))
 
 
-def _edges(rows: NDArray[np.bool_], fs_hz: float, x: Floats) -> NDArray[np.bool_]:
-    out = rows.copy()
+def rests(x: Floats, fs_hz: float) -> tuple[bool, bool]:
+    """Return whether a motion, (n,), is at rest in its first and in its last tenth of a second."""
     head = max(int(0.1 * fs_hz), 2)
     loud = 0.02 * float(np.max(np.abs(x - np.median(x))))
-    for at, span in ((0, slice(None, head)), (-1, slice(-head, None))):
-        rest = float(np.max(np.abs(x[span] - x[at]))) < loud
+    first, last = (float(np.max(np.abs(d))) for d in (x[:head] - x[0], x[-head:] - x[-1]))
+    return first < loud, last < loud
+
+
+def _edges(rows: NDArray[np.bool_], fs_hz: float, x: Floats) -> NDArray[np.bool_]:
+    out = rows.copy()
+    for at, rest in zip((0, -1), rests(x, fs_hz), strict=True):
         cut = int(min((EDGE_S if rest else MOVING_EDGE_S) * fs_hz, rows.size / 12))
         if cut:
             out[slice(None, cut) if at == 0 else slice(-cut, None)] = False

@@ -36,6 +36,11 @@ def inferred(case: Case) -> bool:
     return case.model.family in ("ground", "forced") and "f_meas" not in case.channels
 
 
+SETTLED = 1.0
+"""Periods of the cut-off frequency within which the filter is affected by the ends of a recording:
+the slowest of its poles decays to a tenth in one of them."""
+
+
 class Driven:
     """What laws earn by the motion that a test imposes."""
 
@@ -43,7 +48,9 @@ class Driven:
         """Store a problem and the upper end of its motion's band."""
         ctx, fs_hz = problem.ctx, problem.case.fs_hz
         x, v, a = (low_passed(signal, fs_hz, cut_hz) for signal in (ctx.x, ctx.v, ctx.a))
-        self.problem, self.below = problem, problem.below(cut_hz)
+        inner = problem.within(SETTLED / cut_hz)
+        self.problems = [problem] if inner is problem else [problem, inner]
+        self.below = [one.below(cut_hz) for one in self.problems]
         self.slow = replace(ctx, motion=ComputedMotion(x, v, a), ranges=ctx.all_ranges)
 
     @classmethod
@@ -72,10 +79,16 @@ class Driven:
         )
 
     def _ways(self, members: Sequence[Member]) -> list[_Way]:
-        """Return both problems in which a set is a physical law."""
-        seen = self.problem.seen
-        along = [np.column_stack([seen(c) for c in own]) for own in columns_of(self.slow, members)]
-        ways = [(self.problem, along), (self.below, self.below.blocks(members))]
+        """Return the problems in which a set is a physical law.
+
+        Both, and again without the ends of the recording that disturb the filter: a law that acts
+        there only earns nothing without them.
+        """
+        ways: list[tuple[ResidualProblem, list[Floats]]] = []
+        slow = columns_of(self.slow, members)
+        for one, below in zip(self.problems, self.below, strict=True):
+            along = [np.column_stack([one.seen(c) for c in own]) for own in slow]
+            ways += [(one, along), (below, below.blocks(members))]
         solved = [(one, blocks, solve(one, members, blocks)) for one, blocks in ways]
         return [(one, blocks, whole.chi2) for one, blocks, whole in solved if whole is not None]
 

@@ -23,7 +23,7 @@ from rthyb_rt.diagnose import modulation
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
-from rthyb_rt.diagnose.estimate import Estimate, Rows, fast_length, low_passed
+from rthyb_rt.diagnose.estimate import Estimate, Rows, fast_length, low_passed, rests
 from rthyb_rt.diagnose.policy import POLICY
 
 BLOCKS = 16
@@ -308,8 +308,24 @@ class ResidualProblem:
 
     def below(self, cut_hz: float) -> ResidualProblem:
         """Return the same problem up to a frequency: its residual and all its columns."""
+        return self._seen_anew(cut_hz, self.rows)
+
+    def within(self, seconds: float) -> ResidualProblem:
+        """Return the same problem without rows this near to an end at which the motion goes on.
+
+        Of each end, a sixth of the recording at most; the problem itself if there are none.
+        """
+        size, fs_hz = self.ctx.t.size, self.case.fs_hz
+        cut = min(int(seconds * fs_hz), size // 6)
+        first, last = (0 if rest else cut for rest in rests(self.ctx.x, fs_hz))
+        kept = self.rows[(self.rows >= first) & (self.rows < size - last)]
+        if self.pieces is not None or kept.size == self.rows.size:
+            return self
+        return self._seen_anew(self.cut_hz, kept)
+
+    def _seen_anew(self, cut_hz: float | None, rows: Rows) -> ResidualProblem:
         out = copy(self)
-        out.cut_hz, out._blocks, out._kept = cut_hz, OrderedDict(), None
+        out.cut_hz, out.rows, out._blocks, out._kept = cut_hz, rows, OrderedDict(), None
         out.y = out.seen(self.estimate.force - self.ctx.total)
         out.base = np.column_stack(
             [out.seen(n.column) for n in out.nuisances] or [np.zeros((out.y.size, 0))]
