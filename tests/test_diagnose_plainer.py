@@ -9,10 +9,11 @@ import pytest
 
 from rthyb_rt import core
 from rthyb_rt.diagnose import effects, force, onset, remainder
+from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import held_out_gain
 from rthyb_rt.diagnose.force import Search
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
+from rthyb_rt.diagnose.select import Dictionary, Fit, Member, ResidualProblem, refine, solve
 from tests.test_diagnose_nested import yielding
 from tests.test_diagnose_steady import fitted
 
@@ -56,6 +57,65 @@ def test_bristles_that_bend_far_are_not_compared_with_a_contact_that_shears_as_f
 )
 def test_dry_friction_begins_with_the_shape_of_the_richer_law(richer: Trial, plain: Trial) -> None:
     assert effects.catalogue()["coulomb"].like(richer) == plain
+
+
+@pytest.mark.parametrize(
+    ("plain", "grid", "begun"),
+    [
+        (Trial((3e-5,), "contact"), Trial((0.02, 1.0, 7e-6), "contact"), 3e-5),
+        (Trial((4e-4,)), Trial((0.02, 1.0, 1e-3)), 4e-4),
+        (Trial((4e-4,)), Trial((0.02, 1.0, 7e-6), "contact"), 7e-6),
+        (Trial((), "sharp"), Trial((0.02, 1.0, 1e-3)), 1e-3),
+    ],
+    ids=["a contact", "a step", "a step, not a contact", "a body that sticks"],
+)
+def test_friction_with_a_peak_begins_with_the_step_of_dry_friction(
+    plain: Trial, grid: Trial, begun: float
+) -> None:
+    found = effects.catalogue()["stribeck"].beyond(plain, grid)
+    assert found == Trial((*grid.theta[:2], begun), grid.variant)
+
+
+def with_a_peak(t: Floats, x: Floats, v: Floats) -> Floats:
+    """Friction that falls from 180 to 60 N, of a contact, beside a dashpot."""
+    slides = 60.0 + 120.0 * np.exp(-((v / 0.01) ** 2))
+    return np.asarray(slides * yielding(x, WAY_M) / WAY_M + 900.0 * v)
+
+
+def test_peak_beside_another_law_is_found_from_dry_friction_beside_it() -> None:
+    problem, fit = fitted(with_a_peak, "coulomb", "viscous")
+    fitter = force._Fitter(problem)
+    fitter.keep(fit)
+    force._reform(Dictionary(problem), fitter, dry=True)
+    found = fitter.by_names["stribeck", "viscous"]
+    assert found.chi2 < 1.1 * problem.y.size < 0.5 * fit.chi2
+
+
+@pytest.mark.parametrize("more", [[], ["stribeck", "viscous"]], ids=["as before", "the right one"])
+def test_evidence_is_scaled_by_what_the_set_found_with_it_leaves(
+    monkeypatch: pytest.MonkeyPatch, more: list[str]
+) -> None:
+    """Dry friction leaves correlated rows; found on the way, the right law leaves none."""
+    problem, fit = fitted(with_a_peak, "coulomb", "viscous")
+    null, first = solve(problem, [], []), force._Fitter(problem)
+    assert null is not None
+    first.keep(fit)
+    right = fitted(with_a_peak, *more)[1].members if more else ()
+
+    def search(_: object, fitter: force._Fitter, seeds: list[tuple[Member, ...]]) -> None:
+        for members in [*seeds, right]:
+            if members:
+                fitter.fit(members)
+
+    monkeypatch.setattr(force, "_sweep", search)
+    dictionary = Dictionary(problem)
+    fitter, alone, scale = force._scaled_down(dictionary, first, null)
+    best = min(fitter.by_names.values(), key=fitter.score)
+    assert best.names == (("stribeck", "viscous") if more else ("coulomb", "viscous"))
+    assert scale == 1.0 if more else scale > 2.0
+    assert problem.loudness == pytest.approx(np.sqrt(scale))
+    assert solve(problem, [], []).chi2 == pytest.approx(alone.chi2)
+    assert dictionary.reduced()[2] == pytest.approx(alone.chi2)
 
 
 def searched(problem: ResidualProblem, *fits: Fit) -> Search:

@@ -34,6 +34,8 @@ POOL = 6
 """Number of sets, and of single effects, whose motion is simulated."""
 LEADING = 3
 """Number of sets examined more closely."""
+SEEDS = 8
+"""Number of sets with which a search with less evidence begins."""
 SETTLED = 0.01
 """Fraction of a misfit by which a further fit of a motion must improve it."""
 PARTS = 150
@@ -568,10 +570,9 @@ def _moved(
     mover.plain_friction()
     mover.elsewhere()
     best = min((plain, *mover.by_names.values()), key=mover.score)
-    scale = inflation(best.residual)
-    before, after = plain.chi2, best.chi2
+    scale, before = inflation(best.residual), plain.chi2
     mover.rescale(scale, plain)
-    found = _decide(problem, mover, plain, (before, after, n), scale, lambda _: 1.0)
+    found = _decide(problem, mover, plain, (before, n), scale, lambda _: 1.0)
     found.quiet = body.quiet(found.best)
     left = found.excess_after / max(found.excess_before, 1e-12)
     met = found.quiet or found.excess_after < POLICY.moved_excess or left < POLICY.moved_decisive
@@ -605,27 +606,16 @@ def search(
     if problem.case.model.k_tol is not None:
         # A naive model is refitted as a whole: what it lacks has no onset.
         _begun(dictionary, fitter)
-    plain_best = plain_null
     pool = sorted(fitter.by_names.values(), key=fitter.score)[: noise.TRIED]
     if fitter.by_names:
-        best = _sure_of_its_beginning(fitter)
-        plain_best = best.chi2
-        scale = inflation(best.residual)
-        if scale > POLICY.coloured_evidence:
-            problem.rescale(scale)
-            dictionary.grams /= scale
-            null = solve(problem, [], []) or null
-            fitter = _Fitter(problem)
-            _sweep(dictionary, fitter, [f.members for f in pool[:8]])
-        else:
-            scale = 1.0
+        fitter, null, scale = _scaled_down(dictionary, fitter, null)
     known = redundant.witness(problem.case, problem.ctx, problem.estimate)
     if known is not None:
         progress("redundant channels")
         null = fitter.hear(known, [g.member for g in dictionary.groups], null)
         plain_null += fitter.testimony(null)
     progress("gate")
-    done = _decide(problem, fitter, null, (plain_null, plain_best, n), scale, fitter.held(null))
+    done = _decide(problem, fitter, null, (plain_null, n), scale, fitter.held(null))
     done.pool = pool
     if body is None:
         return done
@@ -681,6 +671,34 @@ def _refused(fitter: _Fitter, done: Search) -> bool:
     )
 
 
+def _scaled_down(dictionary: Dictionary, fitter: _Fitter, null: Fit) -> tuple[_Fitter, Fit, float]:
+    """Repeat the search with less evidence per row if the best set leaves correlated rows.
+
+    A set that is found only then may leave much less than the one whose residual set the scale: the
+    search is repeated from it once more.
+
+    Returns:
+        The sets found, the model alone, and the factor by which their evidence was divided.
+    """
+    problem, scale = dictionary.problem, 1.0
+    best = _sure_of_its_beginning(fitter)
+    seeds = [f.members for f in sorted(fitter.by_names.values(), key=fitter.score)[:SEEDS]]
+    for turn in range(2):
+        found = inflation(np.sqrt(scale) * best.residual)
+        found = found if found > POLICY.coloured_evidence else 1.0
+        if found == scale or (turn and found * POLICY.coloured_evidence > scale):
+            break
+        problem.rescale(found / scale)
+        dictionary.grams *= scale / found
+        null, fitter, scale = solve(problem, [], []) or null, _Fitter(problem), found
+        _sweep(dictionary, fitter, seeds)
+        if not fitter.by_names:
+            break
+        best = min(fitter.by_names.values(), key=fitter.score)
+        seeds = [best.members, *seeds]
+    return fitter, null, scale
+
+
 def _sweep(
     dictionary: Dictionary, fitter: _Fitter, seeds: Iterable[tuple[Member, ...]] = ()
 ) -> None:
@@ -715,11 +733,7 @@ def _sweep(
         fitter.fit(group)
     _dashpots(dictionary, fitter)
     fitter.relieve()
-    first = min(fitter.by_names.values(), key=fitter.score, default=None)
-    # A set that reaches the noise by straining a stated value may stand for another friction law.
-    strained = first is not None and bool(bent(dictionary.problem, first) - set(first.names))
-    reached = first.chi2 if first is not None else best
-    _reform(dictionary, fitter, strained or reached > POLICY.search_ends * rows)
+    formed = _reformed(dictionary, fitter)
     fitter.exchange()
     _with_dry_friction(fitter)
     _nested(dictionary, fitter)
@@ -737,6 +751,24 @@ def _sweep(
     for fit in [f for f in ranked[:2] if len(f.members) > 1]:
         for i in range(len(fit.members)):
             fitter.fit(fit.members[:i] + fit.members[i + 1 :])
+    if formed != min(fitter.by_names, key=lambda n: fitter.score(fitter.by_names[n]), default=None):
+        # What stands beside another law now may take another form there.
+        _reformed(dictionary, fitter)
+
+
+def _reformed(dictionary: Dictionary, fitter: _Fitter) -> tuple[str, ...] | None:
+    """Try the other forms of the laws of the best sets; return the names of the best one before.
+
+    A set that reaches the noise by straining a stated value may stand for another law of friction.
+    """
+    problem = fitter.problem
+    first = min(fitter.by_names.values(), key=fitter.score, default=None)
+    if first is None:
+        return None
+    strained = bool(bent(problem, first) - set(first.names))
+    rows = problem.y.size * problem.estimate.share
+    _reform(dictionary, fitter, strained or first.chi2 > POLICY.search_ends * rows)
+    return first.names
 
 
 def _with_dry_friction(fitter: _Fitter) -> None:
@@ -760,9 +792,13 @@ def _with_dry_friction(fitter: _Fitter) -> None:
 def _in_place(problem: ResidualProblem, dry: Effect, own: Member) -> Trial | None:
     """Return dry friction in the shape of a richer law; None if it has no such shape."""
     trial = dry.like(own.trial)
-    limits = dry.limits(problem.ctx, trial)
-    within = all(a <= q <= b for q, (a, b) in zip(trial.theta, limits, strict=True))
-    return trial if within else None
+    return trial if _possible(problem, dry, trial) else None
+
+
+def _possible(problem: ResidualProblem, effect: Effect, trial: Trial) -> bool:
+    """Return whether a shape is within its limits."""
+    limits = effect.limits(problem.ctx, trial)
+    return all(a <= q <= b for q, (a, b) in zip(trial.theta, limits, strict=True))
 
 
 def _nested(dictionary: Dictionary, fitter: _Fitter) -> None:
@@ -800,7 +836,8 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
     """Try the other forms of each law of the best sets together with the refined rest.
 
     The sweep refines only one form of a set, the nearest on the grid. If requested, laws of dry
-    friction are treated as forms of one another.
+    friction are treated as forms of one another; one that contains dry friction also begins with
+    the step that dry friction has beside the rest.
     """
     problem, groups = fitter.problem, dictionary.groups
     friction = having(lambda e: e.dry)
@@ -825,8 +862,19 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
             found = dictionary.sets(others, dictionary.beside(_remaining(problem, fit, i)))
             # All, if the form of friction is in doubt: on the grid, a smoother jump leads.
             for (g,) in dictionary.best(found, len(like), len(others) if dry else 2):
-                if compatible([*rest, groups[g].member]):
-                    fitter.fit((*rest, groups[g].member))
+                for other in _begun_from(problem, groups[g].member, member):
+                    if compatible([*rest, other]):
+                        fitter.fit((*rest, other))
+
+
+def _begun_from(problem: ResidualProblem, other: Member, plain: Member) -> list[Member]:
+    """Return a law as in the dictionary, and with the step of the simpler law that it contains."""
+    if other.effect.plainer != plain.name:
+        return [other]
+    shape = other.effect.beyond(plain.trial, other.trial)
+    if shape == other.trial or not _possible(problem, other.effect, shape):
+        return [other]
+    return [other, Member(other.effect, shape)]
 
 
 def _replaced(dictionary: Dictionary, fitter: _Fitter) -> None:
@@ -940,11 +988,11 @@ def _decide(
     problem: ResidualProblem,
     fitter: _Fitter,
     null: Fit,
-    plain: tuple[float, float, float],
+    plain: tuple[float, float],
     scale: float,
     held_out: Callable[[Fit], float],
 ) -> Search:
-    n = plain[2]
+    n = plain[1]
     evidence = Gathered(fitter, null, held_out)
     choice = evidence.choose()
     best, fits = evidence.fit(choice.best), [evidence.fit(h) for h in choice.ranked]

@@ -334,6 +334,10 @@ class Effect:
         """Return the shape of this law nearest to one of `also`, or of a law that contains it."""
         return trial
 
+    def beyond(self, plain: Trial, trial: Trial) -> Trial:
+        """Return a shape of this law in which what it has in common with `plainer` is as there."""
+        return trial
+
     def shears(self, trial: Trial) -> bool:
         """Return whether it is dry friction of a contact that shears before it slips."""
         return False

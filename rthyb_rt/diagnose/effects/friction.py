@@ -316,6 +316,11 @@ class Stribeck(Effect):
         """Return False if it is a smooth hump rather than friction."""
         return bool(beta[1] > 0.05 * beta[0] and beta[0] > 0.02 * beta[1])
 
+    def beyond(self, plain: Trial, trial: Trial) -> Trial:
+        """Return the same peak on the step of dry friction of the same variant."""
+        alike = plain.variant == trial.variant and plain.theta and len(trial.theta) == 3
+        return Trial((*trial.theta[:2], plain.theta[0]), trial.variant) if alike else trial
+
     def shears(self, trial: Trial) -> bool:
         """Return whether the peak is that of a contact."""
         return trial.variant == "contact"
