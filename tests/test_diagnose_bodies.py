@@ -325,6 +325,28 @@ def test_a_law_from_the_balance_of_forces_is_judged_by_the_motion_that_it_makes(
     assert 0.98 < right.before / (2.0 * least.cost / n - 1.0) < 1.5
 
 
+@pytest.mark.long
+def test_force_that_was_lost_for_a_moment_is_fitted_with_the_motion_that_it_made(tmp_path):
+    """Three gaps of up to a tenth of a second, near resonance: a line across them is felt long."""
+    n = rows(8.0)
+    push, fine = swept(n, 0.5, 0.1)
+    x, a = moved_body(900.0 * fine, lambda x, v: SPRING * x + 4e7 * x**3 + DASHPOT * v, MASS, n)
+    columns, model = free_body(x, 900.0 * push, a)
+    for first, after in ((400, 424), (900, 926), (1500, 1512)):
+        for name in ("f_in", "x_meas", "a_meas"):
+            columns[name][first:after] = np.nan
+    recording, toml = cases.write(tmp_path, columns, model)
+    case = reading.read_case(recording, reading.read_model(toml))
+    for name, known in (("cubic", True), ("quad_damping", False)):
+        search = proposed(case, name)
+        made = remainder.reproduced(search, search.problem.ctx)
+        assert made is not None
+        assert (made.after < 0.1) is known
+        assert known or made.after > 0.3 * made.before
+    d = engine.diagnose(case)
+    assert (d.verdict, d.effects) == ("explained", ["cubic"])
+
+
 def test_motion_with_friction_is_close_or_not_whatever_its_evidence_was_scaled_down_by(tmp_path):
     """Friction of a body under a force whose noise is recorded nowhere: near resonance it moves the
     body by more than the noise of its sensor, and by a thousandth of what friction does."""

@@ -120,6 +120,11 @@ def _gaps(signal: Floats) -> Iterable[tuple[int, int]]:
     return zip(map(int, edges[::2]), map(int, edges[1::2]), strict=True)
 
 
+def long_gaps(signal: Floats) -> list[tuple[int, int]]:
+    """Return first row and first row after it of each gap that is not filled by a cubic."""
+    return [(a, b) for a, b in _gaps(signal) if b - a > POLICY.short_gap]
+
+
 def _within_short_gaps(signal: Floats) -> Mask:
     out = np.zeros(signal.size, dtype=np.bool_)
     for a, b in _gaps(signal):

@@ -38,6 +38,8 @@ KEPT = 32
 """Number of cached motions, for effects that only change how a motion is measured."""
 STEPS = 6
 STEP = 1e-4
+LOST = 4
+"""Number of gaps of an input in which it is fitted, at most: the longest."""
 LITTLE = 0.03
 """Fraction of a rough fit's chi-squared by which a step must improve it."""
 
@@ -79,6 +81,7 @@ class Body:
             of nuisances, or the initial state, and the largest change in one step and in the fit,
             each in its unit.
         units: standard deviation of each of them that has a prior.
+        lost: forces, (m, n), N, of which the input is a sum in addition where it was not recorded.
     """
 
     largest = 2
@@ -91,6 +94,7 @@ class Body:
         self.lock = Lock()
         self._moved: deque[tuple[Augmented, tuple[float, ...], ComputedMotion]] = deque(maxlen=KEPT)
         self.met, self.rough = POLICY.motion_met_alone, POLICY.motion_rough
+        self.lost = _not_recorded(case)
         self.loose = self._loose()
         self.held = "f_meas" in case.channels and case.model.family == "ground"
         self.x = case.channels["x_meas"]
@@ -110,7 +114,9 @@ class Body:
 
     def _loose(self) -> Loose:
         reach = POLICY.nuisance_reach
-        return (("blur", 2.0, reach), ("skew", 2.0, reach), ("x", 0.4, np.inf), ("v", 0.4, np.inf))
+        begun = (("x", 0.4, np.inf), ("v", 0.4, np.inf))
+        lost = tuple((f"lost {i}", 0.4, np.inf) for i in range(len(self.lost)))
+        return (("blur", 2.0, reach), ("skew", 2.0, reach), *begun, *lost)
 
     def _push(self, factor: float) -> tuple[Floats, float]:
         """Return the force on the body, and the mass that is not an element."""
@@ -203,6 +209,7 @@ class Body:
         push, mass = self._push(float(np.exp(sum(blur) / self.whole)))
         try:
             start = found.start or start_of(own, push, mass, self.case, self.other, self.x)
+            push = push + np.array(found.lost) @ self.lost if found.lost else push
             motion = own.moved_by(push, mass, self.case.t, self.other, start)
         except (SimulationError, core.CoreError):
             return None
@@ -230,11 +237,10 @@ class Body:
         known: dict[str, float] = {}
         if fit.scatter is not None:
             known = {n.name: float(b) for b, n in zip(fit.nuisance, problem.nuisances, strict=True)}
+            known |= {f"lost {i}": q for i, q in enumerate(fit.lost)}
         return np.array(
             [
-                np.clip(known.get(name, 0.0) / self.units[name], -most, most)
-                if name in self.units
-                else 0.0
+                np.clip(known.get(name, 0.0) / self.units.get(name, 1.0), -most, most)
                 for name, _, most in self.loose
             ]
         )
@@ -279,12 +285,12 @@ class Body:
 
     def differences(self, now: Augmented, loose: Floats, at: tuple[float, float]) -> Floats:
         """Return recording less simulation in units of the noise, one for each of the rows."""
-        start = self._begun(at, loose)
-        key = (float(loose[0]), *start)
+        start, lost = self._begun(at, loose), loose[loose.size - len(self.lost) :]
+        key = (float(loose[0]), *start, *lost)
         motion = next((m for n, k, m in list(self._moved) if n is now and k == key), None)
         if motion is None:
             push, mass = self._push(float(np.exp(POLICY.mass_blur * loose[0])))
-            motion = now.moved_by(push, mass, self.case.t, self.other, start)
+            motion = now.moved_by(push + lost @ self.lost, mass, self.case.t, self.other, start)
             # A time shift does not change the motion: its slope needs no further simulation.
             self._moved.append((now, key, motion))
         x = motion.x - loose[1] * POLICY.offset_prior_s * motion.v
@@ -346,6 +352,7 @@ class Body:
             best.members, best.betas, float(r @ r), fit.count, nuisance, r[:n],
             _covariance(first, places, inverse, nuisance.size),
             _covariance(first, places, scatter, nuisance.size), self._begun(start, p[count:]),
+            tuple(map(float, p[p.size - len(self.lost) :])),
         )  # fmt: skip
         return _as_effects(problem, found)
 
@@ -377,6 +384,25 @@ class Body:
         for (name, _, _), q in zip(self.loose, loose, strict=True):
             moved[name] = float(q) * self.units.get(name, 1.0)
         return np.array([moved.get(n.name, 0.0) for n in problem.nuisances])
+
+
+def _not_recorded(case: Case) -> Floats:
+    """Return forces with which an input that has long gaps may be complemented, (m, n), N.
+
+    A constant and a slope in each of the longest gaps: together, any change of displacement and
+    velocity at its end. Each is as large as the input.
+    """
+    name = "ag" if case.model.family == "ground" else "f_in"
+    given = case.channels.get(name)
+    if given is None:
+        return np.zeros((0, case.t.size))
+    size = float(np.nanstd(given)) * (case.model.mass if name == "ag" else 1.0)
+    long = sorted(estimate.long_gaps(given), key=lambda g: g[0] - g[1])[:LOST]
+    out = np.zeros((2 * len(long), case.t.size))
+    for i, (a, b) in enumerate(sorted(long)):
+        out[2 * i, a:b] = size
+        out[2 * i + 1, a:b] = size * np.linspace(-1.0, 1.0, b - a)
+    return out
 
 
 def _as_effects(problem: ResidualProblem, fit: Fit) -> Fit:

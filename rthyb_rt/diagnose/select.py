@@ -170,6 +170,7 @@ class Fit:
         covariance: of (log shapes, coefficients), before scaling.
         scatter: the same from the residual itself, see `clustered`; for a simulated motion only.
         start: initial displacement, m, and velocity, m/s, of that motion.
+        lost: what its input was fitted to be where it was not recorded, see `freebody.Body`.
     """
 
     members: tuple[Member, ...]
@@ -181,6 +182,7 @@ class Fit:
     covariance: Floats | None = None
     scatter: Floats | None = None
     start: tuple[float, float] | None = None
+    lost: tuple[float, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
