@@ -11,7 +11,7 @@ from rthyb_rt import core
 from rthyb_rt.diagnose import effects, force, onset, remainder
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.evidence import held_out_gain
+from rthyb_rt.diagnose.evidence import Gathered, held_out_gain
 from rthyb_rt.diagnose.force import Search
 from rthyb_rt.diagnose.select import Dictionary, Fit, Member, ResidualProblem, refine, solve
 from tests.test_diagnose_nested import yielding
@@ -192,3 +192,18 @@ def test_law_of_a_simulated_body_has_no_onset() -> None:
     assert found.members == fit.members
     assert found.covariance is None
     assert force._lasting(fit) is fit
+
+
+@pytest.mark.parametrize("normal_s", [-4e-5, 0.0, 4e-5])
+def test_late_load_cell_is_as_late_as_it_is_together_with_the_normal_time_offset(
+    normal_s: float,
+) -> None:
+    """Both delay its rows: 0.12 ms less a normal offset of 0.04 ms is a normal offset."""
+    problem, fit = fitted(lambda t, x, v: 0.0 * x, "time_skew")
+    null = solve(problem, [], [])
+    assert null is not None
+    offsets = [normal_s if n.name == "skew" else 0.0 for n in problem.nuisances]
+    late = Member(fit.members[0].effect, Trial((1.2e-4,)))
+    known = Gathered(force._Fitter(problem), null, lambda _: 1.0)
+    part = known.of(replace(fit, members=(late,), nuisance=np.array(offsets))).parts[0]
+    assert part.offset_s == pytest.approx(1.2e-4 + normal_s)

@@ -40,7 +40,8 @@ class SetMember:
         late: it begins in mid-recording.
         stated: it only changes a stated value.
         sensor, carries, dissipates: as declared by its law.
-        offset_s: by how much it shifts the load cell's rows in time.
+        offset_s: by how much it shifts the load cell's rows in time, together with the fitted time
+            offset; 0: it does not.
         settles_rad: the time against which it acts like a simpler law in slower motion, times the
             motion's angular frequency; 0: none.
     """

@@ -22,7 +22,15 @@ from rthyb_rt.diagnose.decide import (
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
 from rthyb_rt.diagnose.feedback import Driven, inferred, returns
-from rthyb_rt.diagnose.fitted import bent, contribution, left, offset_sd, size, strained
+from rthyb_rt.diagnose.fitted import (
+    bent,
+    contribution,
+    left,
+    offset_s,
+    offset_sd,
+    size,
+    strained,
+)
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
@@ -115,7 +123,7 @@ class Gathered:
             elif m.name == laws.stiffness:
                 lost = -float(b[0]) * ctx.model.k
         return Hypothesis(
-            tuple(self._part(m) for m in fit.members),
+            tuple(self._part(m, offset_s(problem, fit)) for m in fit.members),
             fit.chi2,
             frozenset(bent(problem, fit)),
             offset_sd(problem, fit),
@@ -124,8 +132,9 @@ class Gathered:
             frozenset(strained(problem, fit)),
         )
 
-    def _part(self, member: Member) -> SetMember:
+    def _part(self, member: Member, normal_s: float) -> SetMember:
         effect, ctx = member.effect, self.problem.ctx
+        shift_s = effect.offset_s(member.trial)
         own = effect.settings(ctx, member.trial)[1]
         omega_per_s = float(np.std(ctx.a)) / (float(np.std(ctx.v)) or 1.0)
         return SetMember(
@@ -138,7 +147,7 @@ class Gathered:
             effect.sensor,
             effect.carries,
             effect.dissipates,
-            effect.offset_s(member.trial),
+            shift_s + normal_s if shift_s else 0.0,
             effect.settling_s(member.trial) * omega_per_s,
         )
 

@@ -53,11 +53,16 @@ def strained(problem: ResidualProblem, fit: Fit) -> set[str]:
     }
 
 
-def offset_sd(problem: ResidualProblem, fit: Fit) -> float:
-    """Return a fit's time offset between the channels, in standard deviations."""
+def offset_s(problem: ResidualProblem, fit: Fit) -> float:
+    """Return a fit's time offset between the channels, s; positive: the load cell is late."""
     pairs = zip(fit.nuisance, problem.nuisances, strict=True)
-    skews = (abs(float(b)) / n.sigma for b, n in pairs if n.name == "skew" and n.sigma is not None)
-    return max(skews, default=0.0)
+    return sum(float(b) for b, n in pairs if n.name == "skew")
+
+
+def offset_sd(problem: ResidualProblem, fit: Fit) -> float:
+    """Return the size of that offset, in standard deviations."""
+    sigmas = [n.sigma for n in problem.nuisances if n.name == "skew" and n.sigma is not None]
+    return abs(offset_s(problem, fit)) / sigmas[0] if sigmas else 0.0
 
 
 def contribution(problem: ResidualProblem, fit: Fit, member: int) -> Floats:
