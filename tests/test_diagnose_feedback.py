@@ -155,21 +155,21 @@ def test_late_cell_under_a_sine_that_begins_at_speed_earns_by_it_what_it_earns_i
     f_hz, phase_rad
 ):
     """A dashpot of the model, far out of its tolerance, stands in for it but for its cost."""
-    late_s, t = 0.01, np.arange(int(12 * FS_HZ)) / FS_HZ
+    late_s, f_std, t = 0.01, 0.3 * F_STD, np.arange(int(12 * FS_HZ)) / FS_HZ
 
     def sine(at_s):
         turning = 5e-3 * np.exp(1j * (2.0 * np.pi * f_hz * at_s + phase_rad))
         return ((turning * (2j * np.pi * f_hz) ** n).imag for n in range(3))
 
     (x, v, a), (felt, rate, bent) = sine(t), sine(t - late_s)
-    noise = F_STD * np.random.default_rng(1).standard_normal(t.size)
+    noise = f_std * np.random.default_rng(1).standard_normal(t.size)
     force = K * felt + C * rate + M * bent + noise
-    model = Model("drive", FS_HZ, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=F_STD)
+    model = Model("drive", FS_HZ, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=f_std)
     rows = np.ones(t.size, dtype=np.bool_)
     rows[:20] = rows[-20:] = False
     case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": force}, rows)
     motion = ComputedMotion(x, v, a)
-    found = estimate.Estimate(motion, force, rows, lambda y: y / F_STD, F_STD, True)
+    found = estimate.Estimate(motion, force, rows, lambda y: y / f_std, f_std, True)
     problem = ResidualProblem(
         case, engine.context_of(case, found), found, effects.catalogue().values()
     )

@@ -36,9 +36,9 @@ def inferred(case: Case) -> bool:
     return case.model.family in ("ground", "forced") and "f_meas" not in case.channels
 
 
-SETTLED = 1.0
+SETTLED = 2.0
 """Periods of the cut-off frequency within which the filter is affected by the ends of a recording:
-the slowest of its poles decays to a tenth in one of them."""
+the slowest of its poles decays to one per cent in them."""
 
 
 class Driven:
