@@ -13,14 +13,13 @@ import diagnose_cases as cases
 import numpy as np
 import pytest
 from event_cases import Rig, late, moved, on_ground, recorded, rig
-from test_diagnose_steady import fitted
+from test_diagnose_steady import along, fitted
 
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
 from rthyb_rt.diagnose import effects, engine, force, onset, outcome, reading, why
-from rthyb_rt.diagnose.case import Case, Model
+from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.estimate import Estimate
-from rthyb_rt.diagnose.select import Member, ResidualProblem, refine
+from rthyb_rt.diagnose.select import Member, refine
 
 SEEDS = (101, 102)
 """Two rigs, of which every scenario has one."""
@@ -336,13 +335,8 @@ def test_amplifier_that_fails_in_mid_test_is_told_from_a_stiffness_within_its_to
     model = Model(
         "drive", cases.FS, k=k, c=c, moving_mass=m, k_tol=0.01, c_tol=0.15, f_std=cases.F_STD
     )
-    rows = np.ones(x.size, dtype=np.bool_)
-    case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": force_n}, rows)
-    found = Estimate(
-        ComputedMotion(x, v, a), force_n, rows, lambda y: y / cases.F_STD, cases.F_STD, True
-    )
+    problem = along(model, t, ComputedMotion(x, v, a), force_n)
     law = effects.catalogue()["stiffness"]
-    problem = ResidualProblem(case, engine.context_of(case, found), found, [law])
     fit = refine(problem, [Member(onset.Late(law), Trial((4.0,), "gain"))])
     assert fit is not None
     assert onset.absent_before(problem, fit) is absent

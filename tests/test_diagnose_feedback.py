@@ -9,6 +9,7 @@ import pytest
 from scipy.linalg import expm
 from test_diagnose_colour import coloured, resonant
 from test_diagnose_noise import written
+from test_diagnose_steady import along
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, engine, estimate, force
@@ -165,14 +166,7 @@ def test_late_cell_under_a_sine_that_begins_at_speed_earns_by_it_what_it_earns_i
     noise = f_std * np.random.default_rng(1).standard_normal(t.size)
     force = K * felt + C * rate + M * bent + noise
     model = Model("drive", FS_HZ, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=f_std)
-    rows = np.ones(t.size, dtype=np.bool_)
-    rows[:20] = rows[-20:] = False
-    case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": force}, rows)
-    motion = ComputedMotion(x, v, a)
-    found = estimate.Estimate(motion, force, rows, lambda y: y / f_std, f_std, True)
-    problem = ResidualProblem(
-        case, engine.context_of(case, found), found, effects.catalogue().values()
-    )
+    problem = along(model, t, ComputedMotion(x, v, a), force, unused=20)
     everywhere, driven, wanted = earned(problem, "time_skew", late_s)
     assert everywhere > 5.0 * wanted
     assert driven == pytest.approx(everywhere, rel=0.02)

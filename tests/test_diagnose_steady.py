@@ -25,6 +25,19 @@ Force = Callable[[Floats, Floats, Floats], Floats]
 """A force that is left out, N, of time, displacement and velocity."""
 
 
+def along(
+    model: Model, t: Floats, motion: ComputedMotion, f_meas: Floats, unused: int = 0
+) -> ResidualProblem:
+    """A force in white noise along a motion that is known, without some rows at either end."""
+    rows, f_std = np.ones(t.size, dtype=np.bool_), model.f_std or 0.0
+    rows[:unused] = rows[t.size - unused :] = False
+    channels = {"x_meas": motion.x, "x_cmd": motion.x, "f_meas": f_meas}
+    case = Case(model.family, model, t, channels, rows)
+    found = Estimate(motion, f_meas, rows, lambda y: y / f_std, f_std, True)
+    laws = effects.catalogue().values()
+    return ResidualProblem(case, engine.context_of(case, found), found, laws)
+
+
 def fitted(
     force: Force, *names: str, seed: int = 1, kind: str = "sweep"
 ) -> tuple[ResidualProblem, Fit]:
@@ -34,11 +47,7 @@ def fitted(
     model = Model("drive", FS, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=F_STD)
     noise = F_STD * np.random.default_rng(seed).standard_normal(x.size)
     f_meas = K * x + C * v + M * a + force(t, x, v) + noise
-    rows = np.ones(x.size, dtype=np.bool_)
-    case = Case("drive", model, t, {"x_meas": x, "x_cmd": x, "f_meas": f_meas}, rows)
-    found = Estimate(ComputedMotion(x, v, a), f_meas, rows, lambda y: y / F_STD, F_STD, True)
-    laws = effects.catalogue()
-    problem = ResidualProblem(case, engine.context_of(case, found), found, laws.values())
+    problem, laws = along(model, t, ComputedMotion(x, v, a), f_meas), effects.catalogue()
     shapes = product(*(laws[n].trials(problem.ctx) for n in names))
     sets = [[Member(laws[n], s) for n, s in zip(names, own, strict=True)] for own in shapes]
     return problem, min(filter(None, (refine(problem, m) for m in sets)), key=lambda f: f.chi2)

@@ -60,7 +60,7 @@ class Driven:
         return None if ends is None or ends[1] <= 0.0 else cls(problem, ends[1])
 
     def gains(self, fit: Fit) -> tuple[float, ...]:
-        """Return what each effect of a set earns beside the others, the better of both ways.
+        """Return what each effect of a set earns beside the others, the best of all ways.
 
         As a reduction of chi-squared; negative if the set is not a physical law there.
         """

@@ -11,7 +11,7 @@ from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.decide import times_price
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, ResidualProblem, columns_of, leaning, price
+from rthyb_rt.diagnose.select import Fit, Nuisance, ResidualProblem, columns_of, leaning, price
 
 
 def count(problem: ResidualProblem, fit: Fit) -> int:
@@ -33,11 +33,7 @@ def to_earn(problem: ResidualProblem, fit: Fit) -> float:
 
 def bent(problem: ResidualProblem, fit: Fit) -> set[str]:
     """Return the effects that a fit replaces by moving a stated value out of its tolerance."""
-    return {
-        n.effect
-        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-        if n.effect and n.sigma is not None and abs(float(b)) > POLICY.bent_number * n.sigma
-    }
+    return {n.effect for n in _moved(problem, fit, POLICY.bent_number) if n.effect}
 
 
 def strained(problem: ResidualProblem, fit: Fit) -> set[str]:
@@ -45,12 +41,13 @@ def strained(problem: ResidualProblem, fit: Fit) -> set[str]:
 
     The mass that makes up for an estimated acceleration is none.
     """
-    most = POLICY.within_tolerance
-    return {
-        n.effect
-        for b, n in zip(fit.nuisance, problem.nuisances, strict=True)
-        if n.number and n.sigma is not None and abs(float(b)) > most * n.sigma
-    }
+    return {n.effect for n in _moved(problem, fit, POLICY.within_tolerance) if n.number}
+
+
+def _moved(problem: ResidualProblem, fit: Fit, most: float) -> list[Nuisance]:
+    """Return what a fit moves by more than a number of standard deviations of its prior."""
+    pairs = zip(fit.nuisance, problem.nuisances, strict=True)
+    return [n for b, n in pairs if n.sigma is not None and abs(float(b)) > most * n.sigma]
 
 
 def offset_s(problem: ResidualProblem, fit: Fit) -> float:

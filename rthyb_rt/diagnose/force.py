@@ -102,6 +102,16 @@ class _Fitter:
         self.testimony: Callable[[Fit], float] = lambda _: 0.0
         self.witnessed = False
 
+    @property
+    def ranked(self) -> list[Fit]:
+        """The best fit of each set, the best set first, by chi-squared and price."""
+        return sorted(self.by_names.values(), key=self.score)
+
+    @property
+    def leading(self) -> Fit | None:
+        """The best of them; None if there are none."""
+        return min(self.by_names.values(), key=self.score, default=None)
+
     def fit(self, members: Iterable[Member], driving: bool = False) -> Fit | None:
         """Refine a set; None if it is not a physical law.
 
@@ -138,7 +148,7 @@ class _Fitter:
             members: effects in the shapes to try first.
             null: nuisance parameters only.
         """
-        ranked = sorted(self.by_names.values(), key=self.score)[:LEADING]
+        ranked = self.ranked[:LEADING]
         culprit = redundant.accused(known, members)
         for fit in (null, *ranked):
             if culprit is not None and culprit.name not in fit.names:
@@ -173,7 +183,7 @@ class _Fitter:
         A set is refined in one form of each law, the nearest on the grid or by another measure: of
         two sets with the same law, one could otherwise win by that law's form.
         """
-        ranked = sorted(self.by_names.values(), key=self.score)
+        ranked = self.ranked
         sizes = [[f for f in ranked if len(f.members) == size][:LEADING] for size in (1, 2, 3)]
         for fit in [f for own in sizes for f in own]:
             for i, own in enumerate(fit.members):
@@ -202,7 +212,7 @@ class _Fitter:
         at_noise = (1.0 + POLICY.excess_as_noise) * self.rows
         by_name = {e.name: e for e in self.problem.effects}
         for _ in range(2):
-            ranked = sorted(self.by_names.values(), key=self.score)
+            ranked = self.ranked
             alone = [f for f in ranked if len(f.members) == 1][:LEADING]
             strained = {f.names: f for f in (*ranked[:LEADING], *alone) if len(f.members) < 3}
             for fit in strained.values():
@@ -293,7 +303,7 @@ class _Mover(_Fitter):
         They contain it as a special case, and a rig that is reproduced with one may be without it.
         """
         plainer = _plainer_friction()
-        for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
+        for fit in self.ranked[:LEADING]:
             rich = [i for i, m in enumerate(fit.members) if m.name in plainer]
             if len(rich) != 1 or plainer[fit.members[rich[0]].name] in fit.names:
                 continue
@@ -320,7 +330,7 @@ class _Mover(_Fitter):
         imitates the damping, the right form may fit no better.
         """
         alone: set[Member] = set()
-        for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
+        for fit in self.ranked[:LEADING]:
             for i, own in enumerate(fit.members):
                 trials = own.effect.trials(self.problem.ctx) if own.effect.elastic else ()
                 forms = {t.variant: t for t in reversed(trials) if t.variant != own.trial.variant}
@@ -341,14 +351,14 @@ class _Mover(_Fitter):
 
         A set with one more law may have found the optimum that its subset has missed.
         """
-        for fit in sorted(self.by_names.values(), key=self.score)[:LEADING]:
+        for fit in self.ranked[:LEADING]:
             self._refine(fit)
         # Regardless of the number of simulations so far: a subset that was not evaluated must not
         # count as one that fails.
         self.body.runs = max(self.body.runs, PARTS)
         done: set[tuple[str, ...]] = set()
         for _ in range(2):
-            ahead = sorted(self.by_names.values(), key=self.score)[:LEADING]
+            ahead = self.ranked[:LEADING]
             for fit in [f for f in ahead if len(f.members) > 1 and f.names not in done]:
                 done.add(fit.names)
                 for i in range(len(fit.members)):
@@ -364,12 +374,12 @@ class _Mover(_Fitter):
         The misfit of such a motion has many minima, nearly as deep as one another. The deepest one
         counts, and their scatter is part of the interval, see `_forms`.
         """
-        best = min(self.by_names.values(), key=self.score, default=None)
+        best = self.leading
         if best is None or not any(m.effect.dry for m in best.members):
             return
         larger = [
             f
-            for f in sorted(self.by_names.values(), key=self.score)
+            for f in self.ranked
             if len(f.members) == len(best.members) + 1 and set(best.names) < set(f.names)
         ]
         for fit in larger[:LEADING]:
@@ -499,7 +509,7 @@ def _simplest(dictionary: Dictionary, body: Body, mover: _Mover, singles: Sequen
     for fit in [f for f in singles if count(mover.problem, f) == 1][:LEADING]:
         mover.move(fit)
     for _ in range(1, body.largest):
-        best = min(mover.by_names.values(), key=mover.score, default=None)
+        best = mover.leading
         if best is None or best.chi2 < body.met * mover.rows:
             break
         for members in _beside(dictionary, best, POOL):
@@ -514,7 +524,7 @@ def _moved(
 ) -> Search | None:
     """Evaluate the most promising sets by simulated motion; None if none reproduces it."""
     problem = dictionary.problem
-    ranked = [_lasting(f) for f in sorted(fitter.by_names.values(), key=fitter.score)]
+    ranked = [_lasting(f) for f in fitter.ranked]
     ranked = [f for f in ranked if body.quick(f) and body.distinct(f)]
     # Effects seen only by the load cell do not move the body.
     ranked = [f for f in ranked if not body.held or not _seen_only(f.members)]
@@ -551,7 +561,7 @@ def _moved(
         if best.chi2 < body.met * n:
             break
         mover.relieve()
-        ahead = sorted(mover.by_names.values(), key=mover.score)[:LEADING]
+        ahead = mover.ranked[:LEADING]
         for fit in [f for f in ahead if len(f.names) < body.largest and f.names not in grown]:
             grown.add(fit.names)
             for members in _beside(dictionary, fit, POOL):
@@ -606,7 +616,7 @@ def search(
     if problem.case.model.k_tol is not None:
         # A naive model is refitted as a whole: what it lacks has no onset.
         _begun(dictionary, fitter)
-    pool = sorted(fitter.by_names.values(), key=fitter.score)[: noise.TRIED]
+    pool = fitter.ranked[: noise.TRIED]
     if fitter.by_names:
         fitter, null, scale = _scaled_down(dictionary, fitter, null)
     known = redundant.witness(problem.case, problem.ctx, problem.estimate)
@@ -682,7 +692,7 @@ def _scaled_down(dictionary: Dictionary, fitter: _Fitter, null: Fit) -> tuple[_F
     """
     problem, scale = dictionary.problem, 1.0
     best = _sure_of_its_beginning(fitter)
-    seeds = [f.members for f in sorted(fitter.by_names.values(), key=fitter.score)[:SEEDS]]
+    seeds = [f.members for f in fitter.ranked[:SEEDS]]
     for turn in range(2):
         found = inflation(np.sqrt(scale) * best.residual)
         found = found if found > POLICY.coloured_evidence else 1.0
@@ -694,7 +704,7 @@ def _scaled_down(dictionary: Dictionary, fitter: _Fitter, null: Fit) -> tuple[_F
         _sweep(dictionary, fitter, seeds)
         if not fitter.by_names:
             break
-        best = min(fitter.by_names.values(), key=fitter.score)
+        best = fitter.ranked[0]
         seeds = [best.members, *seeds]
     return fitter, null, scale
 
@@ -747,11 +757,11 @@ def _sweep(
                 fitter.fit(rest)
     # The parts of the best sets once more, from the shapes that they have there: another form would
     # require the effect left out, and a part that was refined into another minimum would, too.
-    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    ranked = fitter.ranked
     for fit in [f for f in ranked[:2] if len(f.members) > 1]:
         for i in range(len(fit.members)):
             fitter.fit(fit.members[:i] + fit.members[i + 1 :])
-    if formed != min(fitter.by_names, key=lambda n: fitter.score(fitter.by_names[n]), default=None):
+    if fitter.leading is not None and fitter.leading.names != formed:
         # What stands beside another law now may take another form there.
         _reformed(dictionary, fitter)
 
@@ -762,7 +772,7 @@ def _reformed(dictionary: Dictionary, fitter: _Fitter) -> tuple[str, ...] | None
     A set that reaches the noise by straining a stated value may stand for another law of friction.
     """
     problem = fitter.problem
-    first = min(fitter.by_names.values(), key=fitter.score, default=None)
+    first = fitter.leading
     if first is None:
         return None
     strained = bool(bent(problem, first) - set(first.names))
@@ -778,7 +788,7 @@ def _with_dry_friction(fitter: _Fitter) -> None:
     beside these others.
     """
     by_name, plainer = {e.name: e for e in fitter.problem.effects}, _plainer_friction()
-    for fit in sorted(fitter.by_names.values(), key=fitter.score)[:LEADING]:
+    for fit in fitter.ranked[:LEADING]:
         for i, own in enumerate(fit.members):
             dry = by_name.get(plainer.get(own.name, ""))
             rest = fit.members[:i] + fit.members[i + 1 :]
@@ -808,7 +818,7 @@ def _nested(dictionary: Dictionary, fitter: _Fitter) -> None:
     another minimum. The effect that the subset lacks begins in its refined shape, and in the most
     promising one of the dictionary beside the subset.
     """
-    for part in sorted(fitter.by_names.values(), key=fitter.score)[:LEADING]:
+    for part in fitter.ranked[:LEADING]:
         worse = [
             f
             for f in fitter.by_names.values()
@@ -841,7 +851,7 @@ def _reform(dictionary: Dictionary, fitter: _Fitter, dry: bool) -> None:
     """
     problem, groups = fitter.problem, dictionary.groups
     friction = having(lambda e: e.dry)
-    ranked = [f for f in sorted(fitter.by_names.values(), key=fitter.score) if len(f.members) > 1]
+    ranked = [f for f in fitter.ranked if len(f.members) > 1]
     leading = ranked[:2]
     if dry:  # the best set with each other law of friction as well
         of_each = [next((f for f in ranked if n in f.names), None) for n in sorted(friction)]
@@ -886,7 +896,7 @@ def _replaced(dictionary: Dictionary, fitter: _Fitter) -> None:
     problem = fitter.problem
     done: set[tuple[str, ...]] = set()
     for _ in range(LEADING):
-        first = min(fitter.by_names.values(), key=fitter.score, default=None)
+        first = fitter.leading
         if first is None or len(first.members) < 3 or first.names in done:
             return
         done.add(first.names)
@@ -919,7 +929,7 @@ def _grow(dictionary: Dictionary, fitter: _Fitter) -> None:
     """Add every other effect to the best sets in their refined shapes, and refine the best."""
     done: set[tuple[str, ...]] = set()
     for _ in range(2):
-        ranked = sorted(fitter.by_names.values(), key=fitter.score)
+        ranked = fitter.ranked
         for fit in [f for f in ranked[:LEADING] if f.names not in done and len(f.names) < 3]:
             done.add(fit.names)
             for members in _beside(dictionary, fit, 4):
@@ -947,7 +957,7 @@ def _modulated(fitter: _Fitter) -> None:
     """Let channels unknown to the model modulate the laws of the best sets, one at a time."""
     done: set[int] = set()
     for _ in range(3 if fitter.problem.case.further else 0):
-        for fit in sorted(fitter.by_names.values(), key=fitter.score)[:LEADING]:
+        for fit in fitter.ranked[:LEADING]:
             if id(fit) not in done:
                 done.add(id(fit))
                 for members in modulation.modulated(fitter.problem, fit):

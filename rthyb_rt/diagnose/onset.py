@@ -150,7 +150,10 @@ class OnsetFitter(Protocol):
     """Refines sets of effects, see `force`."""
 
     problem: ResidualProblem
-    by_names: dict[tuple[str, ...], Fit]
+
+    @property
+    def ranked(self) -> list[Fit]:
+        """The best fit of each set, the best set first."""
 
     def keep(self, fit: Fit) -> None:
         """Keep a refined set if it is better than the one with the same names."""
@@ -166,7 +169,7 @@ def propose(dictionary: Dictionary, fitter: OnsetFitter) -> list[Fit]:
         The best sets with one onset, best first; they may lack other effects.
     """
     problem = fitter.problem
-    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    ranked = fitter.ranked
     null = solve(problem, [], [])
     if null is None:
         return []
@@ -190,7 +193,7 @@ def settle(fitter: OnsetFitter, most: int) -> None:
     And one found beside other effects is that of the effect alone, or beside fewer of them: before
     the noise was known, they may have been needed for its slow part.
     """
-    ranked = sorted(fitter.by_names.values(), key=fitter.score)
+    ranked = fitter.ranked
     done: set[tuple[str, ...]] = set()
     for fit in ranked[:most]:
         late = [m for m in fit.members if m.effect.late]

@@ -221,9 +221,8 @@ def _least_beside(problem: ResidualProblem, fit: Fit, near: Floats) -> float | N
     shapes, size = sum(len(m.trial.theta) for m in fit.members), slopes.shape[1]
     weights = np.sqrt(priors_of(problem, fit.members, shapes, size).diagonal())
     off = np.r_[np.zeros(shapes), *(b - 1.0 for b in fit.betas), fit.nuisance]
-    design = np.column_stack([slopes, near])
+    design, held = _beside(slopes, np.zeros((size, size)), [near])
     cost = np.pad(np.diag(weights), ((0, 0), (0, near.shape[1])))
-    held = np.diag(np.r_[np.zeros(size), np.full(near.shape[1], POLICY.form_error**-2)])
     return left(np.vstack([design, cost]), held, np.r_[fit.residual, -off * weights])[0]
 
 
