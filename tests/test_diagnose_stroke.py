@@ -13,6 +13,7 @@ from rthyb_rt.diagnose import effects, stroke
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Fit, ResidualProblem
+from rthyb_rt.diagnose.steady import left
 from tests.test_diagnose_steady import fitted
 
 MASS_KG, F_HZ, ZETA, SOFTER = 12.0, 2.2, 0.02, 20.0
@@ -99,3 +100,16 @@ def test_softer_spring_shows_before_what_it_leaves_exceeds_the_scatter_of_the_no
 def test_sets_without_a_mass_on_a_spring_are_not_compared() -> None:
     plain = fitted(lambda t, x, v: 2e3 * v + 60.0 * np.sign(v), "coulomb", "viscous")
     assert stroke.gain(*plain) == -np.inf
+
+
+@pytest.mark.parametrize("per_m2", [-40.0, 40.0, 80.0])
+def test_much_softer_spring_is_found_from_the_frequency_of_a_linear_one(per_m2: float) -> None:
+    """The frequency at small strokes is far from the one in the recording then."""
+    force = riding(per_m2)
+    problem, fit = fitted(lambda t, x, v: force, "second_mode")
+    least = stroke._least(problem, fit.members[0])
+    assert least is not None
+    prior = np.diag([0.0, *(0.0 if n.sigma is None else n.sigma**-2.0 for n in problem.nuisances)])
+    exact, _ = left(np.column_stack([problem.seen(force), problem.base]), prior, problem.y)
+    assert fit.chi2 > exact + 100.0
+    assert least < exact + 0.02 * (fit.chi2 - exact)

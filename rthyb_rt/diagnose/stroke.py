@@ -12,6 +12,8 @@ of the law, unless it is more than such an error may be and leaves nothing but n
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from rthyb_rt.diagnose import fitted
@@ -21,14 +23,29 @@ from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, penalty, solve
 from rthyb_rt.diagnose.steady import left, standing
 
-BEGUN = [(f, change) for f in (-0.02, 0.0, 0.03) for change in (-0.04, -0.01, 0.01, 0.03)]
-"""Initial logarithms of the frequency's factor, and initial changes of the spring."""
-STEPS = 8
+BEGUN = [
+    (-slope * change, change)
+    for change in (-0.1, -0.06, -0.03, -0.01, 0.01, 0.03, 0.06, 0.1)
+    for slope in (0.75, 1.5, 2.25)
+]
+"""Initial logarithms of the frequency's factor, and initial changes of the spring.
+
+A steady oscillation of the amplitude A has the frequency f (1 + 3/8 change A^2), with A^2 in units
+of the mean square of the stroke (Duffing; Nayfeh and Mook, eq. 2.3.30): 3/4 change at a steady
+amplitude, and more where the stroke is large for a part of the recording only. A frequency and a
+change that make up for each other there fit almost equally well, and form a narrow valley.
+"""
+BEST = 3
+"""Initial points, best first, from which the fit descends."""
+STEPS = 12
 STEP = np.array([1e-4, 1e-2, 1e-4])
 REACH = np.array([0.03, 0.5, 0.03])
 """Steps of the slopes, and largest steps: logarithms of frequency and damping, change of spring."""
 TRIED = 4
 """Largest number of times that a step is shortened."""
+
+Misfit = Callable[[Floats], tuple[float, Floats] | None]
+"""Chi-squared and residual at logarithms of frequency and damping and a change; None if diverged."""
 
 
 def gain(problem: ResidualProblem, fit: Fit) -> float:
@@ -87,11 +104,18 @@ def _least(problem: ResidualProblem, member: Member) -> float | None:
 
     if len(member.trial.theta) < 2 or (first := misfit(np.zeros(3))) is None:
         return None
-    at, (best, rest) = np.zeros(3), first
+    begun = [(np.zeros(3), first)]
     for f, change in BEGUN:
-        found = misfit(np.array([f, 0.0, change]))
-        if found is not None and found[0] < best:
-            at, (best, rest) = np.array([f, 0.0, change]), found
+        at = np.array([f, 0.0, change])
+        if (found := misfit(at)) is not None:
+            begun.append((at, found))
+    begun.sort(key=lambda b: b[1][0])
+    return min(_descended(misfit, *b) for b in begun[:BEST])
+
+
+def _descended(misfit: Misfit, at: Floats, found: tuple[float, Floats]) -> float:
+    """Return the chi-squared after a damped Gauss-Newton descent from a point."""
+    best, rest = found
     for _ in range(STEPS):
         sides = [misfit(at + e) for e in np.diag(STEP)]
         if any(s is None for s in sides):
