@@ -323,3 +323,16 @@ def test_what_an_effect_earns_beside_any_form_is_that_of_least_squares_with_all_
 def test_chance_is_that_of_chi_squared(count: int, deviations: float) -> None:
     fall = float(chi2.isf(norm.sf(deviations), count))
     assert steady.Change("", fall, count).deviations == pytest.approx(deviations, abs=0.15)
+
+
+@pytest.mark.parametrize(("friction_n", "counts"), [(60.0, True), (600.0, True), (3000.0, False)])
+def test_change_that_explains_as_little_as_the_form_of_a_law_is_none(
+    friction_n: float, counts: bool
+) -> None:
+    """A spring that hardens twice as much from mid-test on, beside friction of up to 1500 sigma."""
+
+    def force(t: Floats, x: Floats, v: Floats) -> Floats:
+        return friction_n * np.sign(v) + 4e8 * x**3 * (1.0 + (t > 4.0))
+
+    found = changes_of(force, "coulomb", "cubic")
+    assert (found[SECOND_HALF] > POLICY.changed_numbers) is counts

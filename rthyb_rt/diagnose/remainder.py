@@ -7,7 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from rthyb_rt.diagnose import estimate, fitted, memory, noise, steady, stroke, varying, verdict
+from rthyb_rt.diagnose import (
+    estimate,
+    fitted,
+    instants,
+    memory,
+    noise,
+    steady,
+    stroke,
+    varying,
+    verdict,
+)
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.decide import Ruling
 from rthyb_rt.diagnose.effects.base import Context
@@ -146,13 +156,13 @@ def by_the_sheet(search: Search) -> bool:
 
     A data sheet does not state the colour of the noise; only its white part is measured. A residual
     that no law explains, that is within the sheet and has no bursts, cannot be distinguished from
-    noise, whether a set is named or not.
+    noise, whether a set is named or not. Single readings in which a law's force jumps are no burst.
     """
     case, found = search.problem.case, search.problem.estimate
     sheet = stated(case)
     if not sheet or not verdict.within(bend(search.problem, search.best), POLICY):
         return False
-    rest = left_by(search, search.best)
+    rest = instants.without_readings(search.problem, search.best, left_by(search, search.best))
     white = found.whiten(rest)[found.rows]
     blur = 0.0 if found.blur is None else found.blur.rms
     if found.coloured and found.blur is not None:

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.diagnose import fitted
+from rthyb_rt.diagnose import fitted, instants
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
@@ -28,16 +28,9 @@ from rthyb_rt.diagnose.select import (
     design_of,
     inflation,
     priors_of,
+    solve,
     unfiltered_slopes,
 )
-
-INSTANTS = 200
-"""Number of jumps of a force whose readings are separate, at most: the largest."""
-UNSEEN = 0.1
-"""Size of a wrong reading, in standard deviations of the noise, that makes no difference."""
-ASIDE = 3
-"""Rows between a jump and the changes of the force with which it is compared: a delay by a fraction
-of a row spreads it over two."""
 
 
 @dataclass(frozen=True)
@@ -78,12 +71,14 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     seen = _resolved(problem, fit)
     own = own[:, seen]
     design, prior = _beside(*with_forms(problem, fit, slopes), _kin(problem, fit))
-    design, prior = _with_instants(problem, fit, design, prior)
+    design, prior = instants.with_readings(problem, fit, design, prior)
     shapes = sum(len(m.trial.theta) for m in fit.members)
     # Change of each parameter: for shapes, of the logarithm.
     numbers = np.abs(np.concatenate([np.ones(shapes), *fit.betas]))[seen]
     held = np.diag(np.maximum(POLICY.changed_within * numbers, 1e-150) ** -2.0)
     common = _Common.of(design, prior, fit.residual)
+    null = solve(problem, [], [])
+    by_form = 0.0 if null is None else POLICY.form_alone * (null.chi2 - fit.chi2)
 
     def fall(share: Floats) -> float:
         # A force that changes within a part of the rows is filtered like any other. The rows of a
@@ -91,7 +86,8 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
         # response, which compares the instant of the reversal, and not the friction.
         changed = [problem.seen(column) for column in (share[:, None] * own).T]
         before, after, rest = common.with_columns(np.column_stack(changed), held)
-        return float((before - after) / inflation(rest))
+        # So little of what the set explains is the form of a law, in whatever part it shows.
+        return 0.0 if common.least - after < by_form else float((before - after) / inflation(rest))
 
     return tuple(
         Change(part, min(map(fall, shares)), own.shape[1]) for part, shares in _parts(problem)
@@ -289,45 +285,6 @@ def _kin(problem: ResidualProblem, fit: Fit) -> list[Floats]:
             made = other @ np.linalg.lstsq(other, own, rcond=None)[0]
             out.append(problem.seen(made - own) / POLICY.form_error)
     return out
-
-
-def _with_instants(
-    problem: ResidualProblem, fit: Fit, design: Floats, prior: Floats
-) -> tuple[Floats, Floats]:
-    """Return design and prior with the readings in which a law's force jumps, each by itself.
-
-    Friction jumps between two rows, in which the velocity changes sign; a delayed load cell shows
-    it later. Which of them already has the new force depends on a fraction of a row, and so on
-    errors of the motion that no parameter describes: each of the two may be wrong by half of the
-    jump. Along an estimated motion, whose reversals are less exact, so may the rows beside them.
-    """
-    laws = (i for i, m in enumerate(fit.members) if not m.effect.sensor)
-    total = np.sum([fitted.contribution(problem, fit, i) for i in laws], axis=0)
-    if total.size <= 2 * ASIDE + 1:
-        return design, prior
-    change = np.diff(total)
-    beside = 0.5 * (change[: -2 * ASIDE] + change[2 * ASIDE :])
-    jump = np.abs(change[ASIDE:-ASIDE] - beside)
-    reach = np.arange(2) if problem.estimate.exact else np.arange(-1, 3)
-    wrong = np.zeros(total.size)
-    for at in np.argsort(jump)[: -INSTANTS - 1 : -1]:
-        near = at + ASIDE + reach
-        wrong[near] = np.maximum(wrong[near], 0.5 * jump[at])
-    one = np.zeros(total.size)
-    one[problem.rows[problem.rows.size // 2]] = 1.0
-    # Readings too small to be seen are not filtered one by one: a filter is alike at every row.
-    heard = float(np.linalg.norm(problem.seen(one)))
-    known, places = design.shape[1], np.flatnonzero(wrong * heard > UNSEEN)
-    # In one piece: a copy of it would be the largest array of a long recording.
-    whole = np.empty((design.shape[0], known + places.size))
-    whole[:, :known] = design
-    for row in places:
-        reading = np.zeros(total.size)
-        reading[row] = wrong[row]
-        whole[:, known] = problem.seen(reading)
-        known += int(whole[:, known] @ whole[:, known] > UNSEEN**2)
-    more = np.r_[np.zeros(design.shape[1]), np.ones(known - design.shape[1])]
-    return whole[:, :known], np.pad(prior, (0, more.size - prior.shape[0])) + np.diag(more)
 
 
 def _parts(problem: ResidualProblem) -> list[tuple[str, tuple[Floats, ...]]]:

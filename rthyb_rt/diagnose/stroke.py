@@ -45,7 +45,7 @@ TRIED = 4
 """Largest number of times that a step is shortened."""
 
 Misfit = Callable[[Floats], tuple[float, Floats] | None]
-"""Chi-squared and residual at logarithms of frequency and damping and a change; None if diverged."""
+"""Chi-squared and residual for logarithms of frequency and damping, and a change; or divergence."""
 
 
 def gain(problem: ResidualProblem, fit: Fit) -> float:

@@ -1,0 +1,89 @@
+"""Readings in which a force jumps may be wrong by half of the jump, and no others."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from diagnose_cases import FS
+
+from rthyb_rt.diagnose import effects, instants
+from rthyb_rt.diagnose.effects.base import SWITCH_S, Trial
+from rthyb_rt.diagnose.onset import Late
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
+from tests.test_diagnose_steady import fitted
+
+BEGIN_S = 2.2
+
+
+def friction(_: np.ndarray, __: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return 60.0 * np.sign(v)
+
+
+def begun(smooth: bool) -> tuple[ResidualProblem, Fit]:
+    """A spring that begins in mid-test, fitted as one that begins smoothly."""
+
+    def force(t: np.ndarray, x: np.ndarray, _: np.ndarray) -> np.ndarray:
+        switch = 0.5 * (1.0 + np.tanh((t - BEGIN_S) / SWITCH_S)) if smooth else t >= BEGIN_S
+        return 3e4 * x * switch
+
+    problem, _ = fitted(force, "viscous")
+    late = Late(effects.catalogue()["stiffness"])
+    fit = refine(problem, [Member(late, Trial((BEGIN_S,)))])
+    assert fit is not None
+    return problem, fit
+
+
+def test_wrong_readings_at_reversals_are_left_out_and_others_are_not() -> None:
+    problem, fit = fitted(friction, "coulomb")
+    v = problem.ctx.v
+    before = np.flatnonzero(v[:-1] * v[1:] < 0.0)
+    noise = np.random.default_rng(5).normal(0.0, problem.case.model.f_std or 0.0, v.size)
+    rest = noise.copy()
+    rest[before] += 50.0
+    found = instants.without_readings(problem, fit, rest)
+    assert np.abs(found[before]).max() < 0.3 * np.abs(rest[before]).max()
+    # As much elsewhere is something that the friction does not explain.
+    middle = (before[:-1] + before[1:]) // 2
+    rest = noise.copy()
+    rest[middle] += 50.0
+    found = instants.without_readings(problem, fit, rest)
+    assert found[middle] == pytest.approx(rest[middle])
+
+
+def test_jump_of_which_a_reading_is_wrong_limits_by_how_much() -> None:
+    """Readings 20 times as wrong as the friction jumps are no matter of the instant."""
+    problem, fit = fitted(friction, "coulomb")
+    before = np.flatnonzero(problem.ctx.v[:-1] * problem.ctx.v[1:] < 0.0)
+    noise = (problem.case.model.f_std or 0.0) * np.ones(problem.ctx.t.size)
+    design, prior = instants.with_readings(
+        problem, fit, np.zeros((problem.y.size, 0)), np.zeros((0, 0))
+    )
+    assert design.shape[1] == prior.shape[0] >= 2 * before.size
+    # One standard deviation of each is half of the jump, 60 N, in units of the noise.
+    assert design[before, :].max() == pytest.approx(60.0 / noise[0], rel=0.02)
+    assert np.array_equal(prior, np.eye(prior.shape[0]))
+
+
+def test_law_that_begins_at_once_leaves_only_readings_beside_its_beginning() -> None:
+    problem, fit = begun(smooth=False)
+    t, x = problem.ctx.t, problem.ctx.x
+    smooth = 0.5 * (1.0 + np.tanh((t - BEGIN_S) / SWITCH_S))
+    rest = 3e4 * x * ((t >= BEGIN_S) - smooth)
+    found = instants.without_readings(problem, fit, rest)
+    at = int(np.argmax(np.abs(rest)))
+    assert abs(found[at]) < 0.3 * abs(rest[at])
+    # A quarter of a second later the same readings are none of these.
+    later = np.roll(rest, FS // 4)
+    assert instants.without_readings(problem, fit, later) == pytest.approx(later)
+
+
+def test_law_that_begins_smoothly_loses_nothing() -> None:
+    problem, fit = begun(smooth=True)
+    rest = np.zeros(problem.ctx.t.size)
+    assert np.array_equal(instants.without_readings(problem, fit, rest), rest)
+
+
+def test_set_without_laws_has_no_such_readings() -> None:
+    problem, fit = fitted(lambda t, x, v: 20.0 + 0.0 * t, "bias")
+    rest = np.arange(problem.ctx.t.size, dtype=float)
+    assert np.array_equal(instants.without_readings(problem, fit, rest), rest)
