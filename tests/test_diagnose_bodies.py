@@ -270,13 +270,13 @@ def test_a_body_that_moves_as_simulated_lacks_no_force_whatever_its_sensors_hum(
     assert (d.verdict == "none") == known
 
 
-def proposed(case: Case, name: str) -> force.Search:
-    """Return a law in its plain form, as if the force balance had named it."""
+def proposed(case: Case, name: str, shape: Trial | None = None) -> force.Search:
+    """Return a law in a form, as if the force balance had named it."""
     motion = engine.motion_of(case, None)
     assert motion is not None
     law = effects.catalogue()[name]
     problem = ResidualProblem(case, engine.context_of(case, motion), motion, [law])
-    null, best = solve(problem, [], []), refine(problem, [Member(law, Trial())])
+    null, best = solve(problem, [], []), refine(problem, [Member(law, shape or Trial())])
     assert null is not None
     assert best is not None
     return force.Search(problem, null, [best], best, [], 1.0, 1.0, 1.0, 1.0, 1.0)
@@ -373,3 +373,30 @@ def test_motion_with_friction_is_close_or_not_whatever_its_evidence_was_scaled_d
     assert wrong is not None
     for fit in (wrong, replace(wrong, chi2=1.0)):
         assert body.motion(other.problem, fit) is None
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [Trial((2.5e-3, 0.3), "impact both"), Trial((2.5e-3, 2e-4), "rough")],
+    ids=["as if it lost energy", "as if its surface were rough"],
+)
+def test_hard_stop_is_simulated_as_one_whatever_an_estimated_motion_makes_of_it(shape, tmp_path):
+    n, ks, xs = rows(8.0), 1e6, 2.5e-3
+    push, fine = swept(n, 0.5, 0.1)
+    x, a = moved_body(
+        900.0 * fine,
+        lambda x, v: SPRING * x + DASHPOT * v + ks * (x - min(max(x, -xs), xs)),
+        MASS,
+        n,
+    )
+    columns, model = free_body(x, 900.0 * push, a, 4e-6)
+    recording, toml = cases.write(tmp_path, columns, model)
+    case = reading.read_case(recording, reading.read_model(toml))
+    search = proposed(case, "stopper", shape)
+    body = freebody.Body(case, search.problem.ctx)
+    assert search.best.members[0].trial.variant == shape.variant
+    found_one = body.settled(search.problem, search.best)
+    assert found_one is not None
+    assert found_one.chi2 / body.rows.size < POLICY.motion_met
+    assert found_one.members[0].trial.variant == "both"
+    assert found_one.members[0].trial.theta == pytest.approx([xs], rel=1e-3)

@@ -225,7 +225,7 @@ class Body:
         return motion if null is not None and left < POLICY.motion_close * null.chi2 else None
 
     def sharp(self, fit: Fit) -> Fit | None:
-        """Return a set with sharp steps of dry friction; None if it has none."""
+        """Return a set with sharp steps of dry friction and elastic stops; None if it has them."""
         members = tuple(replace(m, trial=m.effect.sharp(m.trial)) for m in fit.members)
         return replace(fit, members=members) if members != fit.members else None
 
@@ -254,7 +254,8 @@ class Body:
         """Return a set as from `refined`, with or without a width of its dry friction.
 
         An estimated motion smooths the step, and a simulated body creeps because of its width when
-        it sticks: it is simulated without a width first, and with one if that is not sufficient. A
+        it sticks: it is simulated without a width first, and with one if that is not sufficient. So
+        is a stop without rounding or loss, which an estimated motion shows where there is none. A
         contact that seemed to shear along the estimate is a step as well; one that sheared in a
         simulation, see `force._Mover.plain_friction`, continues to do so.
         """

@@ -327,7 +327,11 @@ class Effect:
         return trial
 
     def sharp(self, trial: Trial) -> Trial:
-        """Return the shape with a transition of zero width over velocity, which does not creep."""
+        """Return the shape as a simulated body is tried with first.
+
+        With a transition of zero width over velocity, which does not creep, and an elastic contact
+        with a sharp corner: an estimated motion makes a step wide, and a contact round or lossy.
+        """
         return trial
 
     def like(self, trial: Trial) -> Trial:

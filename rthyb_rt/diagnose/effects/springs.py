@@ -450,6 +450,10 @@ class Stopper(Effect):
         """Return the elastic stop on both sides with other corners."""
         return _corners(trial) if trial.variant in ("both", *CORNERS) else ()
 
+    def sharp(self, trial: Trial) -> Trial:
+        """Return an elastic stop with a sharp corner."""
+        return Trial(trial.theta[:1], "both" if trial.variant in CORNERS else self._side(trial))
+
     @staticmethod
     def _impact(trial: Trial) -> bool:
         return trial.variant.startswith("impact")
