@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnose_cases import FS
+from diagnose_cases import F_STD, FS, C, K, M
 
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import effects, instants
+from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import SWITCH_S, Trial
 from rthyb_rt.diagnose.onset import Late
 from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
-from tests.test_diagnose_steady import fitted
+from tests.test_diagnose_steady import along, fitted
 
 BEGIN_S = 2.2
 
@@ -80,6 +82,31 @@ def test_law_that_begins_at_once_leaves_only_readings_beside_its_beginning() -> 
 def test_law_that_begins_smoothly_loses_nothing() -> None:
     problem, fit = begun(smooth=True)
     rest = np.zeros(problem.ctx.t.size)
+    assert np.array_equal(instants.without_readings(problem, fit, rest), rest)
+
+
+def test_smooth_force_sampled_coarsely_has_no_such_readings() -> None:
+    """Five of its rows are a cycle: as much changes between two of them as anywhere."""
+    problem, fit = fitted(lambda t, x, v: 4e10 * x**3, "cubic")
+    rest = np.random.default_rng(2).normal(0.0, 1e4, problem.ctx.t.size)
+    assert np.array_equal(instants.without_readings(problem, fit, rest), rest)
+
+
+def test_reversals_in_every_tenth_row_leave_a_residual_as_it_is() -> None:
+    """So many readings left open would pass for less noise than there is."""
+    t = np.arange(2048) / FS
+    omega = 2.0 * np.pi * FS / 20.0
+    motion = ComputedMotion(
+        1e-3 * np.sin(omega * t + 0.1),
+        1e-3 * omega * np.cos(omega * t + 0.1),
+        -1e-3 * omega**2 * np.sin(omega * t + 0.1),
+    )
+    model = Model("drive", FS, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=F_STD)
+    force = K * motion.x + C * motion.v + M * motion.a + friction(t, motion.x, motion.v)
+    problem = along(model, t, motion, force)
+    fit = refine(problem, [Member(effects.catalogue()["coulomb"], Trial((), "sharp"))])
+    assert fit is not None
+    rest = np.random.default_rng(2).normal(0.0, 100.0, t.size)
     assert np.array_equal(instants.without_readings(problem, fit, rest), rest)
 
 

@@ -128,7 +128,6 @@ def test_sheet_holds_along_an_estimated_motion_with_the_error_of_the_estimate(
     monkeypatch.setattr(remainder, "stated", lambda _: 1.0)
     monkeypatch.setattr(remainder, "bend", lambda *_: 0.0)
     monkeypatch.setattr(remainder, "left_by", lambda *_: left)
-    monkeypatch.setattr(remainder.instants, "without_readings", lambda *args: args[-1])
     assert remainder.by_the_sheet(search) is within
 
 

@@ -102,7 +102,7 @@ def test_sets_without_a_mass_on_a_spring_are_not_compared() -> None:
     assert stroke.gain(*plain) == -np.inf
 
 
-@pytest.mark.parametrize("per_m2", [-40.0, 40.0, 80.0])
+@pytest.mark.parametrize("per_m2", [-100.0, -40.0, 40.0, 80.0, 200.0])
 def test_much_softer_spring_is_found_from_the_frequency_of_a_linear_one(per_m2: float) -> None:
     """The frequency at small strokes is far from the one in the recording then."""
     force = riding(per_m2)

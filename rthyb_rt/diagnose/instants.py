@@ -10,6 +10,8 @@ have begun at once.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from rthyb_rt.diagnose import fitted
@@ -19,14 +21,22 @@ from rthyb_rt.diagnose.onset import lasting
 from rthyb_rt.diagnose.select import Fit, ResidualProblem
 
 INSTANTS = 200
-"""Number of jumps of a force whose readings are separate, at most: the largest."""
+"""Number of jumps of a force whose readings are separate, at most: the largest. Also the largest
+number of readings at the beginning of a law."""
 UNSEEN = 0.1
-"""Size of a wrong reading, in standard deviations of the noise, that makes no difference."""
+"""Size of a wrong reading, in standard deviations of the noise, below which it is disregarded."""
 ASIDE = 3
 """Rows between a jump and the changes of the force with which it is compared: a delay by a fraction
 of a row spreads it over two."""
+ISOLATED = 5.0
+"""Least ratio of a jump to the changes of the force beside it, of a force that does not change as
+fast in every row: of a sine at five rows a cycle, the largest change is 1.6 times the one three
+rows away, and of friction its whole step is that of one or two rows."""
+OPEN = 0.05
+"""Largest part of the rows that may be readings in which a force jumps. Each row that is left open
+loses its noise as well: the rms of the rest falls by half of this."""
 SWITCHES = 4.0
-"""Reach of the switch with which a force begins, in its time constants: 0.07 % are left there."""
+"""Reach of the switch with which a force begins, in its time constants: 0.03 % are left there."""
 
 
 def with_readings(
@@ -39,8 +49,17 @@ def with_readings(
 
 
 def without_readings(problem: ResidualProblem, fit: Fit, rest: Floats) -> Floats:
-    """Return a residual of the force, (n,), N, without what these readings may be wrong by."""
-    wrong, seen = _wrong(problem, fit), problem.seen(rest)
+    """Return a residual of the force, (n,), N, without what these readings may be wrong by.
+
+    As it is for a long recording, of which only a part of the rows is evaluated, and if the jumps
+    are too many to be told from a force that changes as fast everywhere.
+    """
+    if problem.pieces is not None or problem.rows.size != np.count_nonzero(problem.estimate.rows):
+        return rest
+    wrong = _wrong(problem, fit, ISOLATED)
+    if np.count_nonzero(wrong) > OPEN * problem.rows.size:
+        return rest
+    seen = problem.seen(rest)
     design, places = _beside(problem, wrong, np.zeros((seen.size, 0)))
     corrected = rest.copy()
     if places:
@@ -49,8 +68,14 @@ def without_readings(problem: ResidualProblem, fit: Fit, rest: Floats) -> Floats
     return corrected
 
 
-def _wrong(problem: ResidualProblem, fit: Fit) -> Floats:
-    """Return by how much each reading may be wrong, (n,), N."""
+def _wrong(problem: ResidualProblem, fit: Fit, isolated: float = 0.0) -> Floats:
+    """Return by how much each reading may be wrong, (n,), N.
+
+    Args:
+        problem: the problem.
+        fit: the set.
+        isolated: how many times a jump must be as large as the changes of the force beside it.
+    """
     laws = [i for i, m in enumerate(fit.members) if not m.effect.sensor]
     total = np.sum([fitted.contribution(problem, fit, i) for i in laws], axis=0)
     wrong = np.zeros(problem.ctx.t.size)
@@ -60,8 +85,9 @@ def _wrong(problem: ResidualProblem, fit: Fit) -> Floats:
         if fit.members[i].effect.late:
             wrong = np.maximum(wrong, _of_switch(problem, fit, i))
     change = np.diff(total)
-    beside = 0.5 * (change[: -2 * ASIDE] + change[2 * ASIDE :])
-    jump = np.abs(change[ASIDE:-ASIDE] - beside)
+    earlier, later = change[: -2 * ASIDE], change[2 * ASIDE :]
+    jump = np.abs(change[ASIDE:-ASIDE] - 0.5 * (earlier + later))
+    jump[jump < isolated * np.maximum(np.abs(earlier), np.abs(later))] = 0.0
     reach = np.arange(2) if problem.estimate.exact else np.arange(-1, 3)
     for at in np.argsort(jump)[: -INSTANTS - 1 : -1]:
         near = at + ASIDE + reach
@@ -70,14 +96,19 @@ def _wrong(problem: ResidualProblem, fit: Fit) -> Floats:
 
 
 def _of_switch(problem: ResidualProblem, fit: Fit, member: int) -> Floats:
-    """Return how a force that begins smoothly differs from one that begins at once, (n,), N."""
+    """Return how a force that begins smoothly differs from one that begins at once, (n,), N.
+
+    Zero for all of them if they are too many readings.
+    """
     one, ctx = fit.members[member], problem.ctx
     since = ctx.t - ctx.first_s - one.trial.theta[-1]
-    off = np.zeros(since.size)
-    for factor, m in ((since >= 0.0, lasting(one)), (-1.0, one)):
-        columns = m.effect.columns(ctx, m.trial)
-        off += factor * np.sum([b * c for b, c in zip(fit.betas[member], columns, strict=True)], 0)
-    return np.where(np.abs(since) < SWITCHES * SWITCH_S, np.abs(off), 0.0)
+    near = np.abs(since) < SWITCHES * SWITCH_S
+    if np.count_nonzero(near) > INSTANTS:
+        return np.zeros(since.size)
+    members = (*fit.members[:member], lasting(one), *fit.members[member + 1 :])
+    whole = fitted.contribution(problem, replace(fit, members=members), member)
+    off = np.where(since >= 0.0, whole, 0.0) - fitted.contribution(problem, fit, member)
+    return np.where(near, np.abs(off), 0.0)
 
 
 def _beside(problem: ResidualProblem, wrong: Floats, design: Floats) -> tuple[Floats, list[int]]:

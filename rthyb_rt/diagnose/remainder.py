@@ -156,23 +156,29 @@ def by_the_sheet(search: Search) -> bool:
 
     A data sheet does not state the colour of the noise; only its white part is measured. A residual
     that no law explains, that is within the sheet and has no bursts, cannot be distinguished from
-    noise, whether a set is named or not. Single readings in which a law's force jumps are no burst.
+    noise, whether a set is named or not. Readings in which a law's force jumps are no burst, but
+    they count as noise like all others.
     """
     case, found = search.problem.case, search.problem.estimate
     sheet = stated(case)
     if not sheet or not verdict.within(bend(search.problem, search.best), POLICY):
         return False
-    rest = instants.without_readings(search.problem, search.best, left_by(search, search.best))
-    white = found.whiten(rest)[found.rows]
+    rest = left_by(search, search.best)
+    white = even = found.whiten(rest)[found.rows]
+    if not noise.steady(white, case.fs_hz):
+        calm = instants.without_readings(search.problem, search.best, rest)
+        even = found.whiten(calm)[found.rows]
+        if not noise.steady(even, case.fs_hz):
+            return False
     blur = 0.0 if found.blur is None else found.blur.rms
     if found.coloured and found.blur is not None:
         # No sheet covers the error of an estimated motion; its colour was limited by its own.
         count = found.share * white.size
         most = 1.0 + POLICY.excess_as_noise + POLICY.power_scatter * np.sqrt(2.0 / count)
-        if float(white @ white) < most * count and noise.steady(white, case.fs_hz):
+        if float(white @ white) < most * count:
             return True
     most_n = float(np.hypot(sheet * (1.0 + found.scatter), blur))
-    return "f_meas" in case.channels and noise.mere(rest[found.rows], white, most_n, case.fs_hz)
+    return "f_meas" in case.channels and noise.mere(rest[found.rows], even, most_n, case.fs_hz)
 
 
 def simulated(search: Search) -> Simulated | None:

@@ -28,7 +28,6 @@ from rthyb_rt.diagnose.select import (
     design_of,
     inflation,
     priors_of,
-    solve,
     unfiltered_slopes,
 )
 
@@ -61,7 +60,8 @@ class Change:
 def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     """Return the gain of a set from separate parameters in parts of the recording.
 
-    For a fit in the force balance; none if it has no parameters, or was refined elsewhere.
+    For a fit in the force balance; none if it has no parameters, or was refined elsewhere. No gain
+    if a change explains less than the form of the least of its laws may.
     """
     slopes = _slopes(problem, fit)
     if slopes is None:
@@ -77,8 +77,7 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
     numbers = np.abs(np.concatenate([np.ones(shapes), *fit.betas]))[seen]
     held = np.diag(np.maximum(POLICY.changed_within * numbers, 1e-150) ** -2.0)
     common = _Common.of(design, prior, fit.residual)
-    null = solve(problem, [], [])
-    by_form = 0.0 if null is None else POLICY.form_alone * (null.chi2 - fit.chi2)
+    by_form = POLICY.form_alone * _least_of_one(problem, fit)
 
     def fall(share: Floats) -> float:
         # A force that changes within a part of the rows is filtered like any other. The rows of a
@@ -86,12 +85,26 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
         # response, which compares the instant of the reversal, and not the friction.
         changed = [problem.seen(column) for column in (share[:, None] * own).T]
         before, after, rest = common.with_columns(np.column_stack(changed), held)
-        # So little of what the set explains is the form of a law, in whatever part it shows.
+        # A change that explains so little beside a law may be due to the law's form.
         return 0.0 if common.least - after < by_form else float((before - after) / inflation(rest))
 
     return tuple(
         Change(part, min(map(fall, shares)), own.shape[1]) for part, shares in _parts(problem)
     )
+
+
+def _least_of_one(problem: ResidualProblem, fit: Fit) -> float:
+    """Return the least that a member of a set explains beside the others, in chi-squared."""
+    prior = [0.0 if n.sigma is None else n.sigma**-2.0 for n in problem.nuisances]
+    forces = [problem.seen(fitted.contribution(problem, fit, i)) for i in range(len(fit.members))]
+
+    def alone(which: int) -> float:
+        others = forces[:which] + forces[which + 1 :]
+        design = np.column_stack([problem.base, *others])
+        held = np.diag([*prior, *(0.0 for _ in others)])
+        return left(design, held, forces[which])[0]
+
+    return min(map(alone, range(len(forces))), default=0.0)
 
 
 def differs(problem: ResidualProblem, fit: Fit) -> bool:

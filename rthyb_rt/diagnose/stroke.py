@@ -33,7 +33,7 @@ BEGUN = [
 A steady oscillation of the amplitude A has the frequency f (1 + 3/8 change A^2), with A^2 in units
 of the mean square of the stroke (Duffing; Nayfeh and Mook, eq. 2.3.30): 3/4 change at a steady
 amplitude, and more where the stroke is large for a part of the recording only. A frequency and a
-change that make up for each other there fit almost equally well, and form a narrow valley.
+change of opposite effect fit almost equally well: they form a narrow valley.
 """
 BEST = 3
 """Initial points, best first, from which the fit descends."""
@@ -41,6 +41,8 @@ STEPS = 12
 STEP = np.array([1e-4, 1e-2, 1e-4])
 REACH = np.array([0.03, 0.5, 0.03])
 """Steps of the slopes, and largest steps: logarithms of frequency and damping, change of spring."""
+LARGEST = 1e100
+"""Force per kg beyond which a mass has run away: its squares are still finite."""
 TRIED = 4
 """Largest number of times that a step is shortened."""
 
@@ -98,7 +100,7 @@ def _least(problem: ResidualProblem, member: Member) -> float | None:
         )
         trial = Trial((f, zeta), member.trial.variant)
         column = member.effect.by_stroke(problem.ctx, trial, float(at[2]), member.trial)
-        if column is None or not np.isfinite(column).all():
+        if column is None or not float(np.max(np.abs(column))) < LARGEST:
             return None
         return left(np.column_stack([problem.seen(column), problem.base]), prior, problem.y)
 
@@ -121,9 +123,9 @@ def _descended(misfit: Misfit, at: Floats, found: tuple[float, Floats]) -> float
         if any(s is None for s in sides):
             break
         slopes = [(s[1] - rest) / e for s, e in zip(sides, STEP, strict=True) if s is not None]
-        step = np.clip(
-            np.linalg.lstsq(np.column_stack(slopes), -rest, rcond=None)[0], -REACH, REACH
-        )
+        step = np.linalg.lstsq(np.column_stack(slopes), -rest, rcond=None)[0]
+        # Shortened as a whole: along the valley, or not at all.
+        step /= max(1.0, float(np.max(np.abs(step) / REACH)))
         tried = ((at + step * 0.4**k, misfit(at + step * 0.4**k)) for k in range(TRIED))
         better = next(((q, found) for q, found in tried if found and found[0] < best), None)
         if better is None:
