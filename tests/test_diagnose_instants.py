@@ -114,3 +114,20 @@ def test_set_without_laws_has_no_such_readings() -> None:
     problem, fit = fitted(lambda t, x, v: 20.0 + 0.0 * t, "bias")
     rest = np.arange(problem.ctx.t.size, dtype=float)
     assert np.array_equal(instants.without_readings(problem, fit, rest), rest)
+
+
+@pytest.mark.parametrize("rows_a_cycle", [2.7, 3.3, 5.0, 9.99, 12.0, 40.0])
+def test_no_reading_of_a_sine_is_a_jump_at_any_number_of_rows_a_cycle(rows_a_cycle: float) -> None:
+    t = np.arange(2048) / FS
+    omega = 2.0 * np.pi * FS / rows_a_cycle
+    wave = np.exp(1j * omega * t)
+    motion = ComputedMotion(
+        *(1e-3 * np.imag(part) for part in (wave, 1j * omega * wave, -(omega**2) * wave))
+    )
+    model = Model("drive", FS, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=F_STD)
+    force = K * motion.x + C * motion.v + M * motion.a + 1e6 * motion.x
+    problem = along(model, t, motion, force)
+    fit = refine(problem, [Member(effects.catalogue()["stiffness"], Trial())])
+    assert fit is not None
+    assert not instants._wrong(problem, fit, instants.ISOLATED).any()
+    assert instants._wrong(problem, fit).any()

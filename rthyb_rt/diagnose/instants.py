@@ -1,11 +1,10 @@
 """Readings in which the force of a law jumps.
 
 Friction jumps between two rows, in which the velocity changes sign; a delayed load cell shows it
-later. Which of the two readings already has the new force
-depends on a fraction of a row, and so on errors of the motion that no parameter describes: each of
-them may be wrong by half of the jump. Along an estimated motion, whose reversals are less exact, so
-may the readings beside them. A law that begins in mid-test is fitted with a smooth start, and may
-have begun at once.
+later. Which of the two readings already has the new force depends on a fraction of a row, and so on
+errors of the motion that no parameter describes: each of them may be wrong by half of the jump.
+Along an estimated motion, whose reversals are less exact, so may the readings beside them. A law
+that begins in mid-test is fitted with a smooth start, and may have begun at once.
 """
 
 from __future__ import annotations
@@ -29,9 +28,8 @@ ASIDE = 3
 """Rows between a jump and the changes of the force with which it is compared: a delay by a fraction
 of a row spreads it over two."""
 ISOLATED = 5.0
-"""Least ratio of a jump to the changes of the force beside it, of a force that does not change as
-fast in every row: of a sine at five rows a cycle, the largest change is 1.6 times the one three
-rows away, and of friction its whole step is that of one or two rows."""
+"""Least ratio of a jump to the changes of the force two and three rows away. That of a sine is 4.2
+at most, at whatever number of rows a cycle; a step of friction is that of one or two rows."""
 OPEN = 0.05
 """Largest part of the rows that may be readings in which a force jumps. Each row that is left open
 loses its noise as well: the rms of the rest falls by half of this."""
@@ -85,9 +83,10 @@ def _wrong(problem: ResidualProblem, fit: Fit, isolated: float = 0.0) -> Floats:
         if fit.members[i].effect.late:
             wrong = np.maximum(wrong, _of_switch(problem, fit, i))
     change = np.diff(total)
-    earlier, later = change[: -2 * ASIDE], change[2 * ASIDE :]
-    jump = np.abs(change[ASIDE:-ASIDE] - 0.5 * (earlier + later))
-    jump[jump < isolated * np.maximum(np.abs(earlier), np.abs(later))] = 0.0
+    jump = np.abs(change[ASIDE:-ASIDE] - 0.5 * (change[: -2 * ASIDE] + change[2 * ASIDE :]))
+    shifts = [ASIDE + k for k in (-ASIDE, 1 - ASIDE, ASIDE - 1, ASIDE)]
+    beside = np.max([np.abs(change[k : k + jump.size]) for k in shifts], axis=0)
+    jump[jump < isolated * beside] = 0.0
     reach = np.arange(2) if problem.estimate.exact else np.arange(-1, 3)
     for at in np.argsort(jump)[: -INSTANTS - 1 : -1]:
         near = at + ASIDE + reach

@@ -31,7 +31,7 @@ BEGUN = [
 """Initial logarithms of the frequency's factor, and initial changes of the spring.
 
 A steady oscillation of the amplitude A has the frequency f (1 + 3/8 change A^2), with A^2 in units
-of the mean square of the stroke (Duffing; Nayfeh and Mook, eq. 2.3.30): 3/4 change at a steady
+of the mean square of the stroke (Duffing; Nayfeh and Mook): by 3/4 of the change at a steady
 amplitude, and more where the stroke is large for a part of the recording only. A frequency and a
 change of opposite effect fit almost equally well: they form a narrow valley.
 """
