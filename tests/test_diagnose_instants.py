@@ -52,8 +52,7 @@ def test_wrong_readings_at_reversals_are_left_out_and_others_are_not() -> None:
     assert found[middle] == pytest.approx(rest[middle])
 
 
-def test_jump_of_which_a_reading_is_wrong_limits_by_how_much() -> None:
-    """Readings 20 times as wrong as the friction jumps are no matter of the instant."""
+def test_jump_limits_by_how_much_a_reading_may_be_wrong() -> None:
     problem, fit = fitted(friction, "coulomb")
     before = np.flatnonzero(problem.ctx.v[:-1] * problem.ctx.v[1:] < 0.0)
     noise = (problem.case.model.f_std or 0.0) * np.ones(problem.ctx.t.size)
@@ -85,8 +84,7 @@ def test_law_that_begins_smoothly_loses_nothing() -> None:
     assert np.array_equal(instants.without_readings(problem, fit, rest), rest)
 
 
-def test_smooth_force_sampled_coarsely_has_no_such_readings() -> None:
-    """Five of its rows are a cycle: as much changes between two of them as anywhere."""
+def test_smooth_force_has_no_such_readings() -> None:
     problem, fit = fitted(lambda t, x, v: 4e10 * x**3, "cubic")
     rest = np.random.default_rng(2).normal(0.0, 1e4, problem.ctx.t.size)
     assert np.array_equal(instants.without_readings(problem, fit, rest), rest)

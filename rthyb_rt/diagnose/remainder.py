@@ -168,14 +168,12 @@ def by_the_sheet(search: Search) -> bool:
     if not noise.steady(white, case.fs_hz):
         calm = instants.without_readings(search.problem, search.best, rest)
         even = found.whiten(calm)[found.rows]
-        if not noise.steady(even, case.fs_hz):
-            return False
     blur = 0.0 if found.blur is None else found.blur.rms
     if found.coloured and found.blur is not None:
         # No sheet covers the error of an estimated motion; its colour was limited by its own.
         count = found.share * white.size
         most = 1.0 + POLICY.excess_as_noise + POLICY.power_scatter * np.sqrt(2.0 / count)
-        if float(white @ white) < most * count:
+        if float(white @ white) < most * count and noise.steady(even, case.fs_hz):
             return True
     most_n = float(np.hypot(sheet * (1.0 + found.scatter), blur))
     return "f_meas" in case.channels and noise.mere(rest[found.rows], even, most_n, case.fs_hz)

@@ -95,14 +95,13 @@ def changes(problem: ResidualProblem, fit: Fit) -> tuple[Change, ...]:
 
 def _least_of_one(problem: ResidualProblem, fit: Fit) -> float:
     """Return the least that a member of a set explains beside the others, in chi-squared."""
-    prior = [0.0 if n.sigma is None else n.sigma**-2.0 for n in problem.nuisances]
     forces = [problem.seen(fitted.contribution(problem, fit, i)) for i in range(len(fit.members))]
 
     def alone(which: int) -> float:
         others = forces[:which] + forces[which + 1 :]
-        design = np.column_stack([problem.base, *others])
-        held = np.diag([*prior, *(0.0 for _ in others)])
-        return left(design, held, forces[which])[0]
+        design = np.column_stack([*others, problem.base])
+        prior = priors_of(problem, (), len(others), design.shape[1])
+        return left(design, prior, forces[which])[0]
 
     return min(map(alone, range(len(forces))), default=0.0)
 

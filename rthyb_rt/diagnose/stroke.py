@@ -20,7 +20,7 @@ from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, penalty, solve
+from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, penalty, priors_of, solve
 from rthyb_rt.diagnose.steady import left, standing
 
 BEGUN = [
@@ -91,8 +91,7 @@ def _no_form(problem: ResidualProblem, one: float, other: float) -> bool:
 
 def _least(problem: ResidualProblem, member: Member) -> float | None:
     """Return the least chi-squared of a mass alone; None if it is not physical."""
-    sigmas = [n.sigma for n in problem.nuisances]
-    prior = np.diag([0.0, *(0.0 if s is None else s**-2.0 for s in sigmas)])
+    prior = priors_of(problem, (), 1, 1 + problem.base.shape[1])
 
     def misfit(at: Floats) -> tuple[float, Floats] | None:
         f, zeta = (

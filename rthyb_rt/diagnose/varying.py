@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.select import Fit, ResidualProblem, penalty
+from rthyb_rt.diagnose.select import Fit, ResidualProblem, penalty, priors_of
 from rthyb_rt.diagnose.steady import standing
 
 HARMONICS = 3
@@ -54,9 +54,8 @@ def _least(problem: ResidualProblem, column: Floats) -> float:
     known = base.shape[1] + 1
     seen = [problem.seen(column), *(problem.seen(column * w) for w in waves)]
     design = np.column_stack([base, *seen])
-    prior = np.zeros(design.shape[1])
-    prior[: base.shape[1]] = [0.0 if n.sigma is None else n.sigma**-2.0 for n in problem.nuisances]
-    gram, right = design.T @ design + np.diag(prior), design.T @ problem.y
+    gram = design.T @ design + priors_of(problem, (), 0, design.shape[1])
+    right = design.T @ problem.y
     whole, best = float(problem.y @ problem.y), np.inf
     slowest = int(np.ceil(PERIODS / (problem.ctx.t.size * problem.ctx.dt * lines[0])))
     for first in range(slowest, lines.size // HARMONICS + 1):
