@@ -105,7 +105,8 @@ test-opensees: $(TEST_READY)
 	@$(OPENSEES) || $(BIN)/python -m pip install -qq openseespy
 	@$(OPENSEES) || $(call or_install,libblas3 liblapack3,what OpenSees needs)
 	@$(BIN)/python -c 'import openseespy.opensees'
-	@$(BIN)/python -m pytest tests/test_numerical_sparse.py tests/test_openseesmodel.py -k opensees
+	@$(BIN)/python -m pytest tests/test_numerical_sparse.py tests/test_openseesmodel.py \
+	    tests/test_element_laws.py -k opensees
 
 # Without a Fortran compiler the example in Fortran is skipped elsewhere.
 gfortran:

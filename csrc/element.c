@@ -48,6 +48,7 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_CHABOCHE] = "++0000",
     [RTHYB_RC_COLUMN] = "+0++0+0+000-+",
     [RTHYB_PEAK_ORIENTED] = "00++0+",
+    [RTHYB_TAKEDA] = "+-++000++",
     [RTHYB_OWN] = "",
 };
 /* clang-format on */
@@ -96,6 +97,9 @@ static int shape_ok(int32_t kind, const double *p)
                within(p[12], 0.01, EXPONENT_MAX);
     case RTHYB_PEAK_ORIENTED: /* pinched or straight; a backbone that bends or is straight */
         return within(p[3], 1.0, EXPONENT_MAX) && p[4] <= 1.0 && p[5] < p[2];
+    case RTHYB_TAKEDA:
+        return fabs(p[1]) <= LOSS_MAX && within(p[3], 1.0, ETA_MAX) && p[4] <= 1.0 &&
+               p[5] <= 1.0 && p[6] <= LOSS_MAX;
     default:
         return 1;
     }
@@ -261,6 +265,8 @@ static double law(rthyb_element *element, double x, double v, double a, double d
         return rthyb_rc_column(p, s, x);
     case RTHYB_PEAK_ORIENTED:
         return rthyb_peak_oriented(p, s, x);
+    case RTHYB_TAKEDA:
+        return rthyb_takeda(p, s, x);
     case RTHYB_OWN:
         return own_force(element, x, v, a, dt);
     default:

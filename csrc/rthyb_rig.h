@@ -45,6 +45,8 @@ enum rthyb_element_kind {
      * slip, its level and width */
     RTHYB_RC_COLUMN,
     RTHYB_PEAK_ORIENTED, /* k up, k down, reach, exponent, backbone, start */
+    /* k, a, xy, sharpness, unloading exponent, pinching, its level, energy J, strength downwards over upwards */
+    RTHYB_TAKEDA,
     RTHYB_OWN,           /* no parameters: user-defined function */
     RTHYB_ELEMENT_KINDS
 };

@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 from rthyb_rt._core import ffi
 
@@ -158,3 +159,15 @@ def damping_ratio(pole: complex) -> float:
     """The damping ratio that corresponds to a discrete pole."""
     s = np.log(pole)
     return float(-s.real / abs(s))
+
+
+def opensees() -> Any:
+    """OpenSees, or a skip that says what is missing."""
+    pytest.importorskip("openseespy", reason="openseespy is not installed")
+    try:
+        import openseespy.opensees as found
+    except (ImportError, RuntimeError) as error:
+        pytest.skip(
+            f"openseespy cannot be loaded ({error}); on Debian it needs libblas3, liblapack3"
+        )
+    return found

@@ -305,10 +305,15 @@ def test_a_rig_file_may_have_nothing_but_a_loop_for_a_specimen(tmp_path, monkeyp
     assert (d.verdict, d.effects) == ("explained", ["coulomb"])
 
 
+AIMED = ("aimed", "aimed, uneven")
+TAKEDA = ("takeda", "takeda, worn", "takeda, uneven")
+JOINT = ("hysteresis+degradation", "hysteresis+pinching+degradation")
+
+
 @pytest.mark.parametrize(
     ("name", "variant"),
-    [("hysteresis+degradation", v) for v in ("aimed", "aimed, uneven")]
-    + [("hysteresis+pinching+degradation", v) for v in ("slack", "worn", "aimed", "aimed, uneven")],
+    [(name, v) for name in JOINT for v in (*AIMED, *TAKEDA)]
+    + [(JOINT[1], v) for v in ("slack", "worn")],
 )
 def test_the_column_of_the_core_is_the_one_that_was_fitted(name, variant, free):
     effect = effects.catalogue()[name]
@@ -318,6 +323,59 @@ def test_the_column_of_the_core_is_the_one_that_was_fitted(name, variant, free):
     fitted = columns @ beta
     found = force_of(effect.elements(free, trial, beta), free)
     np.testing.assert_allclose(found, fitted, atol=1e-9 * np.max(np.abs(fitted)))
+
+
+@pytest.mark.parametrize("name", JOINT)
+def test_a_loop_in_place_of_a_stated_spring_begins_with_its_stiffness(name, ctx):
+    effect = effects.catalogue()[name]
+    assert {t.variant for t in effect.trials(ctx)} == {"takeda", "takeda, worn"}
+    for trial in effect.trials(ctx):
+        (column,) = effect.columns(ctx, trial)
+        found = force_of(effect.elements(ctx, trial, np.ones(1)), ctx)
+        np.testing.assert_allclose(found, column, atol=1e-9 * np.max(np.abs(column)))
+        few = np.abs(ctx.x) < 1e-3 * ctx.x_range
+        first = slice(None, int(np.argmin(few)))
+        assert np.all(np.abs(column[first]) <= 2e-2 * ctx.k_scale * np.abs(ctx.x[first]))
+
+
+def clough(x, k, xy, ratio, exponent):
+    """Straight lines by the rule of Clough & Johnston, row by row, on a backbone of two lines."""
+    peak, f, last, zero = {1: xy, -1: xy}, 0.0, 0.0, 0.0
+    out = np.zeros(x.size)
+    for i, here in enumerate(x):
+        way = 1 if here >= last else -1
+        unloads = {s: k * (xy / peak[s]) ** exponent for s in (1, -1)}
+        if f * way < 0.0:
+            reached = f + unloads[-way] * (here - last)
+            if reached * way < 0.0:
+                f, last, out[i] = reached, here, reached
+                continue
+            zero = last - f / unloads[-way]
+            f, last = 0.0, zero
+        top, far = k * (xy + ratio * (peak[way] - xy)), way * here
+        if far >= peak[way]:
+            peak[way], most = far, k * (xy + ratio * (far - xy))
+        else:
+            most = top * (far - way * zero) / (peak[way] - way * zero)
+        f = way * min(way * f + unloads[way] * abs(here - last), most)
+        last, out[i] = here, f
+    return out
+
+
+@pytest.mark.parametrize("known", [True, pytest.param(False, marks=pytest.mark.long)])
+def test_a_joint_that_reloads_towards_its_largest_displacement_yields_and_degrades(tmp_path, known):
+    """Beside a stated stiffness, and beside the line through the recording."""
+    rule = {"xy": 2e-3, "ratio": 0.1, "exponent": 0.4}
+    measured = cases.channels(lambda t, x, v, a: clough(x, K, **rule) - K * x, seed=4)
+    recording, toml = cases.write(tmp_path, measured, None if known else naive())
+    d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
+    assert (d.verdict, d.effects) == ("explained", ["degradation", "hysteresis"])
+    assert d.fit["nrmse_after"] < 0.03
+    text, lost = rig_toml(engine.augmented(d))
+    assert lost == []
+    (loop,) = [e for e in config.parse_rig(text).specimen if e.element == "takeda"]
+    assert loop.xy_m == pytest.approx(2e-3, rel=0.1)
+    assert loop.unloading_exponent == pytest.approx(0.4, abs=0.1)
 
 
 @pytest.mark.long

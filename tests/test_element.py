@@ -75,6 +75,11 @@ ONE_OF_EACH = {
         "k_up_n_per_m": 1e6, "k_down_n_per_m": 8e5, "reach_m": 0.02, "exponent": 2.2,
         "backbone": 0.6, "start_m": 2e-4,
     },
+    "takeda": {
+        "k_n_per_m": 1e6, "post_yield_ratio": 0.05, "xy_m": 5e-3, "sharpness": 8.0,
+        "unloading_exponent": 0.4, "pinching": 0.6, "pinching_level": 0.3, "energy_j": 2e3,
+        "strength_down_over_up": 0.8,
+    },
 }  # fmt: skip
 
 
@@ -561,6 +566,11 @@ MUST_BE_POSITIVE = [
     ("peak_oriented", "reach_m"),
     ("peak_oriented", "start_m"),
     ("peak_oriented", "exponent"),
+    ("takeda", "k_n_per_m"),
+    ("takeda", "xy_m"),
+    ("takeda", "sharpness"),
+    ("takeda", "energy_j"),
+    ("takeda", "strength_down_over_up"),
 ]
 NOT_NEGATIVE = [
     ("coulomb", "fc_n"),
@@ -603,6 +613,9 @@ NOT_NEGATIVE = [
     ("peak_oriented", "k_up_n_per_m"),
     ("peak_oriented", "k_down_n_per_m"),
     ("peak_oriented", "backbone"),
+    ("takeda", "unloading_exponent"),
+    ("takeda", "pinching"),
+    ("takeda", "pinching_level"),
 ]
 NOT_ABOVE = [
     ("power_damping", "exponent", 11.0),
@@ -625,6 +638,13 @@ NOT_ABOVE = [
     ("peak_oriented", "start_m", 0.02),
     ("peak_oriented", "exponent", 0.9),
     ("peak_oriented", "backbone", 1.1),
+    ("takeda", "post_yield_ratio", 1.0),
+    ("takeda", "post_yield_ratio", -1.0),
+    ("takeda", "sharpness", 0.9),
+    ("takeda", "sharpness", 60.0),
+    ("takeda", "unloading_exponent", 1.1),
+    ("takeda", "pinching", 1.1),
+    ("takeda", "pinching_level", 1.0),
 ]
 
 
@@ -688,6 +708,11 @@ def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() ->
         ("chaboche", {"kinematic_n_per_m": 1e15, "recovery_per_m": 1e-15}),
         ("rc_column", {"k_n_per_m": 1e15, "xy_m": 1e-15, "ultimate_m": 1e15, "slip": 0.5}),
         ("rc_column", {"xy_m": 1e-15, "energy_j": 1e-15, "slip_width": 0.01, "pivot": 1e15}),
+        ("takeda", {"k_n_per_m": 1e15, "xy_m": 1e-15, "energy_j": 1e-15, "sharpness": 1.0}),
+        ("takeda", {"k_n_per_m": 1e-15, "xy_m": 1e15, "sharpness": 50.0, "pinching": 1.0}),
+        ("takeda", {"xy_m": 1e-15, "unloading_exponent": 1.0, "strength_down_over_up": 1e-15}),
+        ("takeda", {"post_yield_ratio": -0.99, "pinching_level": 0.0, "pinching": 1.0}),
+        ("takeda", {"post_yield_ratio": 0.99, "pinching_level": 0.99, "pinching": 1.0}),
         ("peak_oriented", {"reach_m": 2e-15, "start_m": 1e-15, "exponent": 10.0}),
         ("peak_oriented", {"k_up_n_per_m": 1e15, "reach_m": 1e15, "start_m": 1e-15, "backbone": 0}),
         (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 import typing
@@ -11,7 +12,7 @@ import pytest
 import scipy.integrate
 import scipy.optimize
 import scipy.special
-from kernels import Floats, H, smooth_motion, time_s
+from kernels import Floats, H, opensees, smooth_motion, time_s
 from test_element import ONE_OF_EACH
 
 from rthyb_rt import config, core
@@ -368,9 +369,113 @@ def test_peak_oriented_reaches_one_side_without_the_other() -> None:
     assert only_up[-1] == pytest.approx(never_up[-1], rel=1e-12)
 
 
+# --- reloading towards the farthest point -------------------------------------------------------
+
+SHARP = {
+    "sharpness": 50.0, "pinching": 0.0, "energy_j": 1e15, "strength_down_over_up": 1.0,
+}  # fmt: skip
+
+
+def first_loading(far: float, n: float = 8.0) -> float:
+    r = far / 5e-3
+    return 5e3 * (0.05 * r + 0.95 * r / (1 + r**n) ** (1 / n))
+
+
+def at(x: Floats, f: Floats, where: float, leg: slice) -> float:
+    order = np.argsort(x[leg])
+    return float(np.interp(where, x[leg][order], f[leg][order]))
+
+
+def test_takeda_loads_along_its_backbone_and_unloads_more_softly_the_farther_it_was() -> None:
+    x = there_and_back(0.03, 0.02)
+    f = run("takeda", x, energy_j=1e15)
+    np.testing.assert_allclose(f[:3001], [first_loading(far) for far in x[:3001]], rtol=1e-9)
+    slope = (f[3001] - f[3000]) / (x[3001] - x[3000])
+    assert slope == pytest.approx(1e6 * (5.0 / 30.0) ** 0.4, rel=1e-6)
+    down = run("takeda", -x, energy_j=1e15)
+    np.testing.assert_allclose(down, -0.8 * f, rtol=1e-12)
+
+
+def test_takeda_reloads_straight_towards_the_yield_point_and_then_the_farthest_one() -> None:
+    x = there_and_back(0.03, -0.02, 0.03)
+    f = run("takeda", x, **SHARP)
+    unloading = 1e6 * (5.0 / 30.0) ** 0.4
+    zero = 0.03 - f[3000] / unloading
+    aim = -first_loading(5e-3, 50.0)
+    first = slice(3000, 8001)
+    for share in (0.25, 0.5, 1.0):
+        there = zero + share * (-5e-3 - zero)
+        assert at(x, f, there, first) == pytest.approx(share * aim, abs=5.0)
+    back = slice(8000, None)
+    zero = -0.02 - f[8000] / (1e6 * (5.0 / 20.0) ** 0.4)
+    assert at(x, f, 0.5 * (zero + 0.03), back) == pytest.approx(0.5 * f[3000], abs=5.0)
+    assert f[-1] == pytest.approx(f[3000])
+
+
+def test_takeda_pinched_reloads_in_two_lines_and_still_arrives() -> None:
+    x = there_and_back(0.03, -0.03, 0.03)
+    for pinching in (0.0, 0.5, 1.0):
+        f = run("takeda", x, **(SHARP | {"pinching": pinching, "pinching_level": 0.25}))
+        unloading = 1e6 * (5.0 / 30.0) ** 0.4
+        zero, top = -0.03 - f[9000] / unloading, f[3000]
+        direct = zero + 0.25 * (0.03 - zero)
+        late = min(0.03 - 0.75 * top / unloading, 0.03 - 1e-3 * (0.03 - zero))
+        corner = direct + pinching * (late - direct)
+        assert at(x, f, corner, slice(9000, None)) == pytest.approx(0.25 * top, abs=10.0)
+        assert f[-1] == pytest.approx(top)
+
+
+def test_takeda_loses_strength_with_the_work_done_on_it() -> None:
+    x = there_and_back(*np.resize([0.02, -0.02], 20), step=5e-5)
+    f = run("takeda", x, **(SHARP | {"energy_j": 1e3}))
+    spent = np.maximum.accumulate(scipy.integrate.cumulative_trapezoid(f, x, initial=0.0))
+    tops = 400 + 1600 * np.arange(10)
+    expected = first_loading(0.02, 50.0) * np.exp(-spent[tops] / 1e3)
+    np.testing.assert_allclose(f[tops], expected, rtol=5e-3)
+    assert f[tops[-1]] < 0.5 * f[tops[0]]
+
+
+@pytest.mark.parametrize("pinching", [0.0, 0.7])
+def test_takeda_arrives_at_the_same_force_in_one_step_as_in_many(pinching: float) -> None:
+    turns = (0.03, -0.02, 0.01, -0.035, 0.034, 0.0)
+    change = SHARP | {"pinching": pinching}
+    finely = run("takeda", there_and_back(*turns), **change)
+    ends = np.cumsum([0, *(round(abs(b - a) / 1e-5) for a, b in itertools.pairwise((0, *turns)))])
+    at_once = run("takeda", np.array([0.0, *turns]), **change)
+    np.testing.assert_allclose(at_once, finely[ends], atol=1e-6)
+
+
+def test_takeda_that_softens_never_pushes() -> None:
+    x = there_and_back(0.2, -0.2)
+    f = run("takeda", x, **(SHARP | {"post_yield_ratio": -0.1}))
+    assert f[5000] == pytest.approx(first_loading(0.05, 50.0) - 0.15 * 1e6 * 0.045, rel=1e-3)
+    assert np.all(f[:20001] >= 0.0)
+    assert f[20000] == 0.0
+
+
+@pytest.mark.parametrize("exponent", [0.0, 0.4])
+def test_takeda_is_the_hysteretic_material_of_opensees(exponent: float) -> None:
+    ops = opensees()
+    k, xy, a, x = 1e6, 5e-3, 0.05, smooth_motion(3.0, 4, peak_m=0.03)
+    points = [v for far in (xy, 5 * xy, 20 * xy) for v in (k * (xy + a * (far - xy)), far)]
+    ops.wipe()
+    ops.model("basic", "-ndm", 1, "-ndf", 1)
+    ops.uniaxialMaterial(
+        "Hysteretic", 1, *points, *(-v for v in points), 1.0, 1.0, 0.0, 0.0, exponent
+    )
+    ops.testUniaxialMaterial(1)
+    theirs = []
+    for there in x:
+        ops.setStrain(float(there))
+        theirs.append(ops.getStress())
+    ours = run("takeda", x, **(SHARP | {"unloading_exponent": exponent}))
+    # The corner of theirs is sharp.
+    assert np.std(ours - theirs) < 0.01 * np.std(theirs)
+
+
 # --- all that yield ------------------------------------------------------------------------------
 
-LOOPS = ("iwan", "menegotto_pinto", "chaboche", "rc_column")
+LOOPS = ("iwan", "menegotto_pinto", "chaboche", "rc_column", "takeda")
 
 
 @pytest.mark.parametrize("kind", LOOPS)
@@ -420,6 +525,7 @@ NEW = {
         "CoulombUnevenElement", "GapUnevenElement", "PowerDampingElement", "PowerSpringElement",
         "PendulumElement", "FrictionPendulumElement", "IwanElement", "MenegottoPintoElement",
         "ChabocheElement", "RcColumnElement", "PeakOrientedElement",
+        "TakedaElement",
     )
 }  # fmt: skip
 
@@ -493,7 +599,7 @@ def notes(rig: str, mass: float) -> str:
     return " ".join(config.derive(test, config.parse_rig(rig)).notes)
 
 
-@pytest.mark.parametrize("kind", ["iwan", "menegotto_pinto", "chaboche", "rc_column"])
+@pytest.mark.parametrize("kind", LOOPS)
 def test_elastic_stiffness_is_held_against_the_yielding_element(kind: str) -> None:
     assert "check rig.elastic_stiffness" in notes(rig_text(kind, k=2e6), 1e3)
     assert "check rig.elastic_stiffness" not in notes(rig_text(kind), 1e3)

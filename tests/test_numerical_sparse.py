@@ -14,7 +14,7 @@ import scipy.integrate
 import scipy.linalg
 from courses import course, departure
 from frames import shear_building, space_frame
-from kernels import Floats
+from kernels import Floats, opensees
 from rthyb_rt._core import ffi, lib
 
 from rthyb_rt import core
@@ -943,18 +943,6 @@ def test_a_structure_that_nothing_holds_and_that_weighs_nothing_is_refused() -> 
 
 
 # ---- against OpenSees ---------------------------------------------------------------------------
-
-
-def opensees() -> Any:
-    """OpenSees, or a skip that says what is missing."""
-    pytest.importorskip("openseespy", reason="openseespy is not installed")
-    try:
-        import openseespy.opensees as found
-    except (ImportError, RuntimeError) as error:
-        pytest.skip(
-            f"openseespy cannot be loaded ({error}); on Debian it needs libblas3, liblapack3"
-        )
-    return found
 
 
 def frame_in_opensees(ops: Any, storeys: int, bays: int) -> int:

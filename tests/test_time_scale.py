@@ -158,6 +158,7 @@ VALUES = {
     "mu_slow": 0.03, "mu_fast": 0.08, "mu_rate_s_per_m": 40.0, "weight_n": 1e4, "radius_m": 1.0,
     "xy_m": 0.004, "r0": 15.0, "cr1": 0.9, "cr2": 0.15, "ultimate_m": 0.05, "pivot": 3.0,
     "slip_width": 0.5, "work_j": 2e3, "amplitude_m": 0.05, "start_m": 1e-3,
+    "sharpness": 5.0, "energy_j": 1e3, "strength_down_over_up": 0.7,
 }  # fmt: skip
 
 

@@ -224,6 +224,16 @@ MEANINGS: dict[str, str] = {
     "DegradationElement.amplitude_m": "the largest displacement over which it is lost; absent: "
     "not with amplitude",
     "RcColumnElement.pivot": "the pivot of unloading; 4 degrades strongly, 200 hardly at all",
+    "TakedaElement.post_yield_ratio": "stiffness of first loading after yielding over that before it; "
+    "below 0 it softens",
+    "TakedaElement.sharpness": "the sharpness of the corner of first loading at xy_m; 2 is round",
+    "TakedaElement.unloading_exponent": "the power of xy over the largest displacement with which "
+    "unloading softens; 0 does not soften",
+    "TakedaElement.pinching": "where the corner of reloading lies between the direct line, 0, and "
+    "the line of unloading, 1",
+    "TakedaElement.pinching_level": "the force at that corner over the one that is aimed at",
+    "TakedaElement.energy_j": "work after which 37 % of the strength is left",
+    "TakedaElement.strength_down_over_up": "strength and stiffness downwards over those upwards",
     "PeakOrientedElement.exponent": "the power of reloading; 1 does not pinch",
     "PeakOrientedElement.backbone": "the power of first loading; 0 does not harden, 1 is straight",
     "RcColumnElement.ultimate_m": "displacement at which `strength_lost_at_ultimate` is reached",

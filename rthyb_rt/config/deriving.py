@@ -28,6 +28,7 @@ from rthyb_rt.config.rigfile import (
     PowerDampingElement,
     PureDelay,
     RcColumnElement,
+    TakedaElement,
     RigFile,
     ServoHydraulic,
     SpecimenElement,
@@ -562,7 +563,7 @@ def rest_noise(test: TestFile, rig: RigFile, notes: list[str]) -> tuple[float, f
     return noise_m, noise_n
 
 
-_YIELDING = (IwanElement, MenegottoPintoElement, ChabocheElement, RcColumnElement)
+_YIELDING = (IwanElement, MenegottoPintoElement, ChabocheElement, RcColumnElement, TakedaElement)
 
 
 def _note_stiffness(rig: RigFile, notes: list[str]) -> None:

@@ -676,6 +676,21 @@ class PeakOrientedElement(Table):
     start_m: Annotated[float, Range("m", 1e-7, 10, "the excursion that counts as the first")] = 1e-4
 
 
+class TakedaElement(Table):
+    """A loop that reloads towards the largest displacement so far, and may pinch and lose strength."""
+
+    element: Literal["takeda"]
+    k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
+    post_yield_ratio: Annotated[float, Range("", -0.9, 0.99, "post-yield over elastic stiffness")]
+    xy_m: Annotated[float, Range("m", 1e-6, 10, "the yield displacement")]
+    sharpness: Annotated[float, Range("", 1, 50, "the sharpness of yielding")] = 20.0
+    unloading_exponent: Annotated[float, Range("", 0, 1, "the exponent of unloading")] = 0.4
+    pinching: Annotated[float, Range("", 0, 1, "the degree of pinching")] = 0.0
+    pinching_level: Annotated[float, Range("", 0, 0.99, "the force of the corner")] = 0.3
+    energy_j: Annotated[float, Range("J", 1e-12, 1e15, "the energy of the loss of strength")] = 1e15
+    strength_down_over_up: Annotated[float, Range("", 0.01, 100, "strength down over up")] = 1.0
+
+
 class PythonElement(PythonClass):
     """A class in Python, for tests in virtual time, and the arguments with which it is created."""
 
@@ -712,6 +727,7 @@ SpecimenElement = (
     | ChabocheElement
     | RcColumnElement
     | PeakOrientedElement
+    | TakedaElement
     | PythonElement
 )
 

@@ -417,6 +417,17 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
         "backbone",
         "start_m",
     ),
+    "takeda": (
+        "k_n_per_m",
+        "post_yield_ratio",
+        "xy_m",
+        "sharpness",
+        "unloading_exponent",
+        "pinching",
+        "pinching_level",
+        "energy_j",
+        "strength_down_over_up",
+    ),
 }
 _ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}
 

@@ -445,11 +445,17 @@ def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
         # Except if an abnormal time offset or stated value would otherwise have to compensate. For
         # a naive model this is no evidence: there an offset absorbs errors in the form of a law.
         relieves = not court.setting.naive and court.relieves(of, less)
-        if not (own >= least or stated or _no_form(court, of, i, less) or relieves):
+        small = stated or _no_form(court, of, i, less) or relieves
+        if own < least and (_beside_a_joint_law(of, i) or not small):
             return court.refuse("share", of, part=part.name, found=own, wanted=least)
         if in_any_form and not _past_forms(court, of, i, own):
             return False
     return _needed_together(court, of)
+
+
+def _beside_a_joint_law(of: Hypothesis, which: int) -> bool:
+    """Return whether another effect is several in one: no formula of a damaged member is exact."""
+    return any(len(p.names) > 1 for i, p in enumerate(of.parts) if i != which)
 
 
 def _needed_together(court: Court, of: Hypothesis) -> bool:
@@ -989,9 +995,21 @@ def alike(court: Court, best: Hypothesis, sets: Sets) -> Sets:
     for of in sets:
         extra = max(0, of.count - best.count)
         worse = of.chi2 - best.chi2 + policy.dearer_rival * policy.same_evidence * extra
-        if of.names != best.names and worse < policy.same_evidence:
+        same = of.names == best.names or _one_joint_law(of, best)
+        if not same and worse < policy.same_evidence:
             out.append(of)
     return out
+
+
+def _one_joint_law(of: Hypothesis, best: Hypothesis) -> bool:
+    """Return whether one set has the names of the other and more, by a form of its joint law.
+
+    Yielding that degrades, and that pinches as well: sets that contain each other are no two
+    explanations, and which names a joint law has follows from the form that fits better.
+    """
+    ofs, bests = ({p.names for p in h.parts if len(p.names) > 1} for h in (of, best))
+    nested = set(of.names) <= set(best.names) or set(best.names) <= set(of.names)
+    return nested and bool(ofs) and bool(bests)
 
 
 def twins(court: Court, best: Hypothesis, sets: Sets) -> Sets:

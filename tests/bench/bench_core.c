@@ -366,6 +366,7 @@ static void time_elements(void)
                              {K_E, 0.02, 3e-3, 2.0, 4.0, 0.02, 0.3, 500.0, 0.2, 0.3, 0.2, 0.3,
                               0.2}},
         [RTHYB_PEAK_ORIENTED] = {"peak_oriented", 6, {K_E, 0.8 * K_E, 0.02, 2.2, 0.6, 1e-4}},
+        [RTHYB_TAKEDA] = {"takeda", 9, {K_E, 0.05, 3e-3, 8.0, 0.4, 0.6, 0.3, 500.0, 0.8}},
     };
     rthyb_element element;
     for (int kind = 0; kind < RTHYB_ELEMENT_KINDS; kind++) {

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rthyb_rt import core
+from rthyb_rt.diagnose.effects import takeda
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.hysteretic import LARGE, bouc_wen
 from rthyb_rt.diagnose.policy import POLICY
@@ -40,6 +41,7 @@ class Aimed(Effect):
     signs = "+"
     complete = True
     wears = yields = True
+    pinches = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -55,17 +57,21 @@ class Aimed(Effect):
         return 1.0, trial.theta[1], trial.theta[-1] if trial.variant == UNEVEN else 1.0
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
-        """Return loops that yield early or late beside springs that harden; none if k is known."""
+        """Return loops that yield early or late; beside springs that harden, unless k is known."""
+        loops = takeda.trials(ctx, self.pinches)
         if not ctx.k_free:
-            return []
+            return loops
         shapes = self._shapes(ctx)
         return [
+            *loops,
             *(Trial(shape, AIMED) for shape in shapes),
             *(Trial((*shape, 1.0), UNEVEN) for shape in shapes),
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep yielding within the motion; at a power of 1, nothing is lost."""
+        if takeda.takes(trial):
+            return takeda.limits(ctx, trial, self.pinches)
         ends = [(0.02 * ctx.x_range, 0.9 * ctx.x_range), (0.02, 1.0)]
         return [*ends, (0.2, 5.0)] if trial.variant == UNEVEN else ends
 
@@ -73,6 +79,8 @@ class Aimed(Effect):
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
         """Return the stiffness of the loop, and that of the spring, and the shape."""
+        if takeda.takes(trial):
+            return ("+", (None,)), 1 + len(trial.theta)
         return ("++", (None, None)), 2 + len(trial.theta)
 
     def _spring(self, ctx: Context, trial: Trial, k: float) -> core.ElementConfig:
@@ -85,6 +93,8 @@ class Aimed(Effect):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the forces of the loop, and of the spring, per unit of relative stiffness."""
+        if takeda.takes(trial):
+            return [takeda.column(ctx, trial, self.pinches)]
         xy = trial.theta[0]
         loop = core.CoreElement(bouc_wen(1.0, 1.0, 1.0)).run(ctx.x / xy) * xy
         spring = core.CoreElement(self._spring(ctx, trial, 1.0)).run(ctx.x)
@@ -92,6 +102,8 @@ class Aimed(Effect):
 
     def _lost(self, ctx: Context, trial: Trial, beta: Floats) -> float:
         """Return the loss of stiffness, spring and loop together, at the largest displacement."""
+        if takeda.takes(trial):
+            return takeda.lost(ctx, trial, self.pinches)
         _, hardening, uneven = self._powers(trial)
         loop, spring = float(beta[0]), 0.5 * (1.0 + uneven) * float(beta[1])
         first = loop + spring * START ** (hardening - 1.0)
@@ -99,33 +111,43 @@ class Aimed(Effect):
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False if it does not degrade: then it is a plain loop."""
+        if takeda.takes(trial) and not takeda.sensible(ctx, beta):
+            return False
         return self._lost(ctx, trial, beta) > POLICY.seen_wear
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the loop, and the final loss of stiffness."""
         return {
             "xy_m": trial.theta[0],
-            "alpha": ctx.model.k / (ctx.model.k + float(beta[0]) * ctx.k_scale),
+            "alpha": takeda.left(ctx, trial, self.pinches, beta)
+            if takeda.takes(trial)
+            else ctx.model.k / (ctx.model.k + float(beta[0]) * ctx.k_scale),
             "loss": self._lost(ctx, trial, beta),
             "travel_m": float(ctx.travel[-1]) or 1.0,
         }
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the rule by the name of its author."""
+        if takeda.takes(trial):
+            return takeda.form(trial, self.pinches)
         rule = "Clough, with pinching" if "pinching" in self.names else "Clough"
         uneven = ", unlike in the two directions" if trial.variant == UNEVEN else ""
         return f"loop and a spring aimed at the largest displacement ({rule}){uneven}"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the loop and the spring."""
+        if takeda.takes(trial):
+            return takeda.elements(ctx, trial, self.pinches, beta)
         loop, spring = (float(b) * ctx.k_scale for b in beta)
         return [bouc_wen(loop, trial.theta[0], 1.0), self._spring(ctx, trial, spring)]
 
 
-def _is_aimed(trial: Trial) -> bool:
-    return trial.variant in (AIMED, UNEVEN)
+def _is_column(trial: Trial) -> bool:
+    return trial.variant in COLUMNS
 
 
+COLUMNS = SLACK_COLUMN, WORN_COLUMN = "slack", "worn"
+"""Reinforced concrete columns without, and with, loss of strength."""
 BELL = (0.15, 0.25)
 """Force at which cracks slip most, and the width of the bell, relative to the strength."""
 CYCLES = 12.5
@@ -143,6 +165,7 @@ class WornColumn(Aimed):
     name = "hysteresis+pinching+degradation"
     plain = "yielding with pinching and degradation"
     params = (*LOOP, *SLACK, *LOSS)
+    pinches = True
     equation = (
         "a loop in series with a slip-lock spring, worn by amplitude and energy; or a loop beside "
         "a spring that is slack up to the largest displacement so far"
@@ -163,11 +186,11 @@ class WornColumn(Aimed):
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return columns with early or late yielding and slight or strong degradation.
 
-        None if k is known. Variant "slack" has only the loss of unloading stiffness and slip,
-        "worn" all losses.
+        If k is known, only the loops of `takeda`. Variant "slack" has only the loss of unloading
+        stiffness and slip, "worn" all losses.
         """
         if not ctx.k_free:
-            return []
+            return list(super().trials(ctx))
         shapes = [
             (float(xy), pivot, slip)
             for xy in ctx.x_range * np.array([0.12, 0.25, 0.45])
@@ -176,14 +199,16 @@ class WornColumn(Aimed):
         ]
         worn = (1.2, 0.1, 0.1, *BELL)
         return [
-            *(Trial(shape, "slack") for shape in shapes),
-            *(Trial((*shape, *worn), "worn") for shape in shapes),
+            *(Trial(shape, SLACK_COLUMN) for shape in shapes),
+            *(Trial((*shape, *worn), WORN_COLUMN) for shape in shapes),
             *super().trials(ctx),
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep yielding within the motion and all fractions below one."""
-        if _is_aimed(trial):
+        if takeda.takes(trial):
+            return super().limits(ctx, trial)
+        if not _is_column(trial):
             loop, hardening, *uneven = super().limits(ctx, trial)
             return [loop, hardening, (1.0, 8.0), *uneven]
         ends = [
@@ -196,7 +221,7 @@ class WornColumn(Aimed):
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
         """Return the stiffness of the column, or of loop and spring, and the shape."""
-        if _is_aimed(trial):
+        if not _is_column(trial):
             return super().settings(ctx, trial)
         return ("+", (None,)), 1 + len(trial.theta)
 
@@ -218,7 +243,7 @@ class WornColumn(Aimed):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force of the column, or of loop and spring, per unit of stiffness."""
-        if _is_aimed(trial):
+        if not _is_column(trial):
             return super().columns(ctx, trial)
         xy = trial.theta[0]
         column = core.CoreElement(self._element(ctx, trial, 1.0, 1.0))
@@ -232,7 +257,7 @@ class WornColumn(Aimed):
 
     def _lost(self, ctx: Context, trial: Trial, beta: Floats) -> float:
         """Return the loss of stiffness, or of strength and stiffness, of the whole law."""
-        if _is_aimed(trial):
+        if not _is_column(trial):
             return super()._lost(ctx, trial, beta)
         beyond, left = self._left(ctx, trial)
         amplitude = self._whole(trial)[4]
@@ -241,35 +266,43 @@ class WornColumn(Aimed):
 
     def _slack(self, ctx: Context, trial: Trial) -> float:
         """Return the slack half way to the largest displacement, or at the centre of the bell."""
-        if _is_aimed(trial):
+        if takeda.takes(trial):
+            return takeda.slack(ctx, trial)
+        if not _is_column(trial):
             return float(1.0 - 2.0 ** (1.0 - self._powers(trial)[0]))
         beyond, left = self._left(ctx, trial)
         slip, width = trial.theta[2], self._whole(trial)[7]
         bell = np.sqrt(2.0 / np.pi) * slip * 2.0 * beyond / width
         return float(1.0 - 1.0 / (1.0 + left * bell))
 
+    def _width(self, trial: Trial) -> float:
+        """Return that of the bell; where the spring has half of its force; or the corner's force."""
+        if takeda.takes(trial):
+            return trial.theta[5]
+        return self._whole(trial)[7] if _is_column(trial) else 0.5 ** (1.0 / self._powers(trial)[0])
+
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return False if it neither pinches nor degrades: then it is a plain loop."""
+        if takeda.takes(trial) and not takeda.sensible(ctx, beta):
+            return False
         worn = min(self._slack(ctx, trial), self._lost(ctx, trial, beta))
         return worn > POLICY.seen_wear
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the loop, its slack, and the final losses of stiffness and strength."""
-        # Of the bell, or where the spring has half of its force.
-        aimed = _is_aimed(trial)
-        width = 0.5 ** (1.0 / self._powers(trial)[0]) if aimed else self._whole(trial)[7]
+        width = self._width(trial)
         whole = super().report(ctx, trial, beta)
         return whole | {"depth": self._slack(ctx, trial), "width_ratio": width}
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the law by the names of its authors."""
-        if _is_aimed(trial):
+        if not _is_column(trial):
             return super().form(ctx, trial)
         return "reinforced concrete column (Sivaselvan-Reinhorn, Park-Ang)"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the column, or the loop and the spring."""
-        if _is_aimed(trial):
+        if not _is_column(trial):
             return super().elements(ctx, trial, beta)
         return [self._element(ctx, trial, float(beta[0]) * ctx.k_scale, trial.theta[0])]
 
