@@ -445,6 +445,7 @@ def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
         # Except if an abnormal time offset or stated value would otherwise have to compensate. For
         # a naive model this is no evidence: there an offset absorbs errors in the form of a law.
         relieves = not court.setting.naive and court.relieves(of, less)
+        relieves = relieves and own >= court.policy.form_alone * court.explained(of, i)
         small = stated or _no_form(court, of, i, less) or relieves
         if own < least and (_beside_a_joint_law(of, i) or not small):
             return court.refuse("share", of, part=part.name, found=own, wanted=least)
