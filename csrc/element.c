@@ -49,6 +49,7 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_RC_COLUMN] = "+0++0+0+000-+",
     [RTHYB_PEAK_ORIENTED] = "00++0+",
     [RTHYB_TAKEDA] = "+-++000++",
+    [RTHYB_NONLINEAR_MAXWELL] = "++++",
     [RTHYB_OWN] = "",
 };
 /* clang-format on */
@@ -81,6 +82,8 @@ static int shape_ok(int32_t kind, const double *p)
     switch (kind) {
     case RTHYB_STRIBECK:
         return within(p[4], EXPONENT_MIN, EXPONENT_MAX);
+    case RTHYB_NONLINEAR_MAXWELL:
+        return within(p[3], EXPONENT_MIN, EXPONENT_MAX);
     case RTHYB_POWER_DAMPING:
     case RTHYB_POWER_SPRING:
         return within(p[2], EXPONENT_MIN, EXPONENT_MAX);
@@ -98,8 +101,8 @@ static int shape_ok(int32_t kind, const double *p)
     case RTHYB_PEAK_ORIENTED: /* pinched or straight; a backbone that bends or is straight */
         return within(p[3], 1.0, EXPONENT_MAX) && p[4] <= 1.0 && p[5] < p[2];
     case RTHYB_TAKEDA:
-        return fabs(p[1]) <= LOSS_MAX && within(p[3], 1.0, ETA_MAX) && p[4] <= 1.0 &&
-               p[5] <= 1.0 && p[6] <= LOSS_MAX;
+        return fabs(p[1]) <= LOSS_MAX && within(p[3], 1.0, ETA_MAX) && p[4] <= 1.0 && p[5] <= 1.0 &&
+               p[6] <= LOSS_MAX;
     default:
         return 1;
     }
@@ -267,6 +270,8 @@ static double law(rthyb_element *element, double x, double v, double a, double d
         return rthyb_peak_oriented(p, s, x);
     case RTHYB_TAKEDA:
         return rthyb_takeda(p, s, x);
+    case RTHYB_NONLINEAR_MAXWELL:
+        return rthyb_nonlinear_maxwell(p, s, x, dt);
     case RTHYB_OWN:
         return own_force(element, x, v, a, dt);
     default:

@@ -32,6 +32,7 @@ double rthyb_menegotto_pinto(const double *p, double *s, double x);
 double rthyb_chaboche(const double *p, double *s, double x);
 double rthyb_rc_column(const double *p, double *s, double x);
 double rthyb_peak_oriented(const double *p, double *s, double x);
+double rthyb_nonlinear_maxwell(const double *p, double *s, double x, double dt);
 double rthyb_takeda(const double *p, double *s, double x);
 
 #endif

@@ -47,7 +47,8 @@ enum rthyb_element_kind {
     RTHYB_PEAK_ORIENTED, /* k up, k down, reach, exponent, backbone, start */
     /* k, a, xy, sharpness, unloading exponent, pinching, its level, energy J, strength downwards over upwards */
     RTHYB_TAKEDA,
-    RTHYB_OWN,           /* no parameters: user-defined function */
+    RTHYB_NONLINEAR_MAXWELL, /* km, force, at velocity, exponent */
+    RTHYB_OWN,               /* no parameters: user-defined function */
     RTHYB_ELEMENT_KINDS
 };
 

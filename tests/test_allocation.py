@@ -191,6 +191,7 @@ def sample_path(symbols: Symbols) -> set[str]:
         "element.c",
         "loops.c",
         "friction.c",
+        "dampers.c",
     } <= files
     return files
 

@@ -80,6 +80,9 @@ ONE_OF_EACH = {
         "unloading_exponent": 0.4, "pinching": 0.6, "pinching_level": 0.3, "energy_j": 2e3,
         "strength_down_over_up": 0.8,
     },
+    "nonlinear_maxwell": {
+        "km_n_per_m": 4e5, "force_n": 900.0, "at_m_per_s": 0.2, "exponent": 0.35,
+    },
 }  # fmt: skip
 
 
@@ -571,6 +574,10 @@ MUST_BE_POSITIVE = [
     ("takeda", "sharpness"),
     ("takeda", "energy_j"),
     ("takeda", "strength_down_over_up"),
+    ("nonlinear_maxwell", "km_n_per_m"),
+    ("nonlinear_maxwell", "force_n"),
+    ("nonlinear_maxwell", "at_m_per_s"),
+    ("nonlinear_maxwell", "exponent"),
 ]
 NOT_NEGATIVE = [
     ("coulomb", "fc_n"),
@@ -645,6 +652,8 @@ NOT_ABOVE = [
     ("takeda", "unloading_exponent", 1.1),
     ("takeda", "pinching", 1.1),
     ("takeda", "pinching_level", 1.0),
+    ("nonlinear_maxwell", "exponent", 11.0),
+    ("nonlinear_maxwell", "exponent", 0.04),
 ]
 
 
@@ -708,6 +717,10 @@ def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() ->
         ("chaboche", {"kinematic_n_per_m": 1e15, "recovery_per_m": 1e-15}),
         ("rc_column", {"k_n_per_m": 1e15, "xy_m": 1e-15, "ultimate_m": 1e15, "slip": 0.5}),
         ("rc_column", {"xy_m": 1e-15, "energy_j": 1e-15, "slip_width": 0.01, "pivot": 1e15}),
+        ("nonlinear_maxwell", {"km_n_per_m": 1e15, "force_n": 1e-15, "exponent": 0.05}),
+        ("nonlinear_maxwell", {"km_n_per_m": 1e-15, "force_n": 1e15, "exponent": 10.0}),
+        ("nonlinear_maxwell", {"km_n_per_m": 1e15, "force_n": 1e-15, "at_m_per_s": 1e15}),
+        ("nonlinear_maxwell", {"at_m_per_s": 1e-15, "exponent": 10.0}),
         ("takeda", {"k_n_per_m": 1e15, "xy_m": 1e-15, "energy_j": 1e-15, "sharpness": 1.0}),
         ("takeda", {"k_n_per_m": 1e-15, "xy_m": 1e15, "sharpness": 50.0, "pinching": 1.0}),
         ("takeda", {"xy_m": 1e-15, "unloading_exponent": 1.0, "strength_down_over_up": 1e-15}),

@@ -369,6 +369,63 @@ def test_peak_oriented_reaches_one_side_without_the_other() -> None:
     assert only_up[-1] == pytest.approx(never_up[-1], rel=1e-12)
 
 
+# --- a damper on a spring ------------------------------------------------------------------------
+
+
+def by_scipy(x: Floats, km: float, exponent: float) -> Floats:
+    """The same differential equation, by an implicit method of high order."""
+    t = np.arange(x.size) * H
+
+    def rate(at: float, f: Floats) -> Floats:
+        v = (np.interp(at + 1e-9, t, x) - np.interp(at - 1e-9, t, x)) / 2e-9
+        return km * (v - 0.2 * np.sign(f) * np.abs(f / 900.0) ** (1 / exponent))
+
+    found = scipy.integrate.solve_ivp(
+        rate, (0.0, t[-1]), [0.0], "Radau", t, rtol=1e-8, atol=1e-5, max_step=H / 4
+    )
+    return np.asarray(found.y[0])
+
+
+@pytest.mark.parametrize("km", [5e4, 1e6])
+@pytest.mark.parametrize("exponent", [0.35, 1.0, 1.8])
+def test_damper_on_a_spring_is_the_differential_equation_of_scipy(
+    km: float, exponent: float
+) -> None:
+    t = np.arange(512) * H
+    x = 0.01 * np.sin(2 * np.pi * 3.0 * t) * np.minimum(4 * t, 1.0)
+    expected = by_scipy(x, km, exponent)
+    found = run("nonlinear_maxwell", x, km_n_per_m=km, exponent=exponent)
+    assert np.max(np.abs(found - expected)) < 3e-3 * np.max(np.abs(expected))
+
+
+def test_damper_on_a_spring_of_exponent_1_is_maxwells() -> None:
+    x = smooth_motion(3.0, 3, peak_m=0.01)
+    ours = run("nonlinear_maxwell", x, exponent=1.0)
+    maxwell = core.element("maxwell", km_n_per_m=4e5, tau_s=900.0 / 0.2 / 4e5)
+    expected = core.CoreElement(maxwell).run(x, dt_s=H)
+    assert np.std(ours - expected) < 2e-3 * np.std(expected)
+
+
+def test_damper_on_a_stiff_spring_is_the_damper_alone_without_ringing() -> None:
+    """Its time constant is far below the period of the samples."""
+    x = smooth_motion(3.0, 3, peak_m=0.01)
+    v = np.gradient(x, H)
+    ours = run("nonlinear_maxwell", x, km_n_per_m=1e10)
+    alone = 900.0 * np.sign(v) * np.abs(v / 0.2) ** 0.35
+    fast = np.abs(v) > 0.1 * np.max(np.abs(v))
+    assert np.max(np.abs(ours - alone)[fast]) < 0.03 * np.max(np.abs(alone))
+
+
+def test_damper_on_a_spring_relaxes_to_nothing_when_it_is_held() -> None:
+    x = np.minimum(np.arange(8192), 100) * 2e-4
+    f = run("nonlinear_maxwell", x, exponent=0.5)
+    held = f[100:]
+    assert np.all(np.diff(held) <= 0.0)
+    # f' = -km v0 (f/F)^2 from f0: 1/f grows linearly.
+    expected = 1.0 / (1.0 / held[0] + 4e5 * 0.2 / 900.0**2 * H * np.arange(held.size))
+    np.testing.assert_allclose(held, expected, rtol=2e-3)
+
+
 # --- reloading towards the farthest point -------------------------------------------------------
 
 SHARP = {
@@ -525,7 +582,7 @@ NEW = {
         "CoulombUnevenElement", "GapUnevenElement", "PowerDampingElement", "PowerSpringElement",
         "PendulumElement", "FrictionPendulumElement", "IwanElement", "MenegottoPintoElement",
         "ChabocheElement", "RcColumnElement", "PeakOrientedElement",
-        "TakedaElement",
+        "TakedaElement", "NonlinearMaxwellElement",
     )
 }  # fmt: skip
 

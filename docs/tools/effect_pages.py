@@ -51,6 +51,7 @@ EXAMPLES: dict[str, tuple[Trial, tuple[float, ...]]] = {
     "viscous": (Trial(), (6e3,)),
     "quad_damping": (Trial(), (7e4,)),
     "power_damping": (Trial((0.3,)), (700.0,)),
+    "power_damping+maxwell": (Trial((0.3, 3e-3)), (700.0,)),
     "coulomb": (Trial((1e-3,)), (600.0,)),
     "stribeck": (Trial((0.02, 5e-4)), (300.0, 500.0)),
     "lugre": (Trial((8e-4,), "dahl"), (600.0, 0.0)),

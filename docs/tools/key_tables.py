@@ -224,7 +224,7 @@ MEANINGS: dict[str, str] = {
     "DegradationElement.amplitude_m": "the largest displacement over which it is lost; absent: "
     "not with amplitude",
     "RcColumnElement.pivot": "the pivot of unloading; 4 degrades strongly, 200 hardly at all",
-    "TakedaElement.post_yield_ratio": "stiffness of first loading after yielding over that before it; "
+    "TakedaElement.post_yield_ratio": "stiffness of first loading after yielding over that before; "
     "below 0 it softens",
     "TakedaElement.sharpness": "the sharpness of the corner of first loading at xy_m; 2 is round",
     "TakedaElement.unloading_exponent": "the power of xy over the largest displacement with which "

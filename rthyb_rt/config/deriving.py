@@ -28,12 +28,12 @@ from rthyb_rt.config.rigfile import (
     PowerDampingElement,
     PureDelay,
     RcColumnElement,
-    TakedaElement,
     RigFile,
     ServoHydraulic,
     SpecimenElement,
     StiffnessElement,
     StribeckElement,
+    TakedaElement,
 )
 from rthyb_rt.config.testfile import Numerical, TestFile
 from rthyb_rt.errors import InputError, Problem

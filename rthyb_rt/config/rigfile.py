@@ -549,6 +549,16 @@ class PowerDampingElement(Table):
     ] = 0.0005
 
 
+class NonlinearMaxwellElement(Table):
+    """A fluid viscous damper, f = C |v|^a sgn(v), on a spring in series: its fluid, its brace."""
+
+    element: Literal["nonlinear_maxwell"]
+    km_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness of the spring")]
+    force_n: Annotated[float, Range("N", 1e-6, 1e10, "the force at the velocity at_m_per_s")]
+    at_m_per_s: Annotated[float, Range("m/s", 1e-6, 100, "the velocity of that force")] = 1.0
+    exponent: Annotated[float, Range("", 0.05, 10, "the exponent of the velocity")]
+
+
 class PowerSpringElement(Table):
     """A spring that softens (exponent below 1) or hardens, f = force |x / at|^n sgn(x)."""
 
@@ -677,7 +687,7 @@ class PeakOrientedElement(Table):
 
 
 class TakedaElement(Table):
-    """A loop that reloads towards the largest displacement so far, and may pinch and lose strength."""
+    """A loop that reloads towards the largest displacement so far: damaged concrete, joints."""
 
     element: Literal["takeda"]
     k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
@@ -728,6 +738,7 @@ SpecimenElement = (
     | RcColumnElement
     | PeakOrientedElement
     | TakedaElement
+    | NonlinearMaxwellElement
     | PythonElement
 )
 

@@ -428,6 +428,7 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
         "energy_j",
         "strength_down_over_up",
     ),
+    "nonlinear_maxwell": ("km_n_per_m", "force_n", "at_m_per_s", "exponent"),
 }
 _ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}
 

@@ -79,6 +79,12 @@ PAIRS: tuple[tuple[str, str, str], ...] = (
     ("power_damping", "viscous",
      "at one amplitude, a straight line approximates a power of velocity near one; over several "
      "amplitudes, the share of a low power falls as amplitude grows"),
+    ("power_damping+maxwell", "power_damping",
+     "on a spring, the force lags behind the velocity, the more the faster it changes; a stiff "
+     "spring shows only in fast motion"),
+    ("power_damping+maxwell", "maxwell",
+     "relaxation is linear: its force doubles with the motion; that of a power of velocity does "
+     "not, which several amplitudes show"),
     ("power_damping", "coulomb",
      "friction has its full size even at the smallest velocity; the force of a low power still "
      "grows with velocity, which a wide range of amplitudes shows"),

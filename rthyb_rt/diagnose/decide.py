@@ -44,6 +44,7 @@ class SetMember:
             offset; 0: it does not.
         settles_rad: the time against which it acts like a simpler law in slower motion, times the
             motion's angular frequency; 0: none.
+        complete: it is the whole law of a damaged or slack member; no formula renders it exactly.
     """
 
     name: str
@@ -57,6 +58,7 @@ class SetMember:
     dissipates: bool = False
     offset_s: float = 0.0
     settles_rad: float = 0.0
+    complete: bool = False
 
     @property
     def additive(self) -> bool:
@@ -455,8 +457,8 @@ def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
 
 
 def _beside_a_joint_law(of: Hypothesis, which: int) -> bool:
-    """Return whether another effect is several in one: no formula of a damaged member is exact."""
-    return any(len(p.names) > 1 for i, p in enumerate(of.parts) if i != which)
+    """Return whether another effect is the whole law of a member, which is never exact."""
+    return any(p.complete for i, p in enumerate(of.parts) if i != which)
 
 
 def _needed_together(court: Court, of: Hypothesis) -> bool:
@@ -725,8 +727,7 @@ def one_of_a_kind(court: Court, sets: Sets) -> Sets:
     yielding together with a wrong spring; the better of the two remains. If the model's stiffness
     is free, every set contains a changed spring.
     """
-    if court.setting.k_free:
-        sets = _with_yielding(court, sets)
+    sets = _with_yielding(court, sets)
     by_names = {h.names: h for h in sets}
     return [h for h in sets if not _yields(court, h, by_names)]
 
@@ -752,18 +753,26 @@ def _yields(court: Court, of: Hypothesis, by_names: Mapping[tuple[str, ...], Hyp
 
 
 def _with_yielding(court: Court, sets: Sets) -> Sets:
-    """Return the sets, and the best ones with bristles also with yielding in their place."""
-    also, names = court.laws.also, {h.names for h in sets}
-    found = []
+    """Return the sets, and the best ones with bristles also with yielding in their place.
+
+    Beside a stated stiffness, in place of bristles and the changed spring; the search may have
+    refined that set in another form of yielding, and then it is replaced.
+    """
+    also, names = court.laws.also, {h.names: h for h in sets}
+    stiffness = "" if court.setting.k_free else court.laws.stiffness
     for of in sets[:CLOSER]:
         bristles = next((n for n in also if n in of.names), "")
-        if not bristles or also[bristles] in of.names:
+        if not bristles or also[bristles] in of.names or (stiffness and stiffness not in of.names):
             continue
-        if tuple(sorted(also.get(n, n) if n == bristles else n for n in of.names)) not in names:
+        rest = [n for n in of.names if n not in (bristles, stiffness)]
+        twin = tuple(sorted([*rest, also[bristles]]))
+        there = names.get(twin)
+        if there is None or (stiffness and there.chi2 > of.chi2 + court.policy.yielding_gain):
             yielded = court.ask("yielding", of)
-            if yielded is not None and needed(court, yielded):
-                found.append(yielded)
-    return sorted([*sets, *found], key=lambda h: h.score)
+            better = yielded is not None and (there is None or yielded.score < there.score)
+            if better and needed(court, yielded):
+                names[yielded.names] = yielded
+    return sorted(names.values(), key=_order)
 
 
 def plainest(court: Court, sets: Sets) -> Sets:
@@ -1008,9 +1017,8 @@ def _one_joint_law(of: Hypothesis, best: Hypothesis) -> bool:
     Yielding that degrades, and that pinches as well: sets that contain each other are no two
     explanations, and which names a joint law has follows from the form that fits better.
     """
-    ofs, bests = ({p.names for p in h.parts if len(p.names) > 1} for h in (of, best))
     nested = set(of.names) <= set(best.names) or set(best.names) <= set(of.names)
-    return nested and bool(ofs) and bool(bests)
+    return nested and all(any(p.complete for p in h.parts) for h in (of, best))
 
 
 def twins(court: Court, best: Hypothesis, sets: Sets) -> Sets:

@@ -149,6 +149,7 @@ class Gathered:
             effect.dissipates,
             shift_s + normal_s if shift_s else 0.0,
             effect.settling_s(member.trial) * omega_per_s,
+            effect.complete,
         )
 
     def _setting(self) -> Setting:
@@ -230,7 +231,7 @@ class Gathered:
         return self.driven.more(fit.members, twin)
 
     def _yielding(self, fit: Fit) -> list[Member] | None:
-        """Return a set with yielding in place of its bristles."""
+        """Return a set with yielding in place of its bristles, and of a stated spring's change."""
         bristles = next(n for n in self.laws.also if n in fit.names)
         name = self.laws.also[bristles]
         yielding = next((e for e in self.problem.effects if e.name == name), None)
@@ -239,6 +240,7 @@ class Gathered:
         return [
             Member(yielding, yielding.like(m.trial)) if m.name == bristles else m
             for m in fit.members
+            if self.problem.ctx.k_free or m.name != self.laws.stiffness
         ]
 
 

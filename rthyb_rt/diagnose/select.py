@@ -798,9 +798,12 @@ def compatible(members: Sequence[Member]) -> bool:
     """Return whether effects may be combined.
 
     A contact has one law of friction: a second one would be another form of the first, and would
-    absorb errors in the form of the first.
+    absorb errors in the form of the first. The same applies to a joint law and one of its names.
     """
     if sum(m.effect.dry for m in members) > 1:
+        return False
+    names = [name for m in members for name in m.effect.names]
+    if len(set(names)) < len(names):
         return False
     whole = [m for m in members if m.effect.complete]
     beside = [m for m in members if not m.effect.complete and not m.effect.sensor]

@@ -367,6 +367,7 @@ static void time_elements(void)
                               0.2}},
         [RTHYB_PEAK_ORIENTED] = {"peak_oriented", 6, {K_E, 0.8 * K_E, 0.02, 2.2, 0.6, 1e-4}},
         [RTHYB_TAKEDA] = {"takeda", 9, {K_E, 0.05, 3e-3, 8.0, 0.4, 0.6, 0.3, 500.0, 0.8}},
+        [RTHYB_NONLINEAR_MAXWELL] = {"nonlinear_maxwell", 4, {4e5, 900.0, 0.2, 0.35}},
     };
     rthyb_element element;
     for (int kind = 0; kind < RTHYB_ELEMENT_KINDS; kind++) {

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from rthyb_rt.diagnose.effects import friction, hysteretic, inertial, sensor, springs, worn
+from rthyb_rt.diagnose.effects import dampers, friction, hysteretic, inertial, sensor, springs, worn
 from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
 from rthyb_rt.errors import InputError
 
@@ -117,7 +117,7 @@ def _check(effect: Effect, where: str) -> None:
         )
 
 
-for _module in (springs, friction, inertial, hysteretic, worn, sensor):
+for _module in (springs, friction, dampers, inertial, hysteretic, worn, sensor):
     for _effect in _module.EFFECTS:
         register(_effect)
 

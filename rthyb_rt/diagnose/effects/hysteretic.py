@@ -79,6 +79,9 @@ SPREADS = ("iwan", "bell")
 """Iwan's chains: yields evenly distributed, or as a triangle, most of them in the middle."""
 ROUND = "mp r"
 """Menegotto-Pinto with an exponent of its own, which is fitted; 20 is hardly round."""
+SLIDERS = "sliders"
+TWO = {"two": "bw1", SLIDERS: "iwan0"}
+"""Forms of two loops in parallel, and the form of each of them."""
 HARDENING = ("kinematic", "both")
 """Forms of yielding that harden by plastic flow."""
 FORMS = {
@@ -129,6 +132,9 @@ class Hysteresis(Effect):
             for xy in ctx.x_range * np.array([2e-3, 1e-2, 5e-2])
             for rate in np.array([4.0, 8.0, 20.0]) / ctx.v_range
         ]
+        trials += [
+            Trial((float(xy), 3.0 * float(xy)), SLIDERS) for xy in at[::2] if 3 * xy < ctx.x_range
+        ]
         if not ctx.k_free:
             # Without tolerances, two loops predict better than one backstress fitted this closely.
             trials += [
@@ -142,7 +148,7 @@ class Hysteresis(Effect):
 
     def kin(self, trial: Trial) -> Sequence[Trial]:
         """Return the other loops of one yield displacement with the same one."""
-        if trial.variant in ("two", "slider"):
+        if trial.variant in (*TWO, "slider"):
             return ()
         spreads = [Trial((trial.theta[0], s), v) for v in SPREADS for s in (0.5, 1.0)]
         loops = [Trial(trial.theta[:1], v) for v in ("bw1", "bw2", "bw5", "iwan0", "mp")]
@@ -175,7 +181,7 @@ class Hysteresis(Effect):
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
         """Return one coefficient, 1 - alpha; two with a parallel dashpot or a second loop."""
-        if trial.variant in ("two", "slider"):
+        if trial.variant in (*TWO, "slider"):
             return ("++", (None, None)), 4
         if trial.variant in HARDENING:
             return ("+", (None,)), 1 + len(trial.theta)
@@ -186,8 +192,9 @@ class Hysteresis(Effect):
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the yielding part less the elastic part that it replaces."""
         xy = trial.theta[0]
-        if trial.variant == "two":
-            return [ctx.k_scale * plastic(ctx, "bw1", y) for y in trial.theta]
+        if trial.variant in TWO:
+            less = 0.0 if ctx.k_free else ctx.x
+            return [ctx.k_scale * (plastic(ctx, TWO[trial.variant], y) - less) for y in trial.theta]
         if trial.variant == "slider":
             z = contact(ctx, xy)
             return [z, -z * np.exp(-trial.theta[1] * np.abs(ctx.v))]
@@ -207,14 +214,14 @@ class Hysteresis(Effect):
         if ctx.k_free:
             return (
                 len(beta) == 1
-                or trial.variant == "two"
+                or trial.variant in TWO
                 or bool(-0.05 * beta[0] <= beta[1] < 3.0 * beta[0])
             )
-        return bool(0.0 < beta[0] < 1.3)
+        return bool(0.0 < np.sum(beta) < 1.3)
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return yield displacement and the remaining fraction of the stiffness."""
-        share = float(beta[0])
+        share = float(np.sum(beta)) if trial.variant == SLIDERS else float(beta[0])
         if trial.variant == "slider":
             elastic = share / trial.theta[0]
             return {"xy_m": trial.theta[0], "alpha": ctx.model.k / (ctx.model.k + elastic)}
@@ -232,6 +239,8 @@ class Hysteresis(Effect):
         beside = ", with a dashpot on it" if trial.variant.endswith("+") else ""
         if shape == "two":
             return "two Bouc-Wen loops, eta 1"
+        if shape == SLIDERS:
+            return "two sliders in parallel (Masing, three lines)"
         if shape in FORMS:
             return FORMS[shape]
         if shape.startswith("bw"):
@@ -257,7 +266,13 @@ class Hysteresis(Effect):
                 ),
                 core.element("stiffness", k_n_per_m=-weight / FLAT),
             ]  # fmt: skip
+        if trial.variant == SLIDERS:
+            k = float(np.sum(beta)) * ctx.k_scale
         out = [] if ctx.k_free else [core.element("stiffness", k_n_per_m=-k)]
+        if trial.variant == SLIDERS:
+            for b, y in zip(beta, trial.theta, strict=True):
+                out += chains.elements(_yields("iwan0", y), float(b) * ctx.k_scale)
+            return out
         if trial.variant == "two":
             return [
                 *out,

@@ -143,4 +143,5 @@ def form(trial: Trial, pinches: bool) -> str:
     """Return the law by the names of its authors."""
     rule = "Takeda-Clough, pinching in two lines" if pinches else "Takeda-Clough"
     worn = {WORN: ", strength lost with work", UNEVEN: ", unlike in the two directions"}
-    return f"loop that reloads towards the largest displacement ({rule}){worn.get(trial.variant, '')}"
+    end = worn.get(trial.variant, "")
+    return f"loop that reloads towards the largest displacement ({rule}){end}"

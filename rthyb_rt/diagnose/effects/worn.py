@@ -33,7 +33,7 @@ class Aimed(Effect):
     params: tuple[Param, ...] = (*LOOP, *LOSS)
     equation = (
         "a loop beside a spring whose force returns, on each side, to that at the largest "
-        "displacement so far"
+        "displacement so far; or a loop that reloads straight towards that point"
     )
     fingerprint = "reloading aims at the farthest point so far, from wherever it begins"
     static = True
@@ -168,7 +168,8 @@ class WornColumn(Aimed):
     pinches = True
     equation = (
         "a loop in series with a slip-lock spring, worn by amplitude and energy; or a loop beside "
-        "a spring that is slack up to the largest displacement so far"
+        "a spring that is slack up to the largest displacement so far; or a loop that reloads "
+        "towards it in two lines"
     )
     fingerprint = "loops that become flatter and slacker around zero from cycle to cycle"
 
@@ -276,7 +277,7 @@ class WornColumn(Aimed):
         return float(1.0 - 1.0 / (1.0 + left * bell))
 
     def _width(self, trial: Trial) -> float:
-        """Return that of the bell; where the spring has half of its force; or the corner's force."""
+        """Return that of the bell, where the spring has half its force, or the corner's force."""
         if takeda.takes(trial):
             return trial.theta[5]
         return self._whole(trial)[7] if _is_column(trial) else 0.5 ** (1.0 / self._powers(trial)[0])
