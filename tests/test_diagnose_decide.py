@@ -49,7 +49,7 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
 ANSWERS = {
     "held_out": 0.9, "size": 0.5, "left": 0.5, "driven": (60.0, 60.0, 60.0),
     "driven_together": 180.0, "slow_noise": 1.0, "near_noise": 1.0, "beyond_forms": 1e9,
-    "own_size": 0.1,
+    "own_size": 0.1, "yielding": None,
 }  # fmt: skip
 
 

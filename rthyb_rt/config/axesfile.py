@@ -467,6 +467,7 @@ def _opposing_fault(
         return None
     row, column = np.argwhere(felt)[0]
     pushes = against[column] / np.abs(against[column]).max()
+    pushes[np.abs(pushes) < _ROUNDED] = 0.0
     shown = ", ".join(f"{name} {push:.6g} N" for name, push in zip(names, pushes, strict=True))
     force = found[row, column] / np.abs(against[column]).max()
     return (
