@@ -44,8 +44,13 @@ double rthyb_nonlinear_maxwell(const double *p, double *s, double x, double dt)
     const double before = s[1];
     const double slip = copysign(fmin(flow * pow(fabs(before), q), SLIP_MAX), before);
     const double middle = solved(before + g * way - 0.5 * g * slip, 0.5 * g * flow, q);
+    s[0] = x;
+    if (middle * before < 0.0 && fabs(slip) > fabs(way)) {
+        s[1] = solved(before + way, flow,
+                      q); /* the explicit half overshot zero: implicit Euler does not */
+        return p[1] * s[1];
+    }
     const double inner = 1.0 / (g * (2.0 - g)), last = (1.0 - g) / (2.0 - g);
     s[1] = solved(inner * middle - (inner - 1.0) * before + last * way, last * flow, q);
-    s[0] = x;
     return p[1] * s[1];
 }

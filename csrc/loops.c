@@ -267,17 +267,19 @@ static double first_loading(const double *p, double strength, double far)
     return strength * p[0] * p[2] * fmax(p[1] * r + (1.0 - p[1]) * rounded(r, p[3]), 0.0);
 }
 
-/* A side that has not yielded is aimed at as far out as the other side has been, up to its yield point. */
+/* A side that has not yielded is aimed at as far out as the other side has been, up to its yield point. Unloading is
+ * never softer than straight to zero, or a closed cycle would give energy. */
 static aim aim_at(const double *p, const double *s, int down)
 {
     const double xy = p[2], size = down ? p[8] : 1.0;
     const double peak = fmax(s[3 + down], fmin(s[4 - down], xy));
-    const double strength = size * exp(-s[6] / p[7]);
+    const double strength = size * exp(-s[6] / p[7]), far = fmax(peak, xy);
+    const double softened = size * p[0] * power(xy / far, p[4]);
     return (aim){
         .strength = strength,
         .peak_m = peak,
         .force_n = first_loading(p, strength, peak),
-        .unloading = size * p[0] * power(xy / fmax(peak, xy), p[4]),
+        .unloading = fmax(softened, first_loading(p, size, far) / far),
     };
 }
 
@@ -285,12 +287,14 @@ static aim aim_at(const double *p, const double *s, int down)
  * the direct line if p[5] is 0, on the line of unloading if it is 1. */
 static double reloading(const double *p, const aim *to, double zero, double x)
 {
+    if (x <= zero)
+        return 0.0;
     const double way = fmax(to->peak_m - zero, 1e-9 * to->peak_m);
     const double direct = zero + p[6] * way;
     const double late = to->peak_m - (1.0 - p[6]) * to->force_n / to->unloading;
     const double corner = direct + p[5] * (clamp(late, direct, to->peak_m - 1e-3 * way) - direct);
     if (x < corner)
-        return p[6] * to->force_n * fmax(x - zero, 0.0) / (corner - zero);
+        return p[6] * to->force_n * (x - zero) / (corner - zero);
     return to->force_n * (p[6] + (1.0 - p[6]) * share(x - corner, to->peak_m - corner));
 }
 

@@ -222,10 +222,11 @@ def test_a_body_that_stands_still_most_of_the_time_is_told_by_its_friction(tmp_p
     )
     d = of_a_shaken_body(x, a, peak * shake, tmp_path, 1e-3 * float(np.std(x)), 3.0)
     assert (d.verdict, d.effects) == ("explained", ["coulomb"])
-    # The misfit has several minima within one of chi-squared, which the interval must span.
+    # The misfit has minima from 600 to 608 N within 3.6 of chi-squared, which the interval must
+    # span as far as they are found: that depends on where the search begins.
     low, high = d.candidates[0].ci95["Fc_N"]
     assert low < grip < high
-    assert high - low < 0.01 * grip
+    assert high - low < 0.02 * grip
 
 
 @pytest.mark.long

@@ -370,6 +370,42 @@ def test_without_it_a_stated_value_would_have_to_stand_in(strain: dict[str, Any]
     assert named(strain, {}, naive=True) == ("coulomb",)
 
 
+def test_what_only_relieves_a_stated_value_must_explain_more_than_the_form_of_a_law() -> None:
+    """So little, beside so much, is what the formula of the law leaves."""
+    alone, other, pair = a_form().sets
+    seen = replace(a_form(), sets=(replace(alone, **STIFFNESS), other, pair))
+    assert decided(seen).best.names == ("coulomb", "cubic")
+    own = (alone.chi2 - pair.chi2) / POLICY.form_alone
+    loud = replace(seen, null=of(chi2=pair.chi2 + 1.1 * own))
+    assert decided(loud).best.names == ("coulomb",)
+
+
+JOINT, PINCHED = "hysteresis+degradation", "hysteresis+pinching+degradation"
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_beside_the_whole_law_of_a_member_a_stated_value_must_explain_its_share(
+    whole: bool,
+) -> None:
+    """No formula of a damaged column is exact, so that damping can make up for it."""
+    column = part(JOINT, complete=whole)
+    seen = evidence(
+        of(column, chi2=1100.0), of(column, "viscous", chi2=1040.0), of("viscous", chi2=15_000.0)
+    )
+    beside = () if whole else ("viscous",)
+    assert decided(seen).best.names == ("degradation", "hysteresis", *beside)
+
+
+def test_a_column_that_pinches_or_not_is_no_second_explanation() -> None:
+    plain, pinched = part(JOINT, complete=True), part(PINCHED, complete=True)
+    seen = evidence(of(plain, chi2=1003.0), of(pinched, chi2=1000.0))
+    assert not decided(seen).equal
+    gap = of("gap", chi2=1003.0)
+    assert decided(evidence(of(pinched, chi2=1000.0), gap)).equal == (gap,)
+    separate = evidence(of(part(JOINT), chi2=1003.0), of(part(PINCHED), chi2=1000.0))
+    assert decided(separate).equal
+
+
 @pytest.mark.parametrize(("chi2", "named"), [(1101.0, "stiffness"), (1130.0, "cubic")])
 def test_a_changed_stiffness_is_named_unless_a_law_in_its_place_fits_clearly_better(
     chi2: float, named: str

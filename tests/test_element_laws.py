@@ -416,6 +416,14 @@ def test_damper_on_a_stiff_spring_is_the_damper_alone_without_ringing() -> None:
     assert np.max(np.abs(ours - alone)[fast]) < 0.03 * np.max(np.abs(alone))
 
 
+@pytest.mark.parametrize("exponent", [0.05, 0.35, 1.0, 2.0])
+def test_damper_on_a_stiff_spring_that_is_held_does_not_change_its_sign(exponent: float) -> None:
+    x = np.minimum(np.arange(400), 100) * 2e-4
+    f = run("nonlinear_maxwell", x, km_n_per_m=1e8, exponent=exponent)
+    assert np.all(f >= -1e-9)
+    assert np.all(np.diff(f[100:]) <= 1e-9)
+
+
 def test_damper_on_a_spring_relaxes_to_nothing_when_it_is_held() -> None:
     x = np.minimum(np.arange(8192), 100) * 2e-4
     f = run("nonlinear_maxwell", x, exponent=0.5)
@@ -500,6 +508,29 @@ def test_takeda_arrives_at_the_same_force_in_one_step_as_in_many(pinching: float
     ends = np.cumsum([0, *(round(abs(b - a) / 1e-5) for a, b in itertools.pairwise((0, *turns)))])
     at_once = run("takeda", np.array([0.0, *turns]), **change)
     np.testing.assert_allclose(at_once, finely[ends], atol=1e-6)
+
+
+@pytest.mark.parametrize("pinching", [0.0, 1.0])
+@pytest.mark.parametrize("ratio", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("exponent", [0.0, 0.4, 1.0])
+def test_takeda_takes_energy_in_every_closed_cycle(
+    ratio: float, exponent: float, pinching: float
+) -> None:
+    """Also where the exponent alone would let it unload more softly than it was loaded."""
+    change = {
+        "post_yield_ratio": ratio, "unloading_exponent": exponent, "pinching": pinching,
+        "energy_j": 1e15, "strength_down_over_up": 0.5,
+    }  # fmt: skip
+    for turns in ((0.05, 0.0), (0.05, -0.05, 0.05, 0.0), (-0.03, 0.05, 0.01, 0.05, 0.0)):
+        x = there_and_back(*turns, step=2e-5)
+        f = run("takeda", x, **change)
+        assert work(f, x) > -1e-6 * work(np.abs(f), np.arange(x.size) * 2e-5)
+
+
+def test_takeda_that_is_pinched_to_no_force_has_none_short_of_where_it_began() -> None:
+    x = there_and_back(0.3, -0.3, step=1e-4)
+    change = SHARP | {"post_yield_ratio": -0.1, "pinching_level": 0.0}
+    assert np.max(np.abs(run("takeda", x, **change))) < 5.01e3
 
 
 def test_takeda_that_softens_never_pushes() -> None:

@@ -395,14 +395,15 @@ class Court:
         """Return the multiple of its price that an effect of a set must earn."""
         return times_price(self.policy, len(of.parts))
 
-    def relieves(self, of: Hypothesis, less: Hypothesis) -> bool:
+    def relieves(self, of: Hypothesis, less: Hypothesis, beyond_form: bool = True) -> bool:
         """Return whether a set needs no abnormal time offset or stated value that another needs.
 
-        It must fit clearly better than the other set together with that change of a stated value.
+        It must fit clearly better than the other set together with that change of a stated value,
+        and by more than the form of a law may leave: damping makes up for that, a time does not.
         """
         if of.offset_sd <= self.policy.strained_offset < less.offset_sd:
             return True
-        for name in less.strained - of.strained - set(less.names):
+        for name in less.strained - of.strained - set(less.names) if beyond_form else ():
             changed = self.by_names.get(tuple(sorted((*less.names, name))))
             if changed is None or of.score + self.policy.same_evidence < changed.score:
                 return True
@@ -446,10 +447,10 @@ def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
         stated = by_force or (not part.late and part.name in less.bent)
         # Except if an abnormal time offset or stated value would otherwise have to compensate. For
         # a naive model this is no evidence: there an offset absorbs errors in the form of a law.
-        relieves = not court.setting.naive and court.relieves(of, less)
-        relieves = relieves and own >= court.policy.form_alone * court.explained(of, i)
-        small = stated or _no_form(court, of, i, less) or relieves
-        if own < least and (_beside_a_joint_law(of, i) or not small):
+        by_form = court.policy.form_alone * court.explained(of, i)
+        relieves = not court.setting.naive and court.relieves(of, less, own >= by_form)
+        exempt = own >= least or stated or _no_form(court, of, i, less) or relieves
+        if not exempt or (own < least and _beside_a_joint_law(of, i)):
             return court.refuse("share", of, part=part.name, found=own, wanted=least)
         if in_any_form and not _past_forms(court, of, i, own):
             return False
@@ -1017,8 +1018,15 @@ def _one_joint_law(of: Hypothesis, best: Hypothesis) -> bool:
     Yielding that degrades, and that pinches as well: sets that contain each other are no two
     explanations, and which names a joint law has follows from the form that fits better.
     """
-    nested = set(of.names) <= set(best.names) or set(best.names) <= set(of.names)
-    return nested and all(any(p.complete for p in h.parts) for h in (of, best))
+    joint, beside = zip(*(_joint_and_rest(h) for h in (of, best)), strict=True)
+    nested = joint[0] <= joint[1] or joint[1] <= joint[0]
+    return nested and all(joint) and beside[0] == beside[1]
+
+
+def _joint_and_rest(of: Hypothesis) -> tuple[frozenset[str], frozenset[str]]:
+    """Return the names of a set's joint laws, and those of its other effects."""
+    joint = frozenset(n for p in of.parts if p.complete for n in p.names)
+    return joint, frozenset(of.names) - joint
 
 
 def twins(court: Court, best: Hypothesis, sets: Sets) -> Sets:

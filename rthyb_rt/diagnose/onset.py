@@ -59,6 +59,11 @@ class Late(Effect):
         self.shown_by = effect.shown_by
         self._kept: tuple[Context, Trial, list[Floats]] | None = None
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Those of the effect itself."""
+        return self.effect.names
+
     @staticmethod
     def inner(trial: Trial) -> Trial:
         """Return the shape of the effect itself."""

@@ -118,7 +118,7 @@ def slack(ctx: Context, trial: Trial) -> float:
     """Return by how much the slope is smaller at first, between equal largest displacements."""
     shape = _shape(trial, pinches=True)
     force = _secant(ctx, trial, pinches=True)
-    unloading = min(shape.xy_m / ctx.x_range, 1.0) ** shape.unloading
+    unloading = max(min(shape.xy_m / ctx.x_range, 1.0) ** shape.unloading, force)
     way = 2.0 - force / unloading
     straight = shape.level * way
     late = max(way - (1.0 - shape.level) * force / unloading, straight)
