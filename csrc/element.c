@@ -7,8 +7,9 @@
 #include "numeric.h"
 
 #define PARAM_MAX 1e15
-#define PARAM_MIN 1e-15 /* smallest positive parameter: keeps every quotient finite */
-#define ETA_MAX 50.0    /* keeps |z|^eta finite for any z that is accepted */
+#define PARAM_MIN 1e-15  /* smallest positive parameter: keeps every quotient finite */
+#define ETA_MAX 50.0     /* keeps |z|^eta finite for any z that is accepted */
+#define SHARP_MAX 1000.0 /* beyond it a corner is a corner: 0.07 % of the force */
 #define VELOCITY_MAX 1e6
 #define ACCELERATION_MAX 1e9
 #define EXPONENT_MIN 0.05
@@ -48,8 +49,9 @@ static const char *const SIGNS[RTHYB_ELEMENT_KINDS] = {
     [RTHYB_CHABOCHE] = "++0000",
     [RTHYB_RC_COLUMN] = "+0++0+0+000-+",
     [RTHYB_PEAK_ORIENTED] = "00++0+",
-    [RTHYB_TAKEDA] = "+-++000++",
+    [RTHYB_TAKEDA] = "+-++000++0",
     [RTHYB_NONLINEAR_MAXWELL] = "++++",
+    [RTHYB_ROCKING] = "++-",
     [RTHYB_OWN] = "",
 };
 /* clang-format on */
@@ -101,8 +103,10 @@ static int shape_ok(int32_t kind, const double *p)
     case RTHYB_PEAK_ORIENTED: /* pinched or straight; a backbone that bends or is straight */
         return within(p[3], 1.0, EXPONENT_MAX) && p[4] <= 1.0 && p[5] < p[2];
     case RTHYB_TAKEDA:
-        return fabs(p[1]) <= LOSS_MAX && within(p[3], 1.0, ETA_MAX) && p[4] <= 1.0 && p[5] <= 1.0 &&
-               p[6] <= LOSS_MAX;
+        return fabs(p[1]) <= LOSS_MAX && within(p[3], 1.0, SHARP_MAX) && p[4] <= 1.0 &&
+               p[5] <= 1.0 && p[6] <= LOSS_MAX && p[9] <= 1.0;
+    case RTHYB_ROCKING:
+        return fabs(p[2]) <= LOSS_MAX;
     default:
         return 1;
     }
@@ -272,6 +276,8 @@ static double law(rthyb_element *element, double x, double v, double a, double d
         return rthyb_takeda(p, s, x);
     case RTHYB_NONLINEAR_MAXWELL:
         return rthyb_nonlinear_maxwell(p, s, x, dt);
+    case RTHYB_ROCKING: /* Chopra & Yim, J. Struct. Eng. 111, 1985: a foundation that lifts off */
+        return p[0] * x - (1.0 - p[2]) * beyond(x, p[0], p[1], p[0], p[1]);
     case RTHYB_OWN:
         return own_force(element, x, v, a, dt);
     default:

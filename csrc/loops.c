@@ -283,14 +283,14 @@ static aim aim_at(const double *p, const double *s, int down)
     };
 }
 
-/* From where the force was zero towards the aim, in two straight lines. Their corner lies at p[6] of the force: on
- * the direct line if p[5] is 0, on the line of unloading if it is 1. */
+/* From where the force was zero towards the aim, in two straight lines. Their corner lies at p[6] of the force: if p[5]
+ * is 0, on the direct line, or with p[9] = 0 where the force was zero; if it is 1, on the line of unloading. */
 static double reloading(const double *p, const aim *to, double zero, double x)
 {
     if (x <= zero)
         return 0.0;
     const double way = fmax(to->peak_m - zero, 1e-9 * to->peak_m);
-    const double direct = zero + p[6] * way;
+    const double direct = zero + p[9] * p[6] * way;
     const double late = to->peak_m - (1.0 - p[6]) * to->force_n / to->unloading;
     const double corner = direct + p[5] * (clamp(late, direct, to->peak_m - 1e-3 * way) - direct);
     if (x < corner)

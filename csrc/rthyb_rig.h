@@ -45,9 +45,11 @@ enum rthyb_element_kind {
      * slip, its level and width */
     RTHYB_RC_COLUMN,
     RTHYB_PEAK_ORIENTED, /* k up, k down, reach, exponent, backbone, start */
-    /* k, a, xy, sharpness, unloading exponent, pinching, its level, energy J, strength downwards over upwards */
+    /* k, a, xy, sharpness, unloading exponent, pinching, its level, energy J, strength downwards over upwards,
+     * part of the straight line in the corner of pinching */
     RTHYB_TAKEDA,
     RTHYB_NONLINEAR_MAXWELL, /* km, force, at velocity, exponent */
+    RTHYB_ROCKING,           /* k, uplift, post-uplift over k */
     RTHYB_OWN,               /* no parameters: user-defined function */
     RTHYB_ELEMENT_KINDS
 };

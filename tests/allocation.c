@@ -67,7 +67,8 @@ static const struct {
     {RTHYB_CHABOCHE, 6, {K_E, 1500.0, 5e4, 50.0, 500.0, 5.0}},
     {RTHYB_RC_COLUMN, 13, {K_E, 0.02, 3e-3, 2.0, 4.0, 0.02, 0.3, 500.0, 0.2, 0.3, 0.2, 0.3, 0.2}},
     {RTHYB_PEAK_ORIENTED, 6, {K_E, 0.8 * K_E, 0.02, 2.2, 0.6, 1e-4}},
-    {RTHYB_TAKEDA, 9, {K_E, 0.05, 3e-3, 8.0, 0.4, 0.6, 0.3, 500.0, 0.8}},
+    {RTHYB_TAKEDA, 10, {K_E, 0.05, 3e-3, 8.0, 0.4, 0.6, 0.3, 500.0, 0.8, 0.7}},
+    {RTHYB_ROCKING, 3, {K_E, 2e-3, 0.1}},
     {RTHYB_NONLINEAR_MAXWELL, 4, {4e5, 900.0, 0.2, 0.35}},
 };
 enum { ELEMENT_COUNT = sizeof ELEMENTS / sizeof *ELEMENTS, HALF = (ELEMENT_COUNT + 1) / 2 };

@@ -50,6 +50,7 @@ ONE_OF_EACH = {
     "power_damping": {
         "force_n": 900.0, "at_m_per_s": 0.2, "exponent": 0.35, "width_m_per_s": 1e-4,
     },
+    "rocking": {"k_n_per_m": 1e6, "uplift_m": 4e-3, "post_uplift_ratio": -0.1},
     "power_spring": {"force_n": 3e3, "at_m": 5e-3, "exponent": 1.7, "width_m": 1e-6},
     "pendulum": {"weight_n": 4e4, "length_m": 0.05},
     "friction_pendulum": {
@@ -78,7 +79,7 @@ ONE_OF_EACH = {
     "takeda": {
         "k_n_per_m": 1e6, "post_yield_ratio": 0.05, "xy_m": 5e-3, "sharpness": 8.0,
         "unloading_exponent": 0.4, "pinching": 0.6, "pinching_level": 0.3, "energy_j": 2e3,
-        "strength_down_over_up": 0.8,
+        "strength_down_over_up": 0.8, "corner_on_line": 0.7,
     },
     "nonlinear_maxwell": {
         "km_n_per_m": 4e5, "force_n": 900.0, "at_m_per_s": 0.2, "exponent": 0.35,
@@ -117,6 +118,7 @@ FORMULA: dict[str, Callable[[Floats, Floats, Floats], Floats]] = {
     "coulomb_uneven": lambda x, v, a: np.where(v > 0, 80.0, 120.0) * np.tanh(v / 5e-4),
     "gap_uneven": lambda x, v, a: 1e6 * np.maximum(x - 1e-3, 0.0) + 4e5 * np.minimum(x + 4e-3, 0.0),
     "power_damping": lambda x, v, a: 4500.0 * v * ((v / 0.2) ** 2 + 2.5e-7) ** -0.325,
+    "rocking": lambda x, v, a: 1e6 * np.clip(x, -4e-3, 4e-3) - 1e5 * (x - np.clip(x, -4e-3, 4e-3)),
     "power_spring": lambda x, v, a: 6e5 * x * ((x / 5e-3) ** 2 + 4e-8) ** 0.35,
     "pendulum": lambda x, v, a: 4e4 * np.sin(x / 0.05),
 }
@@ -551,6 +553,8 @@ MUST_BE_POSITIVE = [
     ("power_damping", "at_m_per_s"),
     ("power_damping", "exponent"),
     ("power_damping", "width_m_per_s"),
+    ("rocking", "k_n_per_m"),
+    ("rocking", "uplift_m"),
     ("power_spring", "at_m"),
     ("power_spring", "width_m"),
     ("pendulum", "length_m"),
@@ -623,10 +627,13 @@ NOT_NEGATIVE = [
     ("takeda", "unloading_exponent"),
     ("takeda", "pinching"),
     ("takeda", "pinching_level"),
+    ("takeda", "corner_on_line"),
 ]
 NOT_ABOVE = [
     ("power_damping", "exponent", 11.0),
     ("power_spring", "exponent", 11.0),
+    ("rocking", "post_uplift_ratio", 1.0),
+    ("rocking", "post_uplift_ratio", -1.0),
     ("iwan", "post_yield_ratio", 1.1),
     ("iwan", "spread", 1.1),
     ("menegotto_pinto", "post_yield_ratio", 1.0),
@@ -648,10 +655,11 @@ NOT_ABOVE = [
     ("takeda", "post_yield_ratio", 1.0),
     ("takeda", "post_yield_ratio", -1.0),
     ("takeda", "sharpness", 0.9),
-    ("takeda", "sharpness", 60.0),
+    ("takeda", "sharpness", 1001.0),
     ("takeda", "unloading_exponent", 1.1),
     ("takeda", "pinching", 1.1),
     ("takeda", "pinching_level", 1.0),
+    ("takeda", "corner_on_line", 1.1),
     ("nonlinear_maxwell", "exponent", 11.0),
     ("nonlinear_maxwell", "exponent", 0.04),
 ]
@@ -705,6 +713,7 @@ def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() ->
         ("power_damping", {"width_m_per_s": 1e-15, "at_m_per_s": 1e15, "exponent": 0.05}),
         ("power_spring", {"force_n": -1e15, "at_m": 1e-15, "exponent": 10.0}),
         ("pendulum", {"weight_n": 1e15, "length_m": 1e-15}),
+        ("rocking", {"k_n_per_m": 1e15, "uplift_m": 1e-15}),
         ("friction_pendulum", {"weight_n": 1e15, "radius_m": 1e-15, "xy_m": 1e-15}),
         ("friction_pendulum", {"mu_slow": 1e15, "mu_fast": 0.0, "mu_rate_s_per_m": 1e15}),
         ("iwan", {"k_n_per_m": 1e15, "xy_m": 1e15}),
@@ -722,10 +731,12 @@ def test_hysteresis_that_never_yields_or_is_too_sharp_is_refused_or_bounded() ->
         ("nonlinear_maxwell", {"km_n_per_m": 1e15, "force_n": 1e-15, "at_m_per_s": 1e15}),
         ("nonlinear_maxwell", {"at_m_per_s": 1e-15, "exponent": 10.0}),
         ("takeda", {"k_n_per_m": 1e15, "xy_m": 1e-15, "energy_j": 1e-15, "sharpness": 1.0}),
-        ("takeda", {"k_n_per_m": 1e-15, "xy_m": 1e15, "sharpness": 50.0, "pinching": 1.0}),
+        ("takeda", {"k_n_per_m": 1e-15, "xy_m": 1e15, "sharpness": 1000.0, "pinching": 1.0}),
         ("takeda", {"xy_m": 1e-15, "unloading_exponent": 1.0, "strength_down_over_up": 1e-15}),
         ("takeda", {"post_yield_ratio": -0.99, "pinching_level": 0.0, "pinching": 1.0}),
         ("takeda", {"post_yield_ratio": 0.99, "pinching_level": 0.99, "pinching": 1.0}),
+        ("takeda", {"post_yield_ratio": 0.99, "pinching_level": 0.99, "corner_on_line": 0.0}),
+        ("takeda", {"corner_on_line": 0.0, "pinching": 0.0}),
         ("peak_oriented", {"reach_m": 2e-15, "start_m": 1e-15, "exponent": 10.0}),
         ("peak_oriented", {"k_up_n_per_m": 1e15, "reach_m": 1e15, "start_m": 1e-15, "backbone": 0}),
         (

@@ -159,6 +159,7 @@ VALUES = {
     "xy_m": 0.004, "r0": 15.0, "cr1": 0.9, "cr2": 0.15, "ultimate_m": 0.05, "pivot": 3.0,
     "slip_width": 0.5, "work_j": 2e3, "amplitude_m": 0.05, "start_m": 1e-3,
     "sharpness": 5.0, "energy_j": 1e3, "strength_down_over_up": 0.7,
+    "corner_on_line": 0.4,
 }  # fmt: skip
 
 

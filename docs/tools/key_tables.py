@@ -234,6 +234,8 @@ MEANINGS: dict[str, str] = {
     "TakedaElement.pinching_level": "the force at that corner over the one that is aimed at",
     "TakedaElement.energy_j": "work after which 37 % of the strength is left",
     "TakedaElement.strength_down_over_up": "strength and stiffness downwards over those upwards",
+    "TakedaElement.corner_on_line": "where that corner lies without pinching: on the direct line, "
+    "1, or where the force became zero, 0",
     "PeakOrientedElement.exponent": "the power of reloading; 1 does not pinch",
     "PeakOrientedElement.backbone": "the power of first loading; 0 does not harden, 1 is straight",
     "RcColumnElement.ultimate_m": "displacement at which `strength_lost_at_ultimate` is reached",

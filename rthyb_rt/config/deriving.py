@@ -29,6 +29,7 @@ from rthyb_rt.config.rigfile import (
     PureDelay,
     RcColumnElement,
     RigFile,
+    RockingElement,
     ServoHydraulic,
     SpecimenElement,
     StiffnessElement,
@@ -570,7 +571,7 @@ def _note_stiffness(rig: RigFile, notes: list[str]) -> None:
     """Compare k_e with the total initial stiffness of the specimen's elements."""
     total = 0.0
     for element in rig.specimen:
-        if isinstance(element, (StiffnessElement, *_YIELDING)):
+        if isinstance(element, (StiffnessElement, RockingElement, *_YIELDING)):
             total += element.k_n_per_m
         elif isinstance(element, BoucWen):
             ratio = element.post_yield_ratio

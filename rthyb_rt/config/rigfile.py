@@ -571,6 +571,17 @@ class PowerSpringElement(Table):
     ] = 1e-5
 
 
+class RockingElement(Table):
+    """An elastic spring in two lines: a wall, a pier or a column that rocks once it lifts off."""
+
+    element: Literal["rocking"]
+    k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness before uplift")]
+    uplift_m: Annotated[float, Range("m", 1e-9, 10, "the displacement of uplift")]
+    post_uplift_ratio: Annotated[
+        float, Range("", -0.9, 0.99, "the stiffness after uplift over that before")
+    ] = 0.0
+
+
 class PendulumElement(Table):
     """f = weight sin(x / length), x along the arc; a negative weight is an inverted pendulum."""
 
@@ -693,12 +704,13 @@ class TakedaElement(Table):
     k_n_per_m: Annotated[float, Range("N/m", 1e-3, 1e12, "the stiffness")]
     post_yield_ratio: Annotated[float, Range("", -0.9, 0.99, "post-yield over elastic stiffness")]
     xy_m: Annotated[float, Range("m", 1e-6, 10, "the yield displacement")]
-    sharpness: Annotated[float, Range("", 1, 50, "the sharpness of yielding")] = 20.0
+    sharpness: Annotated[float, Range("", 1, 1000, "the sharpness of yielding")] = 20.0
     unloading_exponent: Annotated[float, Range("", 0, 1, "the exponent of unloading")] = 0.4
     pinching: Annotated[float, Range("", 0, 1, "the degree of pinching")] = 0.0
     pinching_level: Annotated[float, Range("", 0, 0.99, "the force of the corner")] = 0.3
     energy_j: Annotated[float, Range("J", 1e-12, 1e15, "the energy of the loss of strength")] = 1e15
     strength_down_over_up: Annotated[float, Range("", 0.01, 100, "strength down over up")] = 1.0
+    corner_on_line: Annotated[float, Range("", 0, 1, "the corner's share of the line")] = 1.0
 
 
 class PythonElement(PythonClass):
@@ -730,6 +742,7 @@ SpecimenElement = (
     | GapUnevenElement
     | PowerDampingElement
     | PowerSpringElement
+    | RockingElement
     | PendulumElement
     | FrictionPendulumElement
     | IwanElement

@@ -427,7 +427,9 @@ ELEMENT_PARAMS: Final[dict[str, tuple[str, ...]]] = {
         "pinching_level",
         "energy_j",
         "strength_down_over_up",
+        "corner_on_line",
     ),
+    "rocking": ("k_n_per_m", "uplift_m", "post_uplift_ratio"),
     "nonlinear_maxwell": ("km_n_per_m", "force_n", "at_m_per_s", "exponent"),
 }
 _ELEMENT_KIND: Final = {name: getattr(lib, f"RTHYB_{name.upper()}") for name in ELEMENT_PARAMS}

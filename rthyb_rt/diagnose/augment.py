@@ -233,7 +233,7 @@ def mass_off_table(
 
 SPRINGS = (
     "stiffness", "hysteresis", "pinching", "degradation", "gap", "gap_friction", "iwan",
-    "menegotto_pinto", "chaboche", "rc_column", "takeda",
+    "menegotto_pinto", "chaboche", "rc_column", "takeda", "rocking",
 )  # fmt: skip
 """Elements whose first parameter is an initial stiffness."""
 

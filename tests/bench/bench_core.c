@@ -366,7 +366,8 @@ static void time_elements(void)
                              {K_E, 0.02, 3e-3, 2.0, 4.0, 0.02, 0.3, 500.0, 0.2, 0.3, 0.2, 0.3,
                               0.2}},
         [RTHYB_PEAK_ORIENTED] = {"peak_oriented", 6, {K_E, 0.8 * K_E, 0.02, 2.2, 0.6, 1e-4}},
-        [RTHYB_TAKEDA] = {"takeda", 9, {K_E, 0.05, 3e-3, 8.0, 0.4, 0.6, 0.3, 500.0, 0.8}},
+        [RTHYB_TAKEDA] = {"takeda", 10, {K_E, 0.05, 3e-3, 8.0, 0.4, 0.6, 0.3, 500.0, 0.8, 1.0}},
+        [RTHYB_ROCKING] = {"rocking", 3, {K_E, 2e-3, 0.1}},
         [RTHYB_NONLINEAR_MAXWELL] = {"nonlinear_maxwell", 4, {4e5, 900.0, 0.2, 0.35}},
     };
     rthyb_element element;
