@@ -62,7 +62,7 @@ BETAS = {
     ("name", "trial"),
     [
         ("hysteresis", Trial((2e-3,), "mp")),
-        ("hysteresis", Trial((2e-3, 3.5), "mp r")),
+        ("hysteresis", Trial((2e-3, 3.5, 0.3), "mp r")),
         ("hysteresis", Trial((2e-3,), "iwan0")),
         ("hysteresis", Trial((2e-3, 0.7), "iwan")),
         ("hysteresis", Trial((2e-3, 0.1, 0.2), "kinematic")),

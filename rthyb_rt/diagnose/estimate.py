@@ -314,13 +314,14 @@ def _above_noise(spectrum: Complex, rows: int, noise_power: Floats | float) -> F
     return np.where(power > POLICY.motion_clear * noise_power, power - noise_power, 0.0)
 
 
-def _envelope(power: Floats, omega: Floats) -> Floats:
-    """Return the smallest power above a given one that never rises and falls at most like w^-6.
+def _envelope(power: Floats, omega: Floats, fall: int = 6) -> Floats:
+    """Return the smallest power above a given one that never rises and falls at most like w^-fall.
 
     A sharper cut-off would ring: an end of the recording would have effects seconds away.
     """
-    w6 = omega**6
-    falling = np.maximum.accumulate(power * w6) / np.maximum(w6, w6[1] if w6.size > 1 else 1.0)
+    steep = omega**fall
+    falling = np.maximum.accumulate(power * steep)
+    falling /= np.maximum(steep, steep[1] if steep.size > 1 else 1.0)
     standing = np.maximum.accumulate(power[::-1])[::-1]
     return np.asarray(np.maximum(falling, standing))
 
@@ -422,7 +423,9 @@ def smoothed(
     # Where any motion was detected at all, for weighting residuals.
     seen = np.maximum.accumulate(prior[::-1])[::-1]
     seen = seen / (seen + 4.0 / information)
-    prior = _envelope(prior, s.omega)
+    # Noise beyond the motion is amplified by each derivative: a law that filters it, such as
+    # relaxation in an early load cell, would be likelier than a dashpot.
+    prior = _envelope(prior, s.omega, 8)
     variance = 1.0 / (information + 1.0 / np.maximum(prior, 1e-12 * place.sigma**2))
     best = joined * variance
     x_hat = s.back(best)

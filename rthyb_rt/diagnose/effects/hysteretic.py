@@ -16,8 +16,6 @@ from rthyb_rt.diagnose.effects.springs import Stiffness
 LARGE = ("multi_amplitude", "a memory of amplitude appears when small cycles follow large ones")
 BAR = {"r0": 20.0, "cr1": 0.925, "cr2": 0.15}
 """Curvature of the branches of steel: Menegotto & Pinto 1973, constants by Filippou et al. 1983."""
-ALIKE = {"cr1": 0.0, "cr2": 0.15}
-"""The same where all branches are curved alike, by an exponent of their own."""
 
 
 def plastic(ctx: Context, variant: str, xy: float) -> Floats:
@@ -35,9 +33,11 @@ def plastic(ctx: Context, variant: str, xy: float) -> Floats:
 
 
 def _bar(k: float, xy: float, variant: str) -> core.ElementConfig:
-    """Return a bar of steel; after "mp" may stand the exponent of all its branches."""
-    exponent = variant.removeprefix("mp")
-    curved = {"r0": float(exponent), **ALIKE} if exponent else BAR
+    """Return a bar of steel; after "mp" may stand R0 and cR1 of its branches."""
+    curved = BAR
+    if variant != "mp":
+        r0, cr1 = variant.removeprefix("mp").split()
+        curved = {"r0": float(r0), "cr1": float(cr1), "cr2": BAR["cr2"]}
     return core.element("menegotto_pinto", k_n_per_m=k, post_yield_ratio=0.0, xy_m=xy, **curved)
 
 
@@ -78,8 +78,12 @@ GROWTH = (0.2, 0.02)
 SPREADS = ("iwan", "bell")
 """Iwan's chains: yields evenly distributed, or as a triangle, most of them in the middle."""
 ROUND = "mp r"
-"""Menegotto-Pinto with an exponent of its own, which is fitted; 20 is hardly round."""
+"""Menegotto-Pinto with a curvature of its own, which is fitted: R0 and cR1."""
+CURVED = ((3.0, 0.05), (15.0, 0.9))
+"""Branches that are all curved alike, nearly, and those of reinforcing steel."""
 SLIDERS = "sliders"
+APART = (2.0, 3.5)
+"""How many times as far the second of two sliders slides, initially."""
 TWO = {"two": "bw1", SLIDERS: "iwan0"}
 """Forms of two loops in parallel, and the form of each of them."""
 HARDENING = ("kinematic", "both")
@@ -125,7 +129,7 @@ class Hysteresis(Effect):
         trials += [Trial((float(xy), s), "iwan") for s in (1.0, 0.5, 0.2) for xy in at]
         trials += [Trial((float(xy), 0.7), "bell") for xy in at]
         trials += [Trial((float(xy),), "mp") for xy in at[::2]]
-        trials += [Trial((float(xy), 3.0), ROUND) for xy in at[::2]]
+        trials += [Trial((float(xy), *c), ROUND) for c in CURVED for xy in at[::2]]
         trials += [Trial((float(xy), *b), "kinematic") for b in BACKSTRESS for xy in at[1::3]]
         trials += [
             Trial((float(xy), float(rate)), "slider")
@@ -133,7 +137,10 @@ class Hysteresis(Effect):
             for rate in np.array([4.0, 8.0, 20.0]) / ctx.v_range
         ]
         trials += [
-            Trial((float(xy), 3.0 * float(xy)), SLIDERS) for xy in at[::2] if 3 * xy < ctx.x_range
+            Trial((float(xy), float(xy * apart)), SLIDERS)
+            for xy in at
+            for apart in APART
+            if xy * apart < ctx.x_range
         ]
         if not ctx.k_free:
             # Without tolerances, two loops predict better than one backstress fitted this closely.
@@ -152,7 +159,7 @@ class Hysteresis(Effect):
             return ()
         spreads = [Trial((trial.theta[0], s), v) for v in SPREADS for s in (0.5, 1.0)]
         loops = [Trial(trial.theta[:1], v) for v in ("bw1", "bw2", "bw5", "iwan0", "mp")]
-        spreads.append(Trial((trial.theta[0], 3.0), ROUND))
+        spreads.append(Trial((trial.theta[0], *CURVED[0]), ROUND))
         return [t for t in (*loops, *spreads) if t.variant != trial.variant.rstrip("+")]
 
     def elastic_until_m(self, trial: Trial) -> float:
@@ -165,7 +172,7 @@ class Hysteresis(Effect):
         if trial.variant in SPREADS:
             return [(least * ctx.x_range, 1.5 * ctx.x_range), (0.02, 1.0)]
         if trial.variant == ROUND:
-            return [(least * ctx.x_range, 1.5 * ctx.x_range), (1.0, 20.0)]
+            return [(least * ctx.x_range, 1.5 * ctx.x_range), (1.0, 25.0), (0.01, 0.98)]
         if trial.variant == "slider":
             # If slower, friction that grows with velocity equals a dashpot beside plain friction.
             return [
@@ -183,7 +190,7 @@ class Hysteresis(Effect):
         """Return one coefficient, 1 - alpha; two with a parallel dashpot or a second loop."""
         if trial.variant in (*TWO, "slider"):
             return ("++", (None, None)), 4
-        if trial.variant in HARDENING:
+        if trial.variant in (*HARDENING, ROUND):
             return ("+", (None,)), 1 + len(trial.theta)
         if trial.variant.endswith("+"):
             return ("+*", (None, None)), 2
@@ -246,7 +253,7 @@ class Hysteresis(Effect):
         if shape.startswith("bw"):
             return f"Bouc-Wen, eta {shape[2:]}{beside}"
         if shape == ROUND:
-            return f"Menegotto-Pinto, exponent {trial.theta[1]:.2g}"
+            return f"Menegotto-Pinto, R0 {trial.theta[1]:.2g}, cR1 {trial.theta[2]:.2g}"
         if shape == "bell":
             return f"Iwan, yields in a triangle of +-{trial.theta[1]:.2g}"
         spread = trial.theta[1] if shape == "iwan" else float(shape[4:])
@@ -302,7 +309,7 @@ class Hysteresis(Effect):
 def _shape(trial: Trial) -> str:
     """Return the variant of a loop with the number that makes its form."""
     if trial.variant == ROUND:
-        return f"mp{trial.theta[1]}"
+        return f"mp{trial.theta[1]} {trial.theta[2]}"
     return f"{trial.variant}{trial.theta[1]}" if trial.variant in SPREADS else trial.variant
 
 
@@ -603,11 +610,11 @@ class Maxwell(Effect):
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return relaxation times from a few rows to the length of the test."""
-        return [Trial((float(tau),)) for tau in np.geomspace(4e-3, 4.0, 13)]
+        return [Trial((float(tau),)) for tau in np.geomspace(max(4e-3, ctx.dt), 4.0, 13)]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep it different from a spring and from a dashpot."""
-        return [(2.0 * ctx.dt, 20.0)]
+        """Keep it different from a spring, and from a dashpot that is late by a part of a row."""
+        return [(ctx.dt, 20.0)]
 
     def settling_s(self, trial: Trial) -> float:
         """Return the relaxation time."""

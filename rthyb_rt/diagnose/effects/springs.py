@@ -94,21 +94,26 @@ class Stiffness(Effect):
         return out
 
 
+LINES = "two lines"
+"""An elastic spring that is softer beyond a displacement."""
+
+
 class Cubic(Effect):
     """Hardening or softening spring.
 
     Variant "sine" is a pendulum, with x^3 as the first term of its series: its force is that of a
     spring at small amplitude, and k3 = -k / (6 L^2). Variant "power" has an exponent other than
-    three.
+    three, variant "two lines" softens at a corner, as where a foot lifts off.
     """
 
     name = "cubic"
     plain = "a cubic spring"
-    phrase = (
-        "a spring that {k3_N_m3:softens|hardens} with the third power of displacement ({k3_N_m3})"
-    )
+    phrase = "a spring that {k3_N_m3:softens|hardens} with displacement ({k3_N_m3})"
     params = (Param("k3_N_m3", "N/m^3", -1e15, 1e15),)
-    equation = "f = k3 x^3, or k [L sin(x / L) - x], or k x |x / x0|^(n - 1)"
+    equation = (
+        "f = k3 x^3, or k [L sin(x / L) - x], or k x |x / x0|^(n - 1), or -k (|x| - x0) sgn(x) "
+        "where |x| > x0"
+    )
     fingerprint = "residual over displacement is an odd cubic without a loop"
     static = True
     elastic = True
@@ -121,10 +126,13 @@ class Cubic(Effect):
             Trial(),
             *(Trial((float(length),), "sine") for length in lengths),
             *(Trial((n,), "power") for n in (1.5, 1.8, 2.2, 2.5, 3.8, 5.0)),
+            *(Trial((float(part * ctx.x_range),), LINES) for part in (0.2, 0.35, 0.5, 0.65, 0.8)),
         ]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
-        """Keep the swing between half a right angle and overturning."""
+        """Keep the swing between half a right angle and overturning, a corner in the motion."""
+        if trial.variant == LINES:
+            return [(0.05 * ctx.x_range, 0.95 * ctx.x_range)]
         if trial.variant == "power":
             return [(1.3, 2.8) if trial.theta[0] < 3.0 else (3.2, 7.0)]
         return [(0.32 * ctx.x_range, 1.6 * ctx.x_range)] if trial.variant else []
@@ -132,13 +140,17 @@ class Cubic(Effect):
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return one coefficient; a pendulum only softens."""
-        return (("+" if trial.variant == "sine" else "*"), (None,)), 1 + len(trial.theta)
+        """Return one coefficient; a pendulum only softens, and so does a foot that lifts off."""
+        softens = trial.variant in ("sine", LINES)
+        return (("+" if softens else "*"), (None,)), 1 + len(trial.theta)
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return x^3, or the difference between a pendulum and its spring."""
         if trial.variant == "power":
             return [ctx.k_scale * ctx.x * np.abs(ctx.x / ctx.x_range) ** (trial.theta[0] - 1.0)]
+        if trial.variant == LINES:
+            held = np.clip(ctx.x, -trial.theta[0], trial.theta[0])
+            return [ctx.k_scale * (held - ctx.x)]
         if trial.variant:
             length = trial.theta[0]
             return [ctx.k_scale * (length * np.sin(ctx.x / length) - ctx.x)]
@@ -149,6 +161,10 @@ class Cubic(Effect):
         if trial.variant == "power":
             nearest = 7.0 / (trial.theta[0] + 4.0) / ctx.x_range**2
             return {"k3_N_m3": float(beta[0]) * ctx.k_scale * nearest}
+        if trial.variant == LINES:
+            x = np.linspace(0.0, ctx.x_range)
+            lost = float(np.sum(np.maximum(x - trial.theta[0], 0.0) * x**3) / np.sum(x**6))
+            return {"k3_N_m3": -float(beta[0]) * ctx.k_scale * lost}
         if trial.variant:
             return {"k3_N_m3": -float(beta[0]) * ctx.k_scale / (6.0 * trial.theta[0] ** 2)}
         return {"k3_N_m3": float(beta[0])}
@@ -157,6 +173,8 @@ class Cubic(Effect):
         """Return the law."""
         if trial.variant == "power":
             return f"power law, |x|^{trial.theta[0]:.3g} sgn(x)"
+        if trial.variant == LINES:
+            return f"rocking, softer beyond {trial.theta[0]:.4g} m"
         return "pendulum, sin(x / L)" if trial.variant else "k3 x^3"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
@@ -172,6 +190,11 @@ class Cubic(Effect):
                 )
             ]  # fmt: skip
         k, length = float(beta[0]) * ctx.k_scale, trial.theta[0]
+        if trial.variant == LINES:
+            return [
+                core.element("rocking", k_n_per_m=k, uplift_m=length, post_uplift_ratio=0.0),
+                core.element("stiffness", k_n_per_m=-k),
+            ]
         return [
             core.element("pendulum", weight_n=k * length, length_m=length),
             core.element("stiffness", k_n_per_m=-k),
