@@ -106,7 +106,7 @@ test-opensees: $(TEST_READY)
 	@$(OPENSEES) || $(call or_install,libblas3 liblapack3,what OpenSees needs)
 	@$(BIN)/python -c 'import openseespy.opensees'
 	@$(BIN)/python -m pytest tests/test_numerical_sparse.py tests/test_openseesmodel.py \
-	    tests/test_element_laws.py -k opensees
+	    tests/test_element_laws.py tests/test_validate_opensees.py -k opensees
 
 # Without a Fortran compiler the example in Fortran is skipped elsewhere.
 gfortran:
@@ -232,6 +232,7 @@ RECORDINGS := ../shared/diagnosis/real-open
 PROOF = $(BIN)/python tests/validate/proof.py
 validate-diagnosis: $(TEST_READY)
 	@$(BIN)/python -m pip install -qq --group prove
+	@$(OPENSEES) || $(BIN)/python -m pip install -qq openseespy || :
 	@$(PROOF) --count $(COUNT) $(if $(filter command line,$(origin SEED)),--seed $(SEED)) \
 	    --recordings '$(RECORDINGS)' --page docs/diagnosis-proof.md
 

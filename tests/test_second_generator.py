@@ -46,7 +46,8 @@ def last_cycle_energy(f: np.ndarray, x: np.ndarray) -> float:
 def test_nothing_of_the_program_and_of_the_first_generator_is_used() -> None:
     # The proof itself knows both generators, and the shipped rigs' cases are those of the program.
     others = {
-        HERE / f"{n}.py" for n in ("own_rigs", "page", "proof", "real", "sensitivity", "timed")
+        HERE / f"{n}.py"
+        for n in ("opensees_scored", "own_rigs", "page", "proof", "real", "sensitivity", "timed")
     }
     assert all(path.exists() for path in others)
     for path in set(HERE.glob("*.py")) - others:

@@ -12,7 +12,7 @@ import numpy as np
 from prove import scoring
 from scipy.stats import betabinom
 
-from validate import own_rigs, real, timed
+from validate import opensees_scored, own_rigs, real, timed
 
 FIRST, NORMAL, HARD = "first generator", "second generator, normal", "second generator, hard"
 OWN = "shipped rigs"
@@ -29,6 +29,8 @@ class Results:
     rivals: dict[str, list[scoring.Row]] = field(default_factory=dict)
     own: list[own_rigs.Row] = field(default_factory=list)
     real: list[real.Row] = field(default_factory=list)
+    opensees: list[opensees_scored.Row] = field(default_factory=list)
+    no_opensees: str = ""  # why there are no recordings of its specimens
     no_real: str = ""  # why the recordings that judge were not there
     times: dict[str, list[float]] = field(default_factory=dict)
 
@@ -42,9 +44,11 @@ class Results:
     def failed(self) -> list[str]:
         """Cases that got no answer at all."""
         rows = [r for rows in self.rows.values() for r in rows]
-        return [f"{r.id}: {r.failure}" for r in rows if r.verdict == "failed"] + [
-            f"{r.rig} {r.label}" for r in self.own if r.verdict == "failed"
-        ]
+        return (
+            [f"{r.id}: {r.failure}" for r in rows if r.verdict == "failed"]
+            + [f"{r.rig} {r.label}" for r in self.own if r.verdict == "failed"]
+            + [r.name for r in self.opensees if r.said.startswith("failed")]
+        )
 
 
 def spread(share: float, count: int) -> tuple[float, float]:
@@ -220,6 +224,25 @@ def _real(results: Results, solver: str) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _opensees(results: Results) -> str:
+    lines = [
+        "| material | cases | correct | wrong name | held-out error | answered instead |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in sorted({r.material for r in results.opensees}):
+        rows = [r for r in results.opensees if r.material == name]
+        right, wrong = sum(r.right for r in rows), sum(r.wrong_name for r in rows)
+        error = _number(float(np.nanmedian([r.error for r in rows])))
+        instead = "; ".join(r.said for r in rows if not r.right) or "-"
+        lines.append(f"| {name} | {len(rows)} | {right} | {wrong} | {error} | {instead} |")
+    rows = results.opensees
+    if rows:
+        right, wrong = sum(r.right for r in rows), sum(r.wrong_name for r in rows)
+        a, b = spread(right / len(rows), len(rows))
+        lines.append(f"| all | {len(rows)} | {right} ({a:.2f} to {b:.2f}) | {wrong} | | |")
+    return "\n".join(lines) + "\n"
+
+
 def _instead(results: Results) -> str:
     lines = ["| source | truth | cases | correct | answered instead |", "|---|---|---|---|---|"]
     for source, rows in results.rows.items():
@@ -240,7 +263,8 @@ Written by `make validate-diagnosis`. {state}
 Two generators produce the cases, each with its own laws, integrator, noise and criteria for what
 can be identified: `tests/prove`, and `tests/validate` with coloured noise, incorrect data sheets
 and other forms of the laws. Neither shares code with the program. In addition, there are virtual
-tests on the shipped rigs with hidden effects, and real recordings from other laboratories.
+tests on the shipped rigs with hidden effects, recordings of specimens that OpenSees computes, and
+real recordings from other laboratories.
 Each figure is based on the number of cases next to it; the 95 % interval of a share is Wilson's.
 `met`: the figure meets its target, with at least twenty cases; `open`: there are too few cases to
 confirm or exclude it; `missed`: the cases exclude it.
@@ -266,6 +290,14 @@ Held-out NRMSE in per cent of the standard deviation: for the model as given, fo
 the known physics, and for the prediction. {results.no_real}
 
 {_real(results, solver)}
+## Specimens of OpenSees
+
+Materials of OpenSees (`openseespy`), driven by a machine or, one in three, below a body on a moving
+ground, whose motion OpenSees integrates. The model has their initial stiffness alone, and the mass
+and the dashpot of the body. Held-out error: median, relative to the standard deviation of the
+force. {results.no_opensees}
+
+{_opensees(results)}
 ## Wrong answers
 
 {_instead(results)}"""

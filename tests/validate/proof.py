@@ -1,7 +1,8 @@
-"""The proof of the diagnosis: two generators, shipped rigs, real recordings, the page in docs/.
+"""The proof of the diagnosis: its sources of cases, and the page in docs/ that it writes.
 
     python tests/validate/proof.py [--seed 7] [--count 60] [--jobs 2] [--page docs/...md]
-        [--sources times first second own real] [--kinds single pair] [--level normal hard] [--kept]
+        [--sources times first second own real opensees] [--kinds single pair]
+        [--level normal hard] [--kept]
 
 Cases stay in --out under the hash of what makes them, answers beside them under the hash of the
 program: a run that was stopped goes on, and a changed program is asked anew. Without a seed that
@@ -30,13 +31,23 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prove import generate, plans, scoring, stlsq
 
-from validate import own_rigs, page, real, recipes, second, timed
+from validate import (
+    opensees,
+    opensees_materials,
+    opensees_scored,
+    own_rigs,
+    page,
+    real,
+    recipes,
+    second,
+    timed,
+)
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "diagnosis-proof.md"
 OPEN = ROOT.parent / "shared" / "diagnosis" / "real-open"
 SHIPPED = ROOT / "tests" / "data" / "diagnosis"
-SOURCES = ("times", "first", "second", "own", "real")
+SOURCES = ("times", "first", "second", "own", "real", "opensees")
 SHORT_SEED = 20260
 SHORT: dict[str, tuple[str, ...]] = {
     "first": ("single", "pair", "cancel", "null", "onset"),
@@ -47,7 +58,10 @@ SHORT: dict[str, tuple[str, ...]] = {
 two processors two minutes. Of the second generator the normal level alone: of so few cases at a
 share of a half no floor is left."""
 PROGRAM = ("rthyb_rt", "csrc")
-LOOKING_ON = ("scoring.py", "stlsq.py", "page.py", "proof.py", "real.py", "sensitivity.py")
+LOOKING_ON = (
+    "opensees_scored.py", "page.py", "proof.py", "real.py", "scoring.py", "sensitivity.py",
+    "stlsq.py",
+)  # fmt: skip
 """Of the folders of the generators, what makes no case."""
 REPEATS = 5
 """Recordings of each sort whose answers are timed, at most; before all others, one at a time."""
@@ -185,6 +199,18 @@ class Proof:
             source = SHIPPED
         folders = self.ask(real.copies(source, Path(self.args.out) / "real"), "real recordings")
         results.real = [real.score(f, self.tool(f), self.rival(f)) for f in folders]
+
+    def opensees(self, results: page.Results) -> None:
+        """One case of each material, several times over where more are asked for."""
+        if not opensees.installed():
+            results.no_opensees = "None here: openseespy cannot be loaded."
+            print(f"OpenSees: {results.no_opensees}", file=sys.stderr)
+            return
+        out = self.folder("opensees")
+        count = max(self.args.count, len(opensees_materials.MATERIALS))
+        made = opensees.generate(self.seed, count, out)
+        folders = self.ask(self._answered(out.glob("*")) if self.args.kept else made, "OpenSees")
+        results.opensees = [opensees_scored.score(f, self.tool(f)) for f in folders]
 
     def times(self, results: page.Results) -> None:
         """One at a time, before all others: what is timed has the machine for itself."""
