@@ -93,3 +93,27 @@ def test_the_page_has_a_line_for_each_material_and_one_for_all(tmp_path: Path) -
     assert lines[2].startswith("| slider | 2 | 1 | 0 | 0.283 | unknown")
     assert lines[3].startswith("| all | 2 | 1 (")
     assert results.failed() == []
+
+
+def test_opensees_moves_a_body_on_a_shaken_ground_as_the_linear_equation_has_it() -> None:
+    required()
+    elastic = next(m for m in MATERIALS if m.verdict == "none")
+    one = opensees.Specimen(elastic, K, PEAK_M, 1.5, 0, mass_kg=K / 90.0, c=500.0)
+    t, _ = moved()
+    ag = np.sin(2.0 * np.pi * t) * np.minimum(t, 1.0)
+    system = signal.TransferFunction([-one.mass_kg], [one.mass_kg, one.c, K])
+    expected = signal.lsim(system, ag, t)[1]
+    x, a = opensees.response(one, one.built(1.0), ag, H)
+    assert np.std(x - expected) < 1e-3 * np.std(expected)
+    force = K * x + one.c * np.gradient(x, H)
+    assert np.std(one.mass_kg * (a + ag) + force) < 1e-3 * np.std(force)
+
+
+def test_opensees_moves_a_body_on_a_damper_without_a_slope_at_rest() -> None:
+    required()
+    damper = next(m for m in MATERIALS if m.name == "damper")
+    t, _ = moved(3.0)
+    ag = np.sin(2.0 * np.pi * t) * np.minimum(t, 1.0)
+    for numbers in range(4):
+        one = opensees.Specimen(damper, K, PEAK_M, 1.5, numbers, mass_kg=K / 90.0, c=500.0)
+        assert np.isfinite(opensees.response(one, one.built(0.1), ag, H)).all()
