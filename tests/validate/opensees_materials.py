@@ -146,26 +146,24 @@ def _elastic(ops: Any, k: float, x: float, v: float, rng: Rng) -> None:
 
 
 LOOP: Sets = (("hysteresis",),)
-JOINT: Sets = (
-    ("hysteresis",), ("degradation", "hysteresis"), ("hysteresis", "pinching"),
-    ("degradation", "hysteresis", "pinching"),
-)  # fmt: skip
+ALL_THREE = ("degradation", "hysteresis", "pinching")
+WORN: Sets = (("degradation", "hysteresis"), ALL_THREE)
 MATERIALS = (
     Material("steel, two lines", LOOP, _steel01),
     Material("slider beside a spring", (("coulomb",), ("lugre",), *LOOP), _slider),
-    Material("pinched joint", JOINT[2:], _pinched),
+    Material("pinched joint", (("hysteresis", "pinching"), ALL_THREE), _pinched),
     Material("stop on one side", (("stopper",),), _stop),
     Material("damper on a brace", (("maxwell",), ("maxwell", "power_damping")), _braced_damper),
     Material("steel, rounded", LOOP, _steel02),
     Material("nothing missing", (), _elastic, "none"),
-    Material("peak-oriented joint", (JOINT[1], JOINT[3]), _peak_oriented),
+    Material("peak-oriented joint", WORN, _peak_oriented),
     Material("dashpot", (("viscous",),), _dashpot),
     Material("elastic-plastic", LOOP, _elastic_plastic),
     Material("rocking", (("cubic",),), _rocking),
     Material("stop on both sides", (("stopper",),), _stop_on_both_sides),
     Material("Bouc-Wen", LOOP, _bouc_wen),
     Material("damper", (("power_damping",),), _damper),
-    Material("worn joint", (JOINT[1], JOINT[3]), _worn),
+    Material("worn joint", WORN, _worn),
     Material("two sliders and a spring", LOOP, _two_sliders),
     Material("self-centering brace", (), _flag, "unknown"),
 )

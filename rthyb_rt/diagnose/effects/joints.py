@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 
 from rthyb_rt import core
@@ -11,7 +12,7 @@ CYCLES = 12.5
 """Number of full cycles whose work is the unit of loss with energy."""
 
 
-class Joint:
+class Joint(ABC):
     """A law by which a member yields and degrades, and with some numbers pinches as well.
 
     Attributes:
@@ -29,37 +30,37 @@ class Joint:
         """Set whether it is to pinch."""
         self.pinches = pinches
 
+    @abstractmethod
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return the shapes that are tried first."""
-        raise NotImplementedError
 
+    @abstractmethod
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Return the range of each shape parameter."""
-        raise NotImplementedError
 
+    @abstractmethod
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force for each coefficient of one, (n,), N."""
-        raise NotImplementedError
 
+    @abstractmethod
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig]:
         """Return the elements of the core."""
-        raise NotImplementedError
 
+    @abstractmethod
     def form(self, trial: Trial) -> str:
         """Return the law by the names of its authors."""
-        raise NotImplementedError
 
+    @abstractmethod
     def lost(self, ctx: Context, trial: Trial, beta: Floats) -> float:
         """Return the loss of stiffness at the largest displacement, relative to the initial one."""
-        raise NotImplementedError
 
+    @abstractmethod
     def slack(self, ctx: Context, trial: Trial) -> float:
         """Return by how much the slope is smaller around zero."""
-        raise NotImplementedError
 
+    @abstractmethod
     def width(self, trial: Trial) -> float:
         """Return up to which part of the force or displacement it is slack."""
-        raise NotImplementedError
 
     def alpha(self, ctx: Context, trial: Trial, beta: Floats) -> float:
         """Return the post-yield stiffness relative to the initial one."""

@@ -27,6 +27,8 @@ PINCHED = ((0.3, 0.4, 0.7), (0.8, 0.3, 0.5))
 """Initial degree of pinching, its level, and the part of the direct line in its corner."""
 ENDLESS_J = 1e15
 """Energy of the loss with work of a loop that has none, J."""
+SHARPEST = 800.0
+"""Largest sharpness; a derivative of the fit steps beyond it, and the element ends at 1000."""
 LOSS = 0.2
 """Initial loss of strength over `CYCLES`."""
 
@@ -73,7 +75,7 @@ class Takeda(Joint):
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep yielding within the motion, and strength above zero up to twice the range."""
-        low = [(0.02 * ctx.x_range, 0.9 * ctx.x_range), (1.0, 800.0), (0.01, 0.99), (0.7, 1.9)]
+        low = [(0.02 * ctx.x_range, 0.9 * ctx.x_range), (1.0, SHARPEST), (0.01, 0.99), (0.7, 1.9)]
         slack = [(0.02, 0.99), (0.05, 0.9), (0.01, 0.99)] if self.pinches else []
         return [*low, *slack, (1e-3, 10.0), (0.2, 5.0)][: len(trial.theta)]
 
