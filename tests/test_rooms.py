@@ -58,7 +58,6 @@ def _rooms_known() -> dict[str, set[str]]:
     return known
 
 
-@pytest.mark.long
 def test_no_two_rooms_need_each_other() -> None:
     known = _rooms_known()
     assert {"api", "cli", "comparing", "core", "diagnose", "lab"} <= set(known)
@@ -73,7 +72,6 @@ def test_what_all_rooms_share_knows_no_room(name: str) -> None:
     assert not {_room(found) for found in _known_to(PACKAGE / f"{name}.py")} & set(ROOMS)
 
 
-@pytest.mark.long
 def test_the_core_knows_no_other_room() -> None:
     assert _rooms_known()["core"] == set()
 
@@ -89,7 +87,6 @@ def _touches_cffi(path: Path) -> bool:
     return not found.isdisjoint({"_core", "ffi", "cffi", "_cffi_backend"})
 
 
-@pytest.mark.long
 def test_only_the_core_touches_cffi() -> None:
     touching = {path.parent for path in PACKAGE.rglob("*.py") if _touches_cffi(path)}
     assert touching == {PACKAGE / "core"}
@@ -112,7 +109,6 @@ def test_a_module_name_stands_for_one_thing() -> None:
     assert not _repeated(names)
 
 
-@pytest.mark.long
 def test_a_class_name_stands_for_one_thing() -> None:
     names = (
         node.name

@@ -8,8 +8,8 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
+from rthyb_rt.diagnose.effects.damage_law import DamageLaw
 from rthyb_rt.diagnose.effects.hysteretic import bouc_wen
-from rthyb_rt.diagnose.effects.joints import Joint
 
 AIMED, UNEVEN = "aimed", "aimed, uneven"
 """The stiffnesses in the two directions are equal, or their ratio is the last shape parameter."""
@@ -17,7 +17,7 @@ START = 0.02
 """Displacement that counts as the first one, relative to the range: loss counts from there on."""
 
 
-class PeakOriented(Joint):
+class PeakOriented(DamageLaw):
     """A Bouc-Wen loop beside a spring that returns to the force at the largest displacement so far.
 
     Its shape is the yield displacement, the power of first loading, that of reloading if it

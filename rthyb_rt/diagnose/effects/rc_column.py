@@ -8,7 +8,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
-from rthyb_rt.diagnose.effects.joints import CYCLES, Joint
+from rthyb_rt.diagnose.effects.damage_law import CYCLES, DamageLaw
 
 SLACK, WORN = "slack", "worn"
 """Without, and with, loss of strength."""
@@ -16,7 +16,7 @@ BELL = (0.15, 0.25)
 """Force at which cracks slip most, and the width of the bell, relative to the strength."""
 
 
-class Column(Joint):
+class RcColumn(DamageLaw):
     """A loop in series with a slip-lock spring, worn by amplitude and energy.
 
     Variant "slack" has only the loss of unloading stiffness and slip, "worn" all losses.

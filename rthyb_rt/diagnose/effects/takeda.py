@@ -15,7 +15,7 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Floats, Trial
-from rthyb_rt.diagnose.effects.joints import CYCLES, Joint
+from rthyb_rt.diagnose.effects.damage_law import CYCLES, DamageLaw
 
 PLAIN, WORN, UNEVEN = "takeda", "takeda, worn", "takeda, uneven"
 YIELDS = (0.1, 0.3, 0.6)
@@ -48,7 +48,7 @@ class Shape:
     uneven: float
 
 
-class Takeda(Joint):
+class Takeda(DamageLaw):
     """A loop of straight lines."""
 
     variants = PLAIN, WORN, UNEVEN

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from rthyb_rt import core
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
+from rthyb_rt.diagnose.effects.damage_law import DamageLaw
 from rthyb_rt.diagnose.effects.hysteretic import LARGE
-from rthyb_rt.diagnose.effects.joints import Joint
 from rthyb_rt.diagnose.effects.peak_oriented import PeakOriented
-from rthyb_rt.diagnose.effects.rc_column import Column
+from rthyb_rt.diagnose.effects.rc_column import RcColumn
 from rthyb_rt.diagnose.effects.takeda import Takeda
 from rthyb_rt.diagnose.policy import POLICY
 
@@ -34,14 +34,14 @@ class Aimed(Effect):
     signs = "+"
     complete = True
     wears = yields = True
-    laws: tuple[Joint, ...] = (Takeda(pinches=False), PeakOriented(pinches=False))
+    laws: tuple[DamageLaw, ...] = (Takeda(pinches=False), PeakOriented(pinches=False))
 
     @property
     def names(self) -> tuple[str, ...]:
         """Both names."""
         return ("degradation", "hysteresis")
 
-    def _law(self, trial: Trial) -> Joint:
+    def _law(self, trial: Trial) -> DamageLaw:
         return next(law for law in self.laws if trial.variant in law.variants)
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
@@ -104,7 +104,7 @@ class WornColumn(Aimed):
         "towards it in two lines"
     )
     fingerprint = "loops that become flatter and slacker around zero from cycle to cycle"
-    laws = (Column(pinches=True), Takeda(pinches=True), PeakOriented(pinches=True))
+    laws = (RcColumn(pinches=True), Takeda(pinches=True), PeakOriented(pinches=True))
 
     @property
     def names(self) -> tuple[str, ...]:

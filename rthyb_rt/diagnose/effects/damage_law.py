@@ -12,7 +12,7 @@ CYCLES = 12.5
 """Number of full cycles whose work is the unit of loss with energy."""
 
 
-class Joint(ABC):
+class DamageLaw(ABC):
     """A law by which a member yields and degrades, and with some numbers pinches as well.
 
     Attributes:
