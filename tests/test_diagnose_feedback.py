@@ -12,7 +12,7 @@ from test_diagnose_noise import written
 from test_diagnose_steady import along
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import effects, engine, estimate, force
+from rthyb_rt.diagnose import effects, engine, estimate, force, onset
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import Gathered
@@ -193,6 +193,34 @@ def test_relaxation_beside_a_dashpot_that_drives_the_motion_is_no_physical_law(a
     assert problem.sensible(Fit(members, betas, 0.0, 3, unmoved)) == possible
     # Alone it says that the model's dashpot is wrong, however far.
     assert problem.sensible(Fit(members[:1], betas[:1], 0.0, 1, unmoved))
+
+
+@pytest.mark.parametrize(("added", "possible"), [(-0.5, True), (-1.5, False)])
+@pytest.mark.parametrize("sprung", ["maxwell", "power_damping+maxwell"])
+def test_a_dashpot_that_begins_drives_the_motion_beside_whatever_acts_through_a_spring(
+    sprung, added, possible
+):
+    problem, known = problem_of(0.0, 0.0), effects.catalogue()
+    shape = (0.05,) if sprung == "maxwell" else (0.5, 1e-4)
+    members = (
+        Member(onset.Late(known["viscous"]), Trial((3.0,))),
+        Member(known[sprung], Trial(shape)),
+    )
+    betas = (np.array([added * C]), np.array([1e3]))
+    fit = Fit(members, betas, 0.0, 3, np.zeros(len(problem.nuisances)))
+    assert problem.sensible(fit) == possible
+
+
+@pytest.mark.parametrize(("apart_s", "possible"), [(0.5, True), (3.0, False)])
+def test_effects_that_begin_do_so_in_one_event(apart_s, possible):
+    problem, known = problem_of(0.0, 0.0), effects.catalogue()
+    members = (
+        Member(onset.Late(known["viscous"]), Trial((3.0,))),
+        Member(onset.Late(known["stiffness"]), Trial((3.0 + apart_s,))),
+    )
+    betas = (np.array([0.5 * C]), np.array([0.1]))
+    fit = Fit(members, betas, 0.0, 4, np.zeros(len(problem.nuisances)))
+    assert problem.sensible(fit) == possible
 
 
 def test_together_effects_earn_no_less_than_one_of_them_beside_the_others():

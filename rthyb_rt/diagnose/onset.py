@@ -52,7 +52,7 @@ class Late(Effect):
         self.signs = effect.signs
         self.pinned = effect.pinned
         self.sensor = effect.sensor
-        self.carries = effect.carries
+        self.carries, self.sprung = effect.carries, effect.sprung
         self.zero, self.foretold, self.needs = effect.zero, effect.foretold, effect.needs
         self.equation = f"{effect.equation}, from t0 on"
         self.fingerprint = f"{effect.fingerprint}, from a moment on"
@@ -63,6 +63,11 @@ class Late(Effect):
     def names(self) -> tuple[str, ...]:
         """Those of the effect itself."""
         return self.effect.names
+
+    @property
+    def number_at_last(self) -> str:
+        """The number that the effect changes after its onset."""
+        return self.effect.number
 
     @staticmethod
     def inner(trial: Trial) -> Trial:

@@ -611,6 +611,11 @@ class Policy:
         "Confidence with which its absence must be established.",
         "two standard deviations",
     )  # fmt: skip
+    same_moment: float = _entry(
+        1.0 / 16.0, "fraction of the recording", "numerics",
+        "Maximum time between the onsets of two effects of a set: they are one event.",
+        "the interval between the onsets that are tried first",
+    )  # fmt: skip
     start_at_rest: float = _entry(
         0.02, "fraction of the largest displacement", "judgement",
         "A body is at rest if it moves by less than this in a tenth of a second.",

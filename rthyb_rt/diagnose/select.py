@@ -349,8 +349,18 @@ class ResidualProblem:
             and not self._pushes(fit)
             and (driving or not self._undoes_a_push(fit))
             and not self._weighs_nothing(fit)
+            and not self._begins_twice(fit)
             and not any(m.effect.borders(m.trial) in fit.names for m in fit.members)
         )
+
+    def _begins_twice(self, fit: Fit) -> bool:
+        """Return whether effects begin at different moments: two events, where one is rare.
+
+        What breaks or comes loose may add several effects, but at once.
+        """
+        moments = [m.trial.theta[-1] for m in fit.members if m.effect.late]
+        length = float(self.ctx.t[-1] - self.ctx.t[0])
+        return bool(moments) and max(moments) - min(moments) > POLICY.same_moment * length
 
     def _weighs_nothing(self, fit: Fit) -> bool:
         """Return whether a set subtracts more mass than there is.
@@ -392,12 +402,12 @@ class ResidualProblem:
 
         Faster motion than its own leaves relaxation no damping: the two together would then drive
         the motion, which no passive specimen does. Within a band they can cancel and imitate
-        anything.
+        anything. A dashpot that begins counts as well.
         """
-        if not any(m.effect.relaxes for m in fit.members):
+        if not any(m.effect.sprung for m in fit.members):
             return False
         pairs = list(zip(fit.members, fit.betas, strict=True))
-        added = [float(b[0]) for m, b in pairs if m.effect.number == "c" and not m.effect.late]
+        added = [float(b[0]) for m, b in pairs if m.effect.number_at_last == "c"]
         held = zip(fit.nuisance, self.nuisances, strict=True)
         whole = self.case.model.c + sum(float(b) for b, n in held if n.number == "c") + sum(added)
         return bool(added) and whole < 0.0

@@ -209,6 +209,7 @@ class Effect:
         slow_as, fast_as: names of the laws from which motion slow, or fast, against a time of its
             own cannot distinguish it.
         relaxes: its first shape parameter is the time in which its force decays, s.
+        sprung: its damping acts through a spring of its own, so that fast motion is not damped.
         settles: in motion that is slow against `settling_s`, it acts like `plainer`.
         slides: it consists of sliders, any number of which is a form of the same effect.
         also: name of the law to which it is equivalent in parallel with a spring of free stiffness.
@@ -253,6 +254,7 @@ class Effect:
     plainer = ""
     slow_as = fast_as = ""
     relaxes = False
+    sprung = False
     settles = False
     slides = False
     also = ""
@@ -368,6 +370,11 @@ class Effect:
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the form of the law in a few words, among those that share the effect's name."""
         return self.equation
+
+    @property
+    def number_at_last(self) -> str:
+        """The number of the model that it changes at the end of a recording."""
+        return self.number
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
         """Return whether the coefficients are physically possible; signs are already checked."""

@@ -38,6 +38,7 @@ class BracedDamper(Effect):
     fingerprint = "a power law over velocity whose force lags behind it"
     shown_by = ("multi_amplitude", "a power of velocity requires several amplitudes")
     signs = "+"
+    sprung = True
     begins = False  # it was built in before the test
 
     @property

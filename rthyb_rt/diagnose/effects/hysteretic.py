@@ -598,7 +598,7 @@ class Maxwell(Effect):
     params = (Param("km_N_m", "N/m", 0.0, 1e12), Param("tau_s", "s", 1e-4, 1e4))
     equation = "f' + f / tau = km v"
     fingerprint = "a dashpot at low frequency, a spring at high frequency"
-    relaxes = settles = True
+    relaxes = settles = sprung = True
     plainer = Viscous.name
     slow_as, fast_as = Viscous.name, Stiffness.name
     shown_by = (
