@@ -24,6 +24,7 @@ from rthyb_rt.diagnose import (
     redundant,
     remainder,
     rigged,
+    spring_history,
     steady,
 )
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
@@ -57,8 +58,6 @@ from rthyb_rt.errors import InputError
 
 Progress = Callable[[str], None]
 
-PAST = 400
-"""Number of steps, each way, of the assumed past that leads a yielding spring to its start."""
 FEWER = 2
 """Number of sets with fewer laws whose motion is examined."""
 PASSES = 2
@@ -263,32 +262,8 @@ def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
     found = _motion(case, disp)
     if found is None or case.model.bouc_wen is None:
         return found
-    return found.beginning(_forgotten(case, found), case.fs_hz)
-
-
-def _forgotten(case: Case, found: Estimate) -> int:
-    """Return the first row at which a yielding model no longer depends on its initial state.
-
-    A recording that begins in motion has an unknown history. The spring is led to the first row
-    from the largest displacement in either direction; from the row at which both agree, the history
-    is irrelevant.
-    """
     x = found.motion.x
-    head = max(int(0.1 * case.fs_hz), 2)
-    top = float(np.max(np.abs(x)))
-    if (
-        float(np.max(np.abs(x[:head] - x[0]))) < POLICY.start_at_rest * top
-        and abs(float(x[0])) < POLICY.start_at_rest * top
-    ):
-        return 0
-    forces = []
-    for end in (-top, top):
-        past = np.concatenate((np.linspace(0.0, end, PAST), np.linspace(end, x[0], PAST)))
-        forces.append(case.model.spring(np.concatenate((past, x)))[past.size :])
-    apart = np.flatnonzero(np.abs(forces[1] - forces[0]) > POLICY.forgotten_force * found.sigma_n)
-    first = int(apart[-1]) + 1 if apart.size else 0
-    # A motion that never yields again keeps its history: all of it is then evaluated.
-    return first if first < POLICY.forgotten_by * x.size else 0
+    return found.beginning(spring_history.forgotten(case, x, found.sigma_n), case.fs_hz)
 
 
 def _motion(case: Case, disp: Displacement | None) -> Estimate | None:

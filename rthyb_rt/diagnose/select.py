@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import modulation
+from rthyb_rt.diagnose import modulation, spring_history
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
@@ -257,6 +257,9 @@ class ResidualProblem:
             sigma = None if model.c_tol is None else model.c_tol * abs(model.c)
             name = of_number("c")
             yield Nuisance(name, ctx.v, sigma, "damping", "N s/m", number="c", effect=name)
+        past = spring_history.column(self.case, ctx.x)
+        if past is not None:
+            yield Nuisance("history", past, 1.0, "spring history", "")
         mass = of_number("moving_mass")
         massive = bool(model.moving_mass) or model.family == "forced"
         if model.k_tol is None and massive and not self.decays:
