@@ -16,7 +16,7 @@ from event_cases import Rig, late, moved, on_ground, recorded, rig
 from test_diagnose_steady import along, fitted
 
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
-from rthyb_rt.diagnose import effects, engine, force, onset, outcome, reading, why
+from rthyb_rt.diagnose import effects, engine, evidence, force, onset, outcome, reading, why
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.select import Member, refine
@@ -363,3 +363,10 @@ def test_a_stop_that_is_touched_once_for_a_tenth_of_a_second_is_named(tmp_path: 
     d = diagnosed(cases.write(tmp_path, columns))
     assert (d.verdict, d.effects) == ("explained", ["stopper"])
     assert d.candidates[0].params["xs_m"] == pytest.approx(stop_m, rel=0.02)
+
+
+@pytest.mark.parametrize(("count", "cycles"), [(0.75, 1.0), (1.0, 1.0), (2.0, 2.0), (3.5, 3.5)])
+def test_cycles_of_a_motion_are_counted_by_its_sides(count: float, cycles: float) -> None:
+    phase = np.linspace(0.0, 2.0 * np.pi * count, 4000)
+    for x in (np.sin(phase), 5.0 + 1e-3 * np.sin(phase), np.sin(phase) + 0.02 * np.sin(31 * phase)):
+        assert evidence.cycles(x) == cycles

@@ -197,11 +197,13 @@ class DriftRates:
         whole: its rate, in any unit.
         within: its rate from the slopes within each half, with separate offsets.
         sigma: standard deviation of ``within``.
+        cycles: cycles of the motion in the half that has fewer.
     """
 
     whole: float
     within: float
     sigma: float
+    cycles: float
 
 
 @dataclass(frozen=True)
@@ -586,11 +588,15 @@ def goes_on(court: Court, of: Hypothesis) -> bool:
 
     Errors in the form of other laws may differ by chance between early and late motion, and a
     constant also has a slope if it is assumed to begin at zero. A real drift is present within each
-    half, whatever its offset there, if the half is long enough to show it.
+    half, whatever its offset there, if the half is long enough to show it. Motion that does not
+    repeat within a half never returns to a force that could have drifted.
     """
     if court.laws.wanders.isdisjoint(of.names) or not court.setting.naive:
         return True
     drift: DriftRates = court.ask("drift", of)
+    least = court.policy.drift_cycles
+    if drift.cycles < least:
+        return court.refuse("drift repeats", of, found=drift.cycles, wanted=least)
     if drift.sigma > court.policy.drift_unsure * abs(drift.whole):
         return _more_than_an_offset(court, of)
     within, wanted = drift.within / drift.whole, court.policy.drift_in_halves

@@ -52,6 +52,8 @@ what it leaves itself if it begins, ends or beats within the recording."""
 BLOCK_LEAST = 4.0
 """Least number of rows of a block."""
 FOLDS = 4
+ASIDE = 0.2
+"""Least displacement from the middle of its range, as a part of half the range, on a side."""
 
 
 class Fitter(Protocol):
@@ -310,7 +312,20 @@ def drift(problem: ResidualProblem, fit: Fit, laws: Laws) -> DriftRates:
     weights = 1.0 / np.maximum(np.array(widths), 1e-300)
     within = float(np.sum(weights * np.array(rates)) / np.sum(weights))
     whole = float(fit.betas[fit.members.index(member)][0]) * float(size[0])
-    return DriftRates(whole, within, float(np.sum(weights)) ** -0.5)
+    x = problem.ctx.x[problem.rows]
+    fewest = min(cycles(x[:middle]), cycles(x[middle:]))
+    return DriftRates(whole, within, float(np.sum(weights)) ** -0.5, fewest)
+
+
+def cycles(x: Floats) -> float:
+    """Return the number of cycles of a displacement, (n,): half of how often it changes sides.
+
+    Small cycles about another displacement than the middle of its range are not counted.
+    """
+    low, high = float(np.min(x)), float(np.max(x))
+    aside = (2.0 * x - high - low) / max(high - low, 1e-300)
+    sides = np.sign(aside[np.abs(aside) > ASIDE])
+    return 0.5 * (1 + np.count_nonzero(np.diff(sides)))
 
 
 def _fold_rows(problem: ResidualProblem, fit: Fit, blocks: Sequence[Floats]) -> float:

@@ -225,6 +225,12 @@ class Policy:
         "Minimum rate that a drift must have in each half of the recording, if the model states no "
         "tolerances.",
     )  # fmt: skip
+    drift_cycles: float = _entry(
+        2.0, "cycles", "physics",
+        "Minimum number of cycles of the motion in each half for a drift, if the model states no "
+        "tolerances.",
+        "one cycle has a mean, and the second one shows whether it moves",
+    )  # fmt: skip
     drift_unsure: float = _entry(
         0.5, "fraction of its rate", "judgement",
         "Standard deviation of that rate above which the halves are not used.",

@@ -320,6 +320,8 @@ DROPPED = {
     "that the test imposes, without the noise that is in force and motion alike, but must improve "
     "it by {wanted}",
     "drift goes on": "the drift is smaller within each half of the recording",
+    "drift repeats": "the motion of one half of the recording has {found} cycles, but a drift "
+    "needs {wanted} in each",
     "drift or offset": "improves chi-squared by {found} more than {against}, but must improve it "
     "by {wanted} more, because the offset with which a drift begins is not known",
     "more laws": "improves chi-squared by {found} more than the best set with fewer laws, but must "
