@@ -310,3 +310,6 @@ def test_an_interval_ends_where_the_meaning_of_its_parameter_does():
     assert intervals.possible(dry, {"Fc_N": 5.0}, {"Fc_N": [-2.0, 12.0]}) == {"Fc_N": [0.0, 12.0]}
     assert intervals.possible(dry, {"Fc_N": 0.0}, {"Fc_N": [-2.0, 2.0]}) == {"Fc_N": [0.0, 2.0]}
     assert intervals.possible(loss, {"loss": 0.6}, {"loss": [0.1, 8.0]}) == {"loss": [0.1, 1.0]}
+    # Another form of a law may have a length that no specimen has.
+    ends = intervals.within(known, {"xy_m": 3e-5}, {"xy_m": [1e-143, 5.0]})
+    assert ends == {"xy_m": [1e-9, 5.0]}

@@ -164,6 +164,38 @@ def test_a_spring_that_falls_beside_a_loop_is_weighed_against_what_holds_the_spe
     assert not sensible(-0.6 * k)
 
 
+def test_a_spring_that_falls_beside_bristles_is_weighed_against_what_these_hold():
+    """With a falling spring, bristles cancel it: together they imitate any loop."""
+    problem = problem_of(naive(lambda x, v: 2e4 * x))
+    effect, k = effects.catalogue()["lugre"], problem.case.model.k
+    member = Member(effect, Trial((1e-4,), "dahl"))
+    beta = np.array([2.0 * k * 1e-4, 0.0])  # they hold twice the model's spring
+
+    def sensible(k_n_per_m: float) -> bool:
+        return problem.sensible(Fit((member,), (beta,), 0.0, 1, spring(problem, k_n_per_m)))
+
+    assert sensible(0.0)
+    assert sensible(-0.4 * k)
+    assert not sensible(-0.6 * k)
+
+
+@pytest.mark.parametrize("sprung", ["maxwell", "power_damping+maxwell"])
+def test_a_naive_models_dashpot_does_not_drive_fast_motion_beside_relaxation(sprung):
+    problem = problem_of(naive(lambda x, v: 2e4 * x + 80.0 * v, c=80.0))
+    law, c = effects.catalogue()[sprung], problem.case.model.c
+    member = Member(law, next(iter(law.trials(problem.ctx))))
+    unit = np.std(law.columns(problem.ctx, member.trial)[0])
+    beta = np.array([c * np.std(problem.ctx.v) / unit])  # as large as the model's dashpot
+
+    def sensible(c_n_s_per_m: float) -> bool:
+        held = [c_n_s_per_m - c if n.number == "c" else 0.0 for n in problem.nuisances]
+        return problem.sensible(Fit((member,), (beta,), 0.0, 1, np.array(held)))
+
+    assert sensible(0.0)
+    assert sensible(-0.005 * c)  # an error of the fit
+    assert not sensible(-0.02 * c)
+
+
 def test_a_motion_simulated_late_counts_like_the_others():
     """A part that is asked for after rows were taken for less evidence is no worse for that."""
     problem = problem_of(naive(lambda x, v: 2e4 * x))

@@ -100,9 +100,10 @@ class Sure:
     def of(self, member: int) -> tuple[dict[str, float], Intervals]:
         """Return the parameters of one effect and their 95 % intervals."""
         params, ci = self._in_this_form(member)
-        ci = possible(self.search.best.members[member].effect.params, params, ci)
+        known = self.search.best.members[member].effect.params
+        ci = possible(known, params, ci)
         self._widen(ci, params, member)
-        return params, ci
+        return params, within(known, params, ci)
 
     def strength(self, member: int) -> float | None:
         """Return the squared ratio of an effect's size to its standard deviation; None: no size.
@@ -187,16 +188,12 @@ def possible(known: Sequence[Param], params: dict[str, float], ci: Intervals) ->
     A strength may be zero. A size that cannot (a length, a time, a frequency) is as many times
     larger than the lower end as the upper end is larger than the size.
     """
-    limits = {p.name: (p.low, p.high) for p in known}
+    least = {p.name: p.low for p in known}
     out = {}
     for k, (low, high) in ci.items():
-        (least, most), value = limits.get(k, (-np.inf, np.inf)), params[k]
-        if value > 0.0 and least > 0.0:
-            low = opposite(high, value)
-        elif value >= least:
-            low = max(low, least)
-        out[k] = [low, min(high, most) if value <= most else high]
-    return out
+        is_size = params[k] > 0.0 and least.get(k, -np.inf) > 0.0
+        out[k] = [opposite(high, params[k]) if is_size else low, high]
+    return within(known, params, out)
 
 
 def _half(ends: list[float]) -> float:
@@ -250,6 +247,19 @@ def of_the_spring_there_is(
     params[key] = counted(params[key])
     ends = [*map(counted, ci[key]), *(seen * v for v in apart)]
     ci[key] = [min(ends), max(ends)]
+
+
+def within(known: Sequence[Param], params: dict[str, float], ci: Intervals) -> Intervals:
+    """Return intervals that end at the limits of a parameter, if it is within them itself."""
+    limits = {p.name: (p.low, p.high) for p in known}
+    out = {}
+    for k, (low, high) in ci.items():
+        (least, most), value = limits.get(k, (-np.inf, np.inf)), params[k]
+        out[k] = [
+            max(low, least) if value >= least else low,
+            min(high, most) if value <= most else high,
+        ]
+    return out
 
 
 def intervals(fit: Fit, member: int, ctx: Context) -> tuple[dict[str, float], Intervals]:

@@ -760,6 +760,11 @@ class Policy:
         "Together with a yielding law, a spring may be flat; it is regarded as falling, and is "
         "rejected, if its slope is more negative than this.",
     )  # fmt: skip
+    dashpot_level: float = _entry(
+        0.01, "fraction of the relaxing force", "numerics",
+        "Beside relaxation, the dashpot of a naive model may be zero; it is regarded as negative, "
+        "and is rejected, if its force is larger than this.",
+    )  # fmt: skip
     p_delta: float = _entry(
         0.3, "fraction of the elastic stiffness", "physics",
         "Together with a yielding law, the model's spring is rejected if it is more negative than "

@@ -405,15 +405,24 @@ class ResidualProblem:
 
         Faster motion than its own leaves relaxation no damping: the two together would then drive
         the motion, which no passive specimen does. Within a band they can cancel and imitate
-        anything. A dashpot that begins counts as well.
+        anything. A dashpot that begins counts as well, and that of a naive model as far as it is
+        more than an error of the fit.
         """
-        if not any(m.effect.sprung for m in fit.members):
+        sprung = [i for i, m in enumerate(fit.members) if m.effect.sprung]
+        if not sprung:
             return False
         pairs = list(zip(fit.members, fit.betas, strict=True))
         added = [float(b[0]) for m, b in pairs if m.effect.number_at_last == "c"]
         held = zip(fit.nuisance, self.nuisances, strict=True)
         whole = self.case.model.c + sum(float(b) for b, n in held if n.number == "c") + sum(added)
-        return bool(added) and whole < 0.0
+        if added or whole >= 0.0 or not self.frees("c"):
+            return bool(added) and whole < 0.0
+        columns = columns_of(self.ctx, [fit.members[i] for i in sprung])
+        force = sum(
+            float(np.std(np.asarray(fit.betas[i]) @ np.array(own)))
+            for i, own in zip(sprung, columns, strict=True)
+        )
+        return -whole * float(np.std(self.ctx.v)) > POLICY.dashpot_level * force
 
     def _gives_way(self, fit: Fit) -> bool:
         """Return whether, with a yielding law in a naive model, an elastic spring pushes outwards.
@@ -421,12 +430,18 @@ class ResidualProblem:
         What softens there is the loop. A polynomial that imitates this has a negative slope within
         the motion, and predicts nothing beyond it. Without a law of elasticity it is the model's
         spring, which a load on the specimen can turn negative (P-delta): up to a share of the
-        specimen's elastic stiffness.
+        specimen's elastic stiffness. The same is true of that spring beside bristles.
         """
         ctx = self.ctx
-        if not ctx.k_free or not any(m.effect.yields for m in fit.members):
+        if not ctx.k_free:
             return False
         elastic = [i for i, m in enumerate(fit.members) if m.effect.elastic]
+        bristles_n_per_m = sum(
+            m.effect.holds_n_per_m(ctx, m.trial, b)
+            for m, b in zip(fit.members, fit.betas, strict=True)
+        )
+        if not any(m.effect.yields for m in fit.members) and (elastic or not bristles_n_per_m):
+            return False
         x = np.linspace(-ctx.x_range, ctx.x_range, SLOPES)
         slope = np.diff(self._pulled(fit, x, elastic))
         least, most = float(slope.min()), float(np.abs(slope).max())
@@ -437,7 +452,8 @@ class ResidualProblem:
         holding = [i for i, m in enumerate(fit.members) if m.effect.elastic or m.effect.yields]
         whole = np.diff(self._pulled(fit, first, holding))
         per_m = (SLOPES - 1) / (2.0 * ctx.x_range)
-        return least * per_m < -POLICY.p_delta * float(whole[0]) / float(first[1])
+        held_n_per_m = float(whole[0]) / float(first[1]) + bristles_n_per_m
+        return least * per_m < -POLICY.p_delta * held_n_per_m
 
     def _pulled(self, fit: Fit, x: Floats, which: Iterable[int]) -> Floats:
         """Return the force of the model's spring and of some effects along a slow motion, (n,)."""
