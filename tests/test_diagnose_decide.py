@@ -173,6 +173,12 @@ RULES: dict[str, tuple[Evidence, dict[str, Any], tuple[str, ...], tuple[str, ...
         ("drift",),
     ),
     "driven": (the_cells_own_noise(), {"driven": (10.0,)}, (), ("viscous",)),
+    "rounding": (
+        evidence(of("cubic", chi2=1000.0), of("hum", chi2=700.0), null=20_000.0, coarse=True),
+        {"rounding": {(): 900.0, ("cubic",): 100.0, ("hum",): 400.0}},
+        ("cubic",),
+        ("hum",),
+    ),
     "more laws": (more_laws(), {}, ("hysteresis",), ("cubic", "gap")),
     "yielding": (bristles(), {}, ("hysteresis",), ("lugre", "stiffness")),
     "plainest": (a_peak(), {}, ("coulomb",), ("stribeck",)),
@@ -802,7 +808,7 @@ def any_evidence(draw: st.DrawFn) -> Evidence:
 
 FREE = {"part": None, "yielding": None, "drift": DriftRates(1.0, 0.9, 0.01, 9.0),
         "beyond_forms": 50.0, "driven": (60.0, 60.0, 60.0), "driven_together": 180.0,
-        "driven_more": 60.0, "zero": 100.0, "slow_noise": 1.0}  # fmt: skip
+        "driven_more": 60.0, "zero": 100.0, "slow_noise": 1.0, "rounding": 0.0}  # fmt: skip
 
 
 @hypothesis.given(any_evidence(), st.randoms())

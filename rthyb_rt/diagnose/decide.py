@@ -22,7 +22,7 @@ CLOSER = 3
 """Number of sets, best first, for which yielding is tried in place of bristles."""
 What = Literal[
     "part", "yielding", "beyond forms", "drift", "driven", "driven together", "driven more", "size",
-    "own size", "left", "held out", "zero", "slow noise", "near noise",
+    "own size", "left", "held out", "zero", "slow noise", "near noise", "rounding",
 ]  # fmt: skip
 
 
@@ -175,6 +175,7 @@ class Setting:
         returns: whether one noise is in force and motion: the load cell's moves the specimen in a
             closed loop; without a load cell, the force of a body is inferred from its motion.
         witnessed: whether an accelerometer verifies the load cell, see `redundant`.
+        coarse: whether the load cell is evaluated only where it changes its reading, see `coarse`.
     """
 
     laws: Laws
@@ -187,6 +188,7 @@ class Setting:
     k_sigma_n_per_m: float = 0.0
     returns: bool = False
     witnessed: bool = False
+    coarse: bool = False
 
 
 @dataclass(frozen=True)
@@ -225,7 +227,8 @@ class Need:
             "zero", how far a constant force or a drift deflects the spring, in standard deviations
             of the displacement noise in its data sheet; "slow noise", the power of the slowest
             lines of what it leaves, as a multiple of the noise power; "near noise", that of the
-            lines next to that of the effect.
+            lines next to that of the effect; "rounding", how improbable the readings of a coarse
+            load cell are with it, each as an interval (-2 ln).
         of: the set.
         which: indices of the effects concerned.
     """
@@ -706,6 +709,23 @@ def _above_noise(
 Sets = list[Hypothesis]
 
 
+def within_the_steps(court: Court, sets: Sets) -> Sets:
+    """Of a coarse load cell, a set must also be compatible with the readings between changes.
+
+    Where a reading changes, the force is half-way between two readings. A law that keeps the force
+    there explains every change, and none of the readings before and after it.
+    """
+    if not court.setting.coarse:
+        return sets
+    odds = {h.names: float(court.ask("rounding", h)) for h in (court.null, *sets)}
+    most = court.policy.coarse_odds * min(odds.values()) + court.policy.same_evidence
+    return [
+        h
+        for h in sets
+        if odds[h.names] <= most or court.refuse("rounding", h, found=odds[h.names], wanted=most)
+    ]
+
+
 def worth_their_size(court: Court, sets: Sets) -> Sets:
     """For a naive model, a set must be better than the best set with fewer laws.
 
@@ -947,6 +967,7 @@ RANKING: dict[str, Callable[[Court, Sets], Sets]] = {
     "near noise": each(above_near_noise),
     "drift goes on": each(goes_on),
     "driven": each(driven),
+    "rounding": within_the_steps,
     "more laws": worth_their_size,
     "yielding": one_of_a_kind,
     "plainest": plainest,

@@ -60,6 +60,10 @@ Progress = Callable[[str], None]
 
 FEWER = 2
 """Number of sets with fewer laws whose motion is examined."""
+SCORINGS = 12
+"""Largest number of steps by which a set is refined by a coarse load cell's readings."""
+ROUNDS = 2
+"""Number of searches by these readings, the second one near the set found by the first."""
 PASSES = 2
 """Number of simulations of such a motion, the second one with the effects found along it."""
 
@@ -260,7 +264,12 @@ def _as_stated(task: Actuation, null: ActuatorFit) -> ActuatorFit:
 def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
     """Return the motion and the force, simulated if the actuator is understood."""
     found = _motion(case, disp)
-    if found is None or case.model.bouc_wen is None:
+    if found is None:
+        return None
+    if not found.exact and found.blur is not None and "f_meas" in case.channels:
+        expected = case.model.force(found.motion.x, found.motion.v, found.motion.a)
+        found = estimate.where_it_changes(case, found, expected) or found
+    if case.model.bouc_wen is None:
         return found
     x = found.motion.x
     return found.beginning(spring_history.forgotten(case, x, found.sigma_n), case.fs_hz)
@@ -393,6 +402,8 @@ def _in_its_noise(
     # Along an estimated motion, the residual of a naive model is due to form, not readable noise;
     # nor does an absent force have noise.
     bounded = blur is not None and case.model.k_tol is not None and not search.problem.decays
+    if found.read is not None:
+        return _by_intervals(case, found, search, anew, progress)
     if not found.exact and not bounded:
         return found, search
     sheet, sigma = remainder.stated(case), found.sigma_n if blur is None else blur.sigma_n
@@ -419,6 +430,45 @@ def _in_its_noise(
     now = now.whitened(own.whiten, own.pieces, case.fs_hz)
     problem = ResidualProblem(case, problem.ctx, now, effects.catalogue().values())
     return now, anew(problem, [f.members for f in search.pool])
+
+
+def _by_intervals(
+    case: Case,
+    found: Estimate,
+    search: force.Search,
+    anew: Callable[[ResidualProblem, list[tuple[Member, ...]]], force.Search],
+    progress: Progress,
+) -> tuple[Estimate, force.Search]:
+    """Search again by the likelihood of the readings of a coarse load cell near the best set.
+
+    Again near the next best one, if that is another.
+    """
+    for _ in range(ROUNDS):
+        before = search.best.names
+        found = _scored(case, found, search)
+        progress("steps")
+        problem = ResidualProblem(case, search.problem.ctx, found, effects.catalogue().values())
+        search = anew(problem, [f.members for f in search.pool])
+        if search.best.names == before:
+            break
+    return found, search
+
+
+def _scored(case: Case, found: Estimate, search: force.Search) -> Estimate:
+    """Return the readings of a coarse load cell as forces near the best set refined by them."""
+    problem, fit = search.problem, search.best
+    near = fitted.force_of(problem, fit)
+    for _ in range(SCORINGS):
+        found = estimate.by_intervals(case, found, near)
+        problem = ResidualProblem(case, problem.ctx, found, effects.catalogue().values())
+        refined = refine(problem, fit.members)
+        if refined is None:
+            break
+        fit, before, near = refined, near, fitted.force_of(problem, refined)
+        moved = float(np.sqrt(np.mean((near - before)[found.rows] ** 2)))
+        if moved < POLICY.coarse_settled * found.sigma_n:
+            break
+    return found
 
 
 def _in_the_rig(
@@ -535,6 +585,8 @@ def _coarse(case: Case, search: force.Search | None) -> tuple[Found | None, forc
     before = Seen(remainder.left_of(search), rounding=remainder.rounded(search, steps.name, lsb_n))
     if lost_in_form(before, POLICY):
         return None, search
+    if search.problem.estimate.read is not None:
+        return steps, search
     return steps, remainder.within_rounding(search, lsb_n)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import mains, noise
+from rthyb_rt.diagnose import coarse, mains, noise
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.moving import gain2, sensor_colour
 from rthyb_rt.diagnose.policy import POLICY
@@ -217,7 +217,8 @@ class Estimate:
         force: the force that a specimen model must reproduce, (n,), N.
         rows: rows to evaluate, (n,).
         whiten: whitens the noise of a force residual to unit variance; linear.
-        sigma_n: standard deviation of the force residual's noise where it is white, N.
+        sigma_n: standard deviation of the force residual's noise where it is white, N; of a coarse
+            load cell without its rounding, but with the contribution of an estimated motion.
         share: fraction of the band that is evaluated: the variance of a row of whitened noise.
         exact: whether the motion is simulated and therefore free of noise.
         pieces: whitens pieces of a long residual only, from their first rows (m,) and their
@@ -226,6 +227,8 @@ class Estimate:
             determined together with a set of effects; 0: the noise is as assumed beforehand.
         blur: contribution of the estimated motion; None if unknown, or the motion is exact.
         begins: first row at which the motion and its history are known, see `begun`.
+        read: rows with a reading of a coarse load cell that is evaluated only where it changes its
+            reading, see `coarse`; None: of any other one.
     """
 
     motion: ComputedMotion
@@ -239,6 +242,7 @@ class Estimate:
     scatter: float = 0.0
     blur: Blur | None = None
     begins: int = 0
+    read: NDArray[np.bool_] | None = None
 
     @property
     def coloured(self) -> bool:
@@ -757,12 +761,60 @@ def along(case: Case, motion: ComputedMotion, exact_from: int) -> Estimate | Non
     ends = int(min(SHIFT_S * case.fs_hz, rows.size / 50))
     if ends:
         rows[:ends] = rows[-ends:] = False
-    sure = rows & at_its_time(case.model.force(motion.x, motion.v, motion.a), sigma, case.fs_hz)
+    expected = case.model.force(motion.x, motion.v, motion.a)
+    sure = rows & at_its_time(expected, sigma, case.fs_hz)
     if sure.sum() > POLICY.abrupt_rows * rows.sum():
         rows = sure
-    return Estimate(
+    found = Estimate(
         motion, filled(f_meas), rows, lambda y: y / sigma, sigma, True, begins=exact_from
     )
+    return where_it_changes(case, found, expected) or found
+
+
+def where_it_changes(case: Case, found: Estimate, expected: Floats) -> Estimate | None:
+    """Return the estimate evaluated where a coarse load cell changes its reading.
+
+    Args:
+        case: recording and model.
+        found: the estimate as evaluated in every row.
+        expected: the force by the model, (n,), N.
+
+    Returns:
+        None if the load cell is not coarse, or changes too rarely or too often.
+    """
+    f_meas, sheet_n = case.channels["f_meas"], case.model.f_std
+    step_n = step_of(f_meas, sheet_n)
+    blur_n = found.blur.rms if found.blur is not None else 0.0
+    noise_n = float(np.hypot(sheet_n or 0.0, blur_n))
+    if step_n == 0.0 or not coarse.is_rounded(step_n, noise_n):
+        return None
+    exact = coarse.changes(filled(f_meas), np.isfinite(f_meas), step_n, noise_n, expected)
+    changed = int(np.count_nonzero(found.rows & exact.rows))
+    often = changed > POLICY.coarse_change * found.rows.sum()
+    if often or changed < POLICY.least_rows_force:
+        return None
+    now = replace(found, sigma_n=noise_n, share=1.0, blur=None, read=found.rows)
+    return _exact(case, now, exact)
+
+
+def by_intervals(case: Case, found: Estimate, best: Floats) -> Estimate:
+    """Return the estimate of a coarse load cell with its readings as intervals.
+
+    Args:
+        case: recording and model.
+        found: the estimate as evaluated where the reading changes.
+        best: the force by the model with the effects that were found in it, (n,), N.
+    """
+    f_meas = case.channels["f_meas"]
+    step_n = step_of(f_meas, case.model.f_std)
+    exact = coarse.intervals(filled(f_meas), np.isfinite(f_meas), step_n, found.sigma_n, best)
+    return _exact(case, found, exact)
+
+
+def _exact(case: Case, found: Estimate, exact: coarse.Exact) -> Estimate:
+    assert found.read is not None
+    now = replace(found, force=exact.force, rows=found.read & exact.rows)
+    return now.whitened(exact.seen, None, case.fs_hz)
 
 
 def _in_colour_each(

@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
+from rthyb_rt.diagnose import coarse
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.decide import (
     Choice,
@@ -21,10 +22,12 @@ from rthyb_rt.diagnose.decide import (
 )
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
+from rthyb_rt.diagnose.estimate import step_of
 from rthyb_rt.diagnose.feedback import Driven, inferred, returns
 from rthyb_rt.diagnose.fitted import (
     bent,
     contribution,
+    force_of,
     left,
     offset_s,
     offset_sd,
@@ -171,6 +174,7 @@ class Gathered:
             # A simulated motion is compared with the measured one: no regressor contains its noise.
             self.fitter.judged == "force" and (returns(problem.case) or blurred),
             self.fitter.witnessed,
+            problem.estimate.read is not None,
         )
 
     def _beside(self) -> list[Hypothesis]:
@@ -200,6 +204,8 @@ class Gathered:
                 return np.inf
             force_n = float(np.max(np.abs(contribution(problem, fit, need.which[0]))))
             return force_n / abs(model.k) / model.x_std
+        if need.what == "rounding":
+            return rounding(problem, fit)
         if need.what == "left":
             return left(problem, fit)
         if need.what == "slow noise":
@@ -244,6 +250,16 @@ class Gathered:
             for m in fit.members
             if self.problem.ctx.k_free or m.name != self.laws.stiffness
         ]
+
+
+def rounding(problem: ResidualProblem, fit: Fit) -> float:
+    """Return how improbable the readings of a coarse load cell are with a set, -2 ln."""
+    case, found = problem.case, problem.estimate
+    if found.read is None:
+        return 0.0
+    reading = case.channels["f_meas"]
+    step_n = step_of(reading, case.model.f_std)
+    return coarse.deviance(force_of(problem, fit), reading, found.read, step_n, found.sigma_n)
 
 
 def slow_power(problem: ResidualProblem, fit: Fit) -> float:

@@ -70,6 +70,14 @@ def contribution(problem: ResidualProblem, fit: Fit, member: int) -> Floats:
     return np.asarray(np.sum(parts, axis=0))
 
 
+def force_of(problem: ResidualProblem, fit: Fit) -> Floats:
+    """Return the force by the model with a set, as the load cell shows it, (n,), N."""
+    out = problem.ctx.total + leaning(problem, fit)
+    for i in range(len(fit.members)):
+        out = out + contribution(problem, fit, i)
+    return np.asarray(out)
+
+
 def change(problem: ResidualProblem, fit: Fit, error: ComputedMotion) -> Floats:
     """Return by how much the force of a set changes if the motion errs by this, (n,), N.
 
@@ -102,8 +110,6 @@ def size(problem: ResidualProblem, fit: Fit, which: Sequence[int] | None = None)
 def left(problem: ResidualProblem, fit: Fit) -> float:
     """Return the rms difference from the recorded force with a set, relative to that without it."""
     rows = problem.estimate.rows
-    before = (problem.estimate.force - problem.ctx.total)[rows]
-    added = leaning(problem, fit) + sum(
-        contribution(problem, fit, i) for i in range(len(fit.members))
-    )
-    return float(np.std(before - added[rows])) / max(float(np.std(before)), 1e-300)
+    force = problem.estimate.force
+    before, after = force - problem.ctx.total, force - force_of(problem, fit)
+    return float(np.std(after[rows])) / max(float(np.std(before[rows])), 1e-300)

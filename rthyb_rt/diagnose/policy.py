@@ -567,6 +567,37 @@ class Policy:
         0.15, "rad", "judgement",
         "Maximum distance of a reading from the grid, as a phase: one grid step is 2 pi.",
     )  # fmt: skip
+    coarse_undithered: float = _entry(
+        4.0, "multiple of the noise", "physics",
+        "Step of a load cell above which its rounding is no noise: the force is evaluated where "
+        "the reading changes.",
+        "two neighbouring changes are then four standard deviations apart",
+    )  # fmt: skip
+    coarse_change: float = _entry(
+        0.25, "changes per row", "judgement",
+        "Maximum number of such changes; a force that passes more steps is evaluated in every row.",
+    )  # fmt: skip
+    coarse_flicker: float = _entry(
+        6.0, "standard deviations of noise", "physics",
+        "Change of the force within which noise makes a reading change back and forth.",
+        "three standard deviations to either side",
+    )  # fmt: skip
+    coarse_near_end: float = _entry(
+        2.0, "standard deviations of noise", "numerics",
+        "Distance of a force from the end of a step up to which its reading is evaluated once a "
+        "set is known.",
+        "further inside, a row has less than a tenth of the weight of one at the end",
+    )  # fmt: skip
+    coarse_settled: float = _entry(
+        0.3, "standard deviations of noise", "numerics",
+        "Change of the best set's force, rms, below which the readings of a coarse load cell are "
+        "not evaluated again.",
+    )  # fmt: skip
+    coarse_odds: float = _entry(
+        2.0, "multiple of the least value", "judgement",
+        "Deviance from the readings of a coarse load cell above which a set is rejected: it was "
+        "not fitted to them, but where they change.",
+    )  # fmt: skip
     rounded_rows: float = _entry(
         0.02, "fraction of the rows", "judgement",
         "The model alone is accepted if at most this fraction of the rows deviates by more than "
@@ -950,6 +981,10 @@ class Policy:
         6, "rows", "judgement",
         "Minimum number of consecutive rows at such a reading for it to be regarded as a "
         "saturation level.",
+    )  # fmt: skip
+    stop_readings: int = _entry(
+        5, "readings", "judgement",
+        "Number of distinct readings up to which saturation is not told from steps.",
     )  # fmt: skip
     stop_longer: float = _entry(
         4.0, "factor", "judgement",

@@ -507,6 +507,8 @@ def _clipped(channels: dict[str, Floats], where: str, notes: list[str]) -> None:
 def _at_the_stops(values: Floats) -> NDArray[np.bool_]:
     good = np.isfinite(values)
     out = np.zeros(values.size, dtype=np.bool_)
+    if np.unique(values[good]).size <= POLICY.stop_readings:
+        return out  # of so coarse a converter, the last reading is one among few
     spread = float(np.nanstd(values))
     for end in (np.nanmax(values), np.nanmin(values)):
         # The residual at rest, or one level of a coarse converter, is not the end of the range.

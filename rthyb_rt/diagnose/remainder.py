@@ -28,7 +28,7 @@ from rthyb_rt.diagnose.freebody import Body, judged
 from rthyb_rt.diagnose.intervals import Sure
 from rthyb_rt.diagnose.policy import POLICY, SIDES
 from rthyb_rt.diagnose.predict import Augmented, nrmse, output_error, predict
-from rthyb_rt.diagnose.select import Fit, ResidualProblem, leaning
+from rthyb_rt.diagnose.select import Fit, ResidualProblem
 from rthyb_rt.diagnose.verdict import Asked, Left, Reproduced, Rounded, Simulated
 
 DRAWN = 4
@@ -38,11 +38,7 @@ error of that of three rows is a fifth."""
 
 def left_by(search: Search, fit: Fit) -> Floats:
     """Return the residual of the force with model, effects and fitted nuisance, (n,), N."""
-    problem = search.problem
-    rest = problem.estimate.force - problem.ctx.total - leaning(problem, fit)
-    for i in range(len(fit.members)):
-        rest = rest - fitted.contribution(problem, fit, i)
-    return np.asarray(rest)
+    return search.problem.estimate.force - fitted.force_of(search.problem, fit)
 
 
 def bend(problem: ResidualProblem, fit: Fit) -> float:
@@ -349,18 +345,21 @@ def beyond(search: Search, fit: Fit, lsb_n: float) -> float:
     problem = search.problem
     rest = left_by(search, fit)
     reach = 0.5 * lsb_n + POLICY.rounded_noise * (problem.case.model.f_std or 0.0)
-    return float(np.mean(np.abs(rest[problem.rows]) > reach))
+    read = problem.estimate.read
+    return float(np.mean(np.abs(rest[problem.rows if read is None else read]) > reach))
 
 
 def rounded(search: Search, name: str, lsb_n: float) -> Rounded:
     """Return how much of the residual the quantisation of a load cell explains."""
-    missing = left_by(search, search.null)[search.problem.estimate.rows]
+    found = search.problem.estimate
+    missing = left_by(search, search.null)[found.rows if found.read is None else found.read]
     return Rounded(
         name,
         lsb_n**2 / 12.0 / max(float(np.mean(missing**2)), 1e-300),
         search.gain,
         beyond(search, search.null, lsb_n),
         beyond(search, search.best, lsb_n),
+        exact=found.read is not None,
     )
 
 

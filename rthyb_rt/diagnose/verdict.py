@@ -115,6 +115,7 @@ class Rounded:
         gain: what the best set earns beyond its price, in chi-squared.
         beyond: fraction of rows with a residual of the model beyond rounding and noise.
         beyond_best: the same for the best set.
+        exact: whether the force was evaluated where the reading changes, without rounding.
     """
 
     name: str
@@ -122,6 +123,7 @@ class Rounded:
     gain: float = 0.0
     beyond: float = 0.0
     beyond_best: float = 0.0
+    exact: bool = False
 
 
 @dataclass(frozen=True)
@@ -452,7 +454,7 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     Not if this requires leaving its tolerances, nor if the set found stays closer.
     """
     rounded, policy = court.seen.rounding, court.policy
-    if rounded is None or not within(left.bent, policy):
+    if rounded is None or rounded.exact or not within(left.bent, policy):
         return named, known
     most = policy.rounded_rows
     if rounded.beyond <= most and left.names:

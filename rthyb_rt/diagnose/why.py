@@ -319,6 +319,8 @@ DROPPED = {
     "driven together": "its effects together improve chi-squared by {found} through the motion "
     "that the test imposes, without the noise that is in force and motion alike, but must improve "
     "it by {wanted}",
+    "rounding": "the readings between two changes have a deviance of {found} with it, of at most "
+    "{wanted}",
     "drift goes on": "the drift is smaller within each half of the recording",
     "drift repeats": "the motion of one half of the recording has {found} cycles, but a drift "
     "needs {wanted} in each",
