@@ -365,6 +365,21 @@ def test_a_stop_that_is_touched_once_for_a_tenth_of_a_second_is_named(tmp_path: 
     assert d.candidates[0].params["xs_m"] == pytest.approx(stop_m, rel=0.02)
 
 
+def test_a_strong_damper_that_locks_in_at_speed_leaves_only_noise() -> None:
+    """With a smooth start, what it leaves there moves the stated values out of their tolerances."""
+    c2, begins_s = 2e7, 4.3021
+    problem, _ = fitted(lambda t, x, v: c2 * v * np.abs(v) * (t > begins_s), "quad_damping")
+    law = effects.catalogue()["quad_damping"]
+    smooth = refine(problem, [Member(onset.Late(law), Trial((4.3,)))])
+    fit = onset._begun(force._Fitter(problem), [Member(onset.Late(law), Trial((4.25,)))])
+    assert smooth is not None
+    assert fit is not None
+    assert smooth.chi2 > 20.0 * problem.y.size
+    assert fit.chi2 == pytest.approx(problem.y.size, rel=0.15)
+    assert fit.members[0].trial.theta[-1] == pytest.approx(begins_s, abs=1.0 / cases.FS)
+    assert fit.betas[0][0] == pytest.approx(c2, rel=0.01)
+
+
 @pytest.mark.parametrize(("count", "cycles"), [(0.75, 1.0), (1.0, 1.0), (2.0, 2.0), (3.5, 3.5)])
 def test_cycles_of_a_motion_are_counted_by_its_sides(count: float, cycles: float) -> None:
     phase = np.linspace(0.0, 2.0 * np.pi * count, 4000)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Trial
+from rthyb_rt.diagnose.effects.base import SWITCH_S, Context, Effect, Floats, Trial
 from rthyb_rt.diagnose.estimate import Rows
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.select import (
@@ -33,6 +33,8 @@ SINGLES = 3
 """Number of single effects with which onsets are combined; the best pair is one more."""
 MOST = 5
 """Number of effects examined more closely in addition to one set."""
+PART_OF_ROW = 0.25
+"""Distance between the onset times that are tried for an effect that begins at once, in rows."""
 NEAR = 25
 """Number of onset times tried between the blocks around the best one."""
 
@@ -45,8 +47,9 @@ class Late(Effect):
 
     late = True
 
-    def __init__(self, effect: Effect) -> None:
-        self.effect = effect
+    def __init__(self, effect: Effect, at_once: bool = False) -> None:
+        """Set the effect, and whether it begins within a row instead of smoothly."""
+        self.effect, self.at_once = effect, at_once
         self.name = effect.name
         self.params = effect.params
         self.signs = effect.signs
@@ -83,8 +86,11 @@ class Late(Effect):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the effect's columns from its onset on."""
-        whole = self.whole(ctx, trial)
-        return self.effect.begun(ctx, whole, ctx.first_s + trial.theta[-1])
+        whole, first_s = self.whole(ctx, trial), ctx.first_s + trial.theta[-1]
+        if self.at_once:
+            switch = np.clip((ctx.t - first_s) / ctx.dt + 0.5, 0.0, 1.0)
+            return [c * switch for c in whole]
+        return self.effect.begun(ctx, whole, first_s)
 
     def reading(
         self, ctx: Context, trial: Trial, forces: Callable[[Context], list[Floats]]
@@ -130,7 +136,8 @@ class Late(Effect):
 
     def steps(self, ctx: Context, trial: Trial) -> list[float]:
         """Return the effect's steps, and that of its onset."""
-        return [*self.effect.steps(ctx, self.inner(trial)), 1e-3]
+        own = self.effect.steps(ctx, self.inner(trial))
+        return [*own, PART_OF_ROW * ctx.dt / trial.theta[-1] if self.at_once else 1e-3]
 
 
 class _Before(Effect):
@@ -297,7 +304,9 @@ def _scan(
 
 def _begun(fitter: OnsetFitter, members: list[Member]) -> Fit | None:
     """Fit a set whose last effect begins about then; None if it is also present before."""
-    problem = fitter.problem
+    problem, effect = fitter.problem, members[-1].effect
+    assert isinstance(effect, Late)
+    members = [*members[:-1], Member(Late(effect.effect), members[-1].trial)]
     t, trial = problem.ctx.t, members[-1].trial
     length = float(t[-1] - t[0])
     start = trial.theta[-1]
@@ -307,10 +316,33 @@ def _begun(fitter: OnsetFitter, members: list[Member]) -> Fit | None:
         start = min(found)[1] if found else start
     shape = Trial((*trial.theta[:-1], start), trial.variant)
     fit = refine(problem, [*members[:-1], Member(members[-1].effect, shape)])
+    fit = fit and min(fit, _at_once(problem, fit) or fit, key=lambda f: f.chi2)
     if fit is None or not problem.sensible(fit) or not absent_before(problem, fit):
         return None
     fitter.keep(fit)
     return fit
+
+
+def _at_once(problem: ResidualProblem, fit: Fit) -> Fit | None:
+    """Return a set whose last effect begins within a row, about when it does smoothly.
+
+    A strong law that begins at once is far from its smooth start, which moves the others.
+    """
+    effect, trial = fit.members[-1].effect, fit.members[-1].trial
+    assert isinstance(effect, Late)
+    if effect.effect.carries or not _switched(effect.effect):
+        return None
+    step_s = PART_OF_ROW * problem.ctx.dt
+    reach = np.arange(-2.0 * SWITCH_S, 2.0 * SWITCH_S, step_s)
+    starts = trial.theta[-1] + reach
+    length = float(problem.ctx.t[-1] - problem.ctx.t[0])
+    late = Late(effect.effect, at_once=True)
+    members = [*fit.members[:-1], Member(late, trial)]
+    found = _scan(problem, members, starts[(starts > problem.ctx.dt) & (starts < length)])
+    if not found:
+        return None
+    shape = Trial((*trial.theta[:-1], min(found)[1]), trial.variant)
+    return refine(problem, [*members[:-1], Member(late, shape)])
 
 
 def absent_before(problem: ResidualProblem, fit: Fit) -> bool:

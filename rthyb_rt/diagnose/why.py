@@ -669,6 +669,8 @@ def _facts_of_force(d: DiagnosisResult, search: forces.Search) -> list[tuple[str
     if search.moved:
         motion = "simulated with each set and compared with the measured motion"
     looked = f", using one in {problem.thin}" if problem.thin > 1 else ""
+    if found.read is not None:
+        looked = ", those with a force near the end of a step of the coarse load cell"
     rows = [
         (
             "noise of the force",
