@@ -242,6 +242,21 @@ class _Mover(_Fitter):
         self.exact, self.rows = True, float(body.rows.size)
         self.judged = "rig" if body.whole_rig else "motion"
 
+    def complete(self, enough: float) -> None:
+        """Try each number of the model beside the best set that can be larger.
+
+        If it leaves more than ``enough``: one that came to the front last, by the subsets of a
+        wrong one, has not been extended.
+        """
+        fit = next((f for f in self.ranked if len(f.names) < self.body.largest), None)
+        if fit is None or fit.chi2 < enough:
+            return
+        self.body.runs = max(self.body.runs, PARTS)
+        for effect in self.problem.effects:
+            members = (*fit.members, Member(effect, Trial()))
+            if effect.number and compatible(members) and names_of(members) not in self.by_names:
+                self.fit(members)
+
     def move(self, fit: Fit) -> Fit | None:
         """Refine a set that was found in the force balance; the better of its shapes is kept.
 
@@ -579,6 +594,7 @@ def _moved(
     mover.relieve()
     mover.plain_friction()
     mover.elsewhere()
+    mover.complete(body.met * n)
     best = min((plain, *mover.by_names.values()), key=mover.score)
     scale, before = inflation(best.residual), plain.chi2
     mover.rescale(scale, plain)
