@@ -11,7 +11,7 @@ from diagnose_answers import diagnosed, holds
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from rthyb_rt.diagnose import coarse
+from rthyb_rt.diagnose import coarse, engine
 
 STEP_N, NOISE_N = 400.0, 15.0
 T = np.arange(6000) / 1000.0
@@ -101,7 +101,7 @@ def test_deviance_is_that_of_intervals() -> None:
         assert found == pytest.approx(exact, rel=1e-3, abs=1e-3)
 
 
-def test_scoring_ends_where_the_likelihood_of_the_intervals_is_largest() -> None:
+def test_its_steps_end_where_the_likelihood_of_the_intervals_is_largest() -> None:
     v = np.cos(5.0 * T) * np.sin(1.3 * T)
     force = 1500.0 * np.sin(3.1 * T) + 170.0 * np.sign(v)
     read, rows = readings(force, 8), np.ones(T.size, dtype=np.bool_)
@@ -179,3 +179,46 @@ def test_coarse_readings_of_a_right_model_lack_nothing_else(tmp_path, step_n: fl
     u = cases.command(seconds=16.0)
     d = diagnosed(tmp_path, recorded(elastic(u), u, step_n), cases.baseline())
     assert d.effects == ["quantisation"]
+
+
+@pytest.mark.parametrize("noise_n", [0.1, 1.0, 15.0])
+def test_a_quiet_load_cell_is_read_at_every_change(noise_n: float) -> None:
+    """Within its noise of an end of a step there would be hardly a row."""
+    force = 1500.0 * np.sin(3.1 * T)
+    read, rows = readings(force, 11, noise_n), np.ones(T.size, dtype=np.bool_)
+    changed = coarse.changes(read, rows, STEP_N, noise_n, force).rows.sum()
+    assert coarse.intervals(read, rows, STEP_N, noise_n, force).rows.sum() > 0.8 * changed
+
+
+@pytest.mark.parametrize("noise_n", [15.0, 60.0])
+def test_variance_of_a_row_of_intervals_is_the_stated_share(noise_n: float) -> None:
+    force = 1500.0 * np.sin(0.31 * np.linspace(0.0, 60.0, 40_000))
+    rows = np.ones(force.size, dtype=np.bool_)
+    exact = coarse.intervals(readings(force, 12, noise_n), rows, STEP_N, noise_n, force)
+    rest = exact.seen(exact.force - force)[exact.rows]
+    assert np.mean(rest**2) == pytest.approx(coarse.SHARE, rel=0.1)
+
+
+def test_energy_and_curves_are_those_of_all_readings(tmp_path) -> None:
+    """Not of the rows in which the search evaluated them."""
+    u = cases.command(seconds=16.0)
+    x, v, _ = cases.moved(u)
+    friction = 160.0 * np.sign(v)
+    columns = recorded(elastic(u) + friction, u, 900.0)
+    d = diagnosed(tmp_path, columns, cases.baseline())
+    work = next(c for c in engine.to_json(d)["candidates"] if c["name"] == "coulomb")["energy_J"]
+    assert work == pytest.approx(friction @ np.diff(x, prepend=x[0]), rel=0.1)
+    assert np.array_equal(d.context.force, columns["f_meas"])
+
+
+def test_rows_before_a_yielding_spring_forgets_its_history_stay_out(tmp_path) -> None:
+    u = cases.command("sine", 16.0)
+    before = 5 * int(cases.FS)
+    columns = {n: c[before:] for n, c in recorded(elastic(u), u, 600.0).items()}
+    columns["t"] = columns["t"] - columns["t"][0]
+    loop = "[specimen.bouc_wen]\nalpha = 0.9999\nxy = 4e-3\nn = 2.0\nbeta = 0.5\ngamma = 0.5\n"
+    model = cases.baseline().replace("[actuator]", f"{loop}[actuator]")
+    found = diagnosed(tmp_path, columns, model).estimate
+    assert found.read is not None
+    assert not found.read[: found.begins].any()
+    assert not found.rows[: found.begins].any()

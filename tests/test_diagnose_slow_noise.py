@@ -121,7 +121,7 @@ def test_sheet_holds_along_an_estimated_motion_with_the_error_of_the_estimate(
     left = rms * white / np.std(white)
     found = SimpleNamespace(
         coloured=True, blur=SimpleNamespace(rms=error_of_motion), share=1.0, rows=ALL, scatter=0.0,
-        whiten=lambda y: 1.3 * y / np.std(y),
+        whiten=lambda y: 1.3 * y / np.std(y), read=None,
     )  # fmt: skip
     case = SimpleNamespace(channels={"f_meas": left}, fs_hz=FINE_HZ)
     search = SimpleNamespace(problem=SimpleNamespace(case=case, estimate=found), best=None)

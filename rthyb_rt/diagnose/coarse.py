@@ -5,8 +5,8 @@ within a step, and least squares take the colour of that for a law. In the insta
 force is half-way between the two readings, whatever the steps.
 
 A set that is found by these instants is then refined by the likelihood of all readings, each as an
-interval: by Fisher's scoring around it, a reading near the end of its step is a force there, and
-one in the middle of its step is none.
+interval: by Newton's method around it, a reading near the end of its step is a force there, and one
+in the middle of its step is none.
 """
 
 from __future__ import annotations
@@ -23,6 +23,9 @@ from rthyb_rt.diagnose.policy import POLICY
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+SHARE = 0.661
+"""Variance of a row of `intervals`: the mean of m / (m + u) over forces that are anywhere up to
+`POLICY.coarse_near_end` within a step, each by the probability of its reading."""
 REACH = 6.0
 """Standard deviations beyond which a probability is 1, or given by its asymptote."""
 
@@ -119,7 +122,9 @@ def intervals(reading: Floats, rows: Mask, step_n: float, noise_n: float, best: 
     """Return the readings as forces with which least squares maximise their likelihood.
 
     A force that is u standard deviations within the nearest end of a step is repelled from there by
-    m(u), the normal density over the normal integral, with the weight m (m + u).
+    m(u), the normal density over the normal integral, with the weight m (m + u). Of a force that
+    passes the end faster than its noise, hardly a row would be near enough: its change within a row
+    counts as noise.
 
     Args:
         reading: the readings, (n,), N.
@@ -129,14 +134,15 @@ def intervals(reading: Floats, rows: Mask, step_n: float, noise_n: float, best: 
         best: the force by a model that is nearly right, (n,), N.
     """
     off = best - reading
-    within = (0.5 * step_n - np.abs(off)) / noise_n
+    noise = np.hypot(noise_n, np.diff(best, append=best[-1]) / np.sqrt(12.0))
+    within = (0.5 * step_n - np.abs(off)) / noise
     near = rows & np.isfinite(best) & (within < POLICY.coarse_near_end)
     u = within[near]
     push = np.array([_mills(value) for value in u.tolist()])
     weight = push * (push + u)
     force, root = reading.copy(), np.zeros(reading.size)
-    force[near] = best[near] - np.sign(off[near]) * noise_n * push / weight
-    root[near] = np.sqrt(weight) / noise_n
+    force[near] = best[near] - np.sign(off[near]) * noise[near] * push / weight
+    root[near] = np.sqrt(weight) / noise[near]
     return Exact(near, force, root, pairs=False)
 
 

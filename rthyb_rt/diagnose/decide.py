@@ -199,7 +199,7 @@ class DriftRates:
         whole: its rate, in any unit.
         within: its rate from the slopes within each half, with separate offsets.
         sigma: standard deviation of ``within``.
-        cycles: cycles of the motion in the half that has fewer.
+        cycles: cycles of the motion in the half that has fewer; infinite for one that rests.
     """
 
     whole: float

@@ -40,7 +40,6 @@ from rthyb_rt.diagnose.select import (
     Fit,
     Member,
     ResidualProblem,
-    leaning,
     refine,
 )
 from rthyb_rt.diagnose.verdict import (
@@ -60,10 +59,10 @@ Progress = Callable[[str], None]
 
 FEWER = 2
 """Number of sets with fewer laws whose motion is examined."""
-SCORINGS = 12
+NEWTON_STEPS = 12
 """Largest number of steps by which a set is refined by a coarse load cell's readings."""
-ROUNDS = 2
-"""Number of searches by these readings, the second one near the set found by the first."""
+ROUNDS = 3
+"""Number of searches by these readings, each near the set found by the last one."""
 PASSES = 2
 """Number of simulations of such a motion, the second one with the effects found along it."""
 
@@ -312,7 +311,8 @@ def context_of(
         for name, values in case.recorded.items()
         if np.isfinite(values).any()
     }
-    return Context(case.model, found.motion, case.t, found.force, other, ranges)
+    read = estimate.as_read(case, found)
+    return Context(case.model, found.motion, case.t, read.force, other, ranges)
 
 
 def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult:
@@ -445,7 +445,7 @@ def _by_intervals(
     """
     for _ in range(ROUNDS):
         before = search.best.names
-        found = _scored(case, found, search)
+        found = _near_the_best(case, found, search)
         progress("steps")
         problem = ResidualProblem(case, search.problem.ctx, found, effects.catalogue().values())
         search = anew(problem, [f.members for f in search.pool])
@@ -454,17 +454,17 @@ def _by_intervals(
     return found, search
 
 
-def _scored(case: Case, found: Estimate, search: force.Search) -> Estimate:
+def _near_the_best(case: Case, found: Estimate, search: force.Search) -> Estimate:
     """Return the readings of a coarse load cell as forces near the best set refined by them."""
     problem, fit = search.problem, search.best
     near = fitted.force_of(problem, fit)
-    for _ in range(SCORINGS):
-        found = estimate.by_intervals(case, found, near)
-        problem = ResidualProblem(case, problem.ctx, found, effects.catalogue().values())
+    for _ in range(NEWTON_STEPS):
+        closer = estimate.by_intervals(case, found, near)
+        problem = ResidualProblem(case, problem.ctx, closer, effects.catalogue().values())
         refined = refine(problem, fit.members)
         if refined is None:
             break
-        fit, before, near = refined, near, fitted.force_of(problem, refined)
+        found, fit, before, near = closer, refined, near, fitted.force_of(problem, refined)
         moved = float(np.sqrt(np.mean((near - before)[found.rows] ** 2)))
         if moved < POLICY.coarse_settled * found.sigma_n:
             break
@@ -739,15 +739,14 @@ def _errors(
         out["nrmse_after_disp"] = float(np.std((disp.task.x - best.motion.x)[rows])) / spread
     if search is not None and found is not None:
         problem = search.problem
+        found = estimate.as_read(problem.case, found)
         # The entire recording, however little of it the search used.
         rows = np.flatnonzero(found.rows)
         # If no force acts, the force of the spring is the reference.
         spread = float(np.std(found.force[rows])) or float(np.std(problem.ctx.spring[rows])) or 1.0
         before = (found.force - problem.ctx.total)[rows]
         fit = search.best if search.best.members and verdict != "unknown" else search.null
-        model = problem.ctx.total + leaning(problem, fit)
-        for i in range(len(fit.members)):
-            model += fitted.contribution(problem, fit, i)
+        model = fitted.force_of(problem, fit)
         out["nrmse_before_force"] = float(np.std(before)) / spread
         out["nrmse_after_force"] = float(np.std((found.force - model)[rows])) / spread
     main = (
@@ -872,7 +871,8 @@ def _work(d: DiagnosisResult, c: Found) -> dict[str, float]:
     if c.signal is None or c.channel != "force" or d.estimate is None:
         return {}
     x = d.estimate.motion.x
-    dx = np.where(d.estimate.rows, np.diff(x, prepend=x[0]), 0.0)
+    rows = estimate.as_read(d.case, d.estimate).rows
+    dx = np.where(rows, np.diff(x, prepend=x[0]), 0.0)
     return {"energy_J": float(c.signal @ dx)}
 
 
@@ -941,9 +941,10 @@ def in_newtons(d: DiagnosisResult, model: Augmented, wanted: Case | None = None)
         return model
     if d.verdict not in ("explained", "ambiguous") or not search.best.members:
         return model
-    sigma = float(np.std(search.best.residual)) * search.problem.estimate.sigma_n or 1.0
-    level = max(sigma, search.problem.estimate.sigma_n)
-    plain = replace(search.problem.estimate, whiten=lambda y: y / level, pieces=None)
+    read = estimate.as_read(d.case, search.problem.estimate)
+    sigma = float(np.std(search.best.residual)) * read.sigma_n or 1.0
+    level = max(sigma, read.sigma_n)
+    plain = replace(read, whiten=lambda y: y / level, pieces=None)
     ctx = search.problem.ctx
     motion = followed(model, d.case, wanted) if wanted is not None else None
     if motion is not None:

@@ -266,8 +266,9 @@ class Estimate:
 
     def beginning(self, first: int, fs_hz: float) -> Estimate:
         """Return the estimate evaluated, and known, from a row on only."""
-        later = replace(self, begins=max(first, self.begins))
-        later = replace(later, rows=self.rows & (np.arange(self.rows.size) >= first))
+        after, read = np.arange(self.rows.size) >= first, self.read
+        later = replace(self, begins=max(first, self.begins), rows=self.rows & after)
+        later = replace(later, read=None if read is None else read & after)
         return later.whitened(self.whiten, self.pieces, fs_hz) if first else later
 
     def whitened(
@@ -762,7 +763,9 @@ def along(case: Case, motion: ComputedMotion, exact_from: int) -> Estimate | Non
     if ends:
         rows[:ends] = rows[-ends:] = False
     expected = case.model.force(motion.x, motion.v, motion.a)
-    sure = rows & at_its_time(expected, sigma, case.fs_hz)
+    sheet, step = case.model.f_std, step_of(f_meas, case.model.f_std)
+    steps = sheet is not None and step > 0.0 and coarse.is_rounded(step, sheet)
+    sure = rows & at_its_time(expected, sheet if steps and sheet else sigma, case.fs_hz)
     if sure.sum() > POLICY.abrupt_rows * rows.sum():
         rows = sure
     found = Estimate(
@@ -786,6 +789,10 @@ def where_it_changes(case: Case, found: Estimate, expected: Floats) -> Estimate 
     step_n = step_of(f_meas, sheet_n)
     blur_n = found.blur.rms if found.blur is not None else 0.0
     noise_n = float(np.hypot(sheet_n or 0.0, blur_n))
+    if case.model.family in ("forced", "ground"):
+        # As without steps: near resonance, a small force causes a large motion.
+        rms_n = float(np.sqrt(np.mean(found.force[found.rows] ** 2)))
+        noise_n = max(noise_n, POLICY.force_accuracy * rms_n)
     if step_n == 0.0 or not coarse.is_rounded(step_n, noise_n):
         return None
     exact = coarse.changes(filled(f_meas), np.isfinite(f_meas), step_n, noise_n, expected)
@@ -800,6 +807,8 @@ def where_it_changes(case: Case, found: Estimate, expected: Floats) -> Estimate 
 def by_intervals(case: Case, found: Estimate, best: Floats) -> Estimate:
     """Return the estimate of a coarse load cell with its readings as intervals.
 
+    As it is if too few of them are near an end of their step.
+
     Args:
         case: recording and model.
         found: the estimate as evaluated where the reading changes.
@@ -808,7 +817,21 @@ def by_intervals(case: Case, found: Estimate, best: Floats) -> Estimate:
     f_meas = case.channels["f_meas"]
     step_n = step_of(f_meas, case.model.f_std)
     exact = coarse.intervals(filled(f_meas), np.isfinite(f_meas), step_n, found.sigma_n, best)
-    return _exact(case, found, exact)
+    near = _exact(case, replace(found, share=coarse.SHARE), exact)
+    return near if near.rows.sum() >= POLICY.least_rows_force else found
+
+
+def as_read(case: Case, found: Estimate) -> Estimate:
+    """Return the estimate of a coarse load cell with its readings in all rows, rounding as noise.
+
+    To be shown; any other estimate as it is.
+    """
+    if found.read is None:
+        return found
+    f_meas = case.channels["f_meas"]
+    sigma = force_noise(f_meas, case.model.f_std)
+    plain = replace(found, force=filled(f_meas), rows=found.read, sigma_n=sigma, read=None)
+    return plain.whitened(lambda y: y / sigma, None, case.fs_hz)
 
 
 def _exact(case: Case, found: Estimate, exact: coarse.Exact) -> Estimate:

@@ -55,6 +55,9 @@ what it leaves itself if it begins, ends or beats within the recording."""
 BLOCK_LEAST = 4.0
 """Least number of rows of a block."""
 FOLDS = 4
+STILL, RESTS = 0.01, 0.25
+"""Velocity, as a part of the largest, of a specimen at rest, and part of a half of the recording in
+which it must be at rest for a drift to show there without any cycle."""
 ASIDE = 0.2
 """Least displacement from the middle of its range, as a part of half the range, on a side."""
 
@@ -328,8 +331,12 @@ def drift(problem: ResidualProblem, fit: Fit, laws: Laws) -> DriftRates:
     weights = 1.0 / np.maximum(np.array(widths), 1e-300)
     within = float(np.sum(weights * np.array(rates)) / np.sum(weights))
     whole = float(fit.betas[fit.members.index(member)][0]) * float(size[0])
-    x = problem.ctx.x[problem.rows]
-    fewest = min(cycles(x[:middle]), cycles(x[middle:]))
+    x, v = problem.ctx.x[problem.rows], problem.ctx.v[problem.rows]
+    still = np.abs(v) < STILL * problem.ctx.v_range
+    fewest = min(
+        np.inf if np.mean(still[half]) > RESTS else cycles(x[half])
+        for half in (slice(None, middle), slice(middle, None))
+    )
     return DriftRates(whole, within, float(np.sum(weights)) ** -0.5, fewest)
 
 

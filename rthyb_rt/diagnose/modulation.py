@@ -73,7 +73,7 @@ class Modulated(Effect):
         self.equation = f"{effect.equation}, its coefficient linear in {channel.name}"
         self.fingerprint = f"{effect.fingerprint}, and its size follows {channel.name}"
         self.shown_by = effect.shown_by
-        self.dissipates, self.yields = effect.dissipates, effect.yields
+        self.dissipates, self.yields, self.sprung = effect.dissipates, effect.yields, effect.sprung
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -315,10 +315,14 @@ def _begun(fitter: OnsetFitter, members: list[Member]) -> Fit | None:
         found = _scan(problem, members, starts[(starts > problem.ctx.dt) & (starts < length)])
         start = min(found)[1] if found else start
     shape = Trial((*trial.theta[:-1], start), trial.variant)
-    fit = refine(problem, [*members[:-1], Member(members[-1].effect, shape)])
-    fit = fit and min(fit, _at_once(problem, fit) or fit, key=lambda f: f.chi2)
-    if fit is None or not problem.sensible(fit) or not absent_before(problem, fit):
+    smooth = refine(problem, [*members[:-1], Member(members[-1].effect, shape)])
+    if smooth is None:
         return None
+    both = [f for f in (smooth, _at_once(problem, smooth)) if f is not None]
+    kept = [f for f in both if problem.sensible(f) and absent_before(problem, f)]
+    if not kept:
+        return None
+    fit = min(kept, key=lambda f: f.chi2)
     fitter.keep(fit)
     return fit
 
@@ -332,16 +336,17 @@ def _at_once(problem: ResidualProblem, fit: Fit) -> Fit | None:
     assert isinstance(effect, Late)
     if effect.effect.carries or not _switched(effect.effect):
         return None
-    step_s = PART_OF_ROW * problem.ctx.dt
-    reach = np.arange(-2.0 * SWITCH_S, 2.0 * SWITCH_S, step_s)
-    starts = trial.theta[-1] + reach
+    dt_s, start = problem.ctx.dt, trial.theta[-1]
     length = float(problem.ctx.t[-1] - problem.ctx.t[0])
     late = Late(effect.effect, at_once=True)
     members = [*fit.members[:-1], Member(late, trial)]
-    found = _scan(problem, members, starts[(starts > problem.ctx.dt) & (starts < length)])
-    if not found:
-        return None
-    shape = Trial((*trial.theta[:-1], min(found)[1]), trial.variant)
+    for reach, step in ((2.0 * SWITCH_S, max(1.0, 0.1 * SWITCH_S / dt_s)), (dt_s, PART_OF_ROW)):
+        starts = start + np.arange(-reach, reach + dt_s * step, dt_s * step)
+        found = _scan(problem, members, starts[(starts > dt_s) & (starts < length)])
+        if not found:
+            return None
+        start = min(found)[1]
+    shape = Trial((*trial.theta[:-1], start), trial.variant)
     return refine(problem, [*members[:-1], Member(late, shape)])
 
 

@@ -16,10 +16,9 @@ from rthyb_rt import __version__
 from rthyb_rt.diagnose import fitted, why
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.engine import DiagnosisResult
-from rthyb_rt.diagnose.estimate import filled
+from rthyb_rt.diagnose.estimate import as_read, filled
 from rthyb_rt.diagnose.ranking import rows_of
 from rthyb_rt.diagnose.residual_laws import draw_laws, force_unit
-from rthyb_rt.diagnose.select import leaning
 from rthyb_rt.diagnose.words import (
     LOOP_WORDS,
     called,
@@ -406,12 +405,9 @@ def _signals(d: DiagnosisResult) -> _Signals | None:
     search, found = d.force, d.estimate
     if search is None or found is None:
         return _only_motion(d, label)
-    problem = search.problem
+    problem, found = search.problem, as_read(d.case, found)
     fit = search.best if search.best.members and d.verdict != "unknown" else search.null
-    after = problem.ctx.total + leaning(problem, fit)
-    for i in range(len(fit.members)):
-        after += fitted.contribution(problem, fit, i)
-    shown = (found.force, problem.ctx.total, after)
+    shown = (found.force, problem.ctx.total, fitted.force_of(problem, fit))
     factor, unit = force_unit(*shown)
     measured, before, after = (factor * force for force in shown)
     return _Signals(measured, before, after, found.rows, unit, "force", label)
@@ -561,7 +557,8 @@ def _energy(d: DiagnosisResult) -> Plate:
     motion, ctx, search = d.estimate.motion if d.estimate else None, d.context, d.force
     if motion is None or ctx is None or search is None:
         return draw.Plate("energy", "Energy by term", "", "no force was recorded", True)
-    dx = np.where(search.problem.estimate.rows, np.diff(motion.x, prepend=motion.x[0]), 0.0)
+    rows = as_read(d.case, search.problem.estimate).rows
+    dx = np.where(rows, np.diff(motion.x, prepend=motion.x[0]), 0.0)
     terms = [(ctx.force, draw.BLACK, "recorded"), (ctx.total, draw.ORANGE, "model as given")]
     colours = (draw.BLUE, draw.GREEN, draw.PURPLE, draw.RED)
     found = [c for c in d.candidates if c.signal is not None and c.channel == "force"]

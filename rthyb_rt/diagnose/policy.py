@@ -586,7 +586,7 @@ class Policy:
         2.0, "standard deviations of noise", "numerics",
         "Distance of a force from the end of a step up to which its reading is evaluated once a "
         "set is known.",
-        "further inside, a row has less than a tenth of the weight of one at the end",
+        "further inside, a row has less than a fifth of the weight of one at the end",
     )  # fmt: skip
     coarse_settled: float = _entry(
         0.3, "standard deviations of noise", "numerics",

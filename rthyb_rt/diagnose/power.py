@@ -19,6 +19,7 @@ from rthyb_rt.diagnose import effects, engine
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
 from rthyb_rt.diagnose.engine import DiagnosisResult
+from rthyb_rt.diagnose.estimate import as_read
 from rthyb_rt.diagnose.fitted import contribution
 from rthyb_rt.diagnose.select import leaning
 
@@ -152,7 +153,7 @@ def _without_findings(d: DiagnosisResult) -> Case:
     added = np.zeros_like(f)
     for i in range(len(fit.members)):
         added += contribution(search.problem, fit, i)
-    judged = search.problem.estimate.rows & np.isfinite(f)
+    judged = as_read(d.case, search.problem.estimate).rows & np.isfinite(f)
     clean = model + _moved_on(f - model - added, judged)
     return replace(d.case, channels={**d.case.channels, "f_meas": clean}, notes=[])
 

@@ -44,7 +44,8 @@ def left_by(search: Search, fit: Fit) -> Floats:
 def bend(problem: ResidualProblem, fit: Fit) -> float:
     """Return the largest change of a stated value by a fit, in standard deviations."""
     pairs = zip(fit.nuisance, problem.nuisances, strict=True)
-    return max((abs(float(b)) / n.sigma for b, n in pairs if n.sigma is not None), default=0.0)
+    moved = (abs(float(b)) / n.sigma for b, n in pairs if n.sigma is not None and n.stated)
+    return max(moved, default=0.0)
 
 
 def part_of_force(search: Search, fit: Fit, excess: float) -> float:
@@ -197,7 +198,8 @@ def by_the_sheet(search: Search) -> bool:
     they count as noise like all others.
     """
     case, found = search.problem.case, search.problem.estimate
-    sheet = stated(case)
+    # Where a coarse load cell is evaluated, its rounding is no noise.
+    sheet = stated(case) if found.read is None else found.sigma_n
     if not sheet or not verdict.within(bend(search.problem, search.best), POLICY):
         return False
     rest = left_by(search, search.best)
@@ -412,7 +414,7 @@ def clear_residual(search: Search) -> Floats:
     The noise of the force along an estimated motion has any colour, and is far above that of the
     sensors where the motion is poorly known: if it dominates the residual, it is whitened first.
     """
-    found = search.problem.estimate
+    found = estimate.as_read(search.problem.case, search.problem.estimate)
     residual = robust_residual(search)
     white = np.where(found.rows, found.sigma_n * found.whiten(residual), 0.0)
     fs_hz = search.problem.case.fs_hz
@@ -438,12 +440,11 @@ def robust_residual(search: Search) -> Floats:
         if not over.any():
             break
         prior[over] *= 4.0
-    out = problem.estimate.force - problem.ctx.total
+    found = estimate.as_read(problem.case, problem.estimate)
+    out = found.force - problem.ctx.total
     for b, nuisance in zip(beta, problem.nuisances, strict=True):
         out = out - b * nuisance.column
-    out = out.copy()
-    out[~problem.estimate.rows] = 0.0
-    return out
+    return np.where(found.rows, out, 0.0)
 
 
 def _robust(problem: ResidualProblem, prior: Floats) -> Floats:

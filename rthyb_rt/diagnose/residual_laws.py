@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.engine import DiagnosisResult
+from rthyb_rt.diagnose.estimate import as_read
 from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.select import columns_of, leaning
 from rthyb_rt.diagnose.words import called, together
@@ -231,7 +232,7 @@ def _named_force(d: DiagnosisResult) -> bool:
 
 def _of_force(d: DiagnosisResult, search: forces.Search) -> Rest:
     problem, ctx = search.problem, search.problem.ctx
-    found = problem.estimate
+    found = as_read(d.case, problem.estimate)
     named = _named_force(d)
     fit = search.best if named else search.null
     if d.verdict == "unknown" and d.residual is not None and d.channel == "force":

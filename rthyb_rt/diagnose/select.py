@@ -54,6 +54,7 @@ class Nuisance:
         number: the number of the model that it changes; empty: none.
         effect: the effect that it replaces by changing a stated value; empty: none.
         cell: whether it belongs to the load cell, so that no effect carries it.
+        stated: whether much more than its standard deviation contradicts the model.
     """
 
     name: str
@@ -64,6 +65,7 @@ class Nuisance:
     number: str = ""
     effect: str = ""
     cell: bool = False
+    stated: bool = True
 
     def moves(self, model: Model, by: float) -> Model:
         """Return a model with the number changed: the stiffness relatively, others absolutely."""
@@ -214,6 +216,7 @@ class ResidualProblem:
         if self.thin >= LONG and estimate.pieces is not None:
             self.pieces = _pieces(estimate, ctx)
             self.rows = self.pieces.rows
+        self.remembers = spring_history.matters(case, ctx.x)
         self.y = self.seen(estimate.force - ctx.total)
         self.nuisances = list(self._nuisances(ctx))
         self.base = np.column_stack(
@@ -257,9 +260,9 @@ class ResidualProblem:
             sigma = None if model.c_tol is None else model.c_tol * abs(model.c)
             name = of_number("c")
             yield Nuisance(name, ctx.v, sigma, "damping", "N s/m", number="c", effect=name)
-        past = spring_history.column(self.case, ctx.x)
-        if past is not None:
-            yield Nuisance("history", past, 1.0, "spring history", "")
+        if self.remembers:
+            past = spring_history.column(self.case, ctx.x)
+            yield Nuisance("history", past, 1.0, "spring history", "", stated=False)
         mass = of_number("moving_mass")
         massive = bool(model.moving_mass) or model.family == "forced"
         if model.k_tol is None and massive and not self.decays:

@@ -40,7 +40,7 @@ def forgotten(case: Case, x: Floats, sigma_n: float) -> int:
     From the row at which both extreme histories agree within the noise, it is irrelevant. A motion
     that never yields again keeps its history: all of it is then evaluated, beside `column`.
     """
-    if case.model.bouc_wen is None or at_rest(case, x):
+    if not matters(case, x):
         return 0
     low, high = extremes(case, x)
     apart = np.flatnonzero(np.abs(high - low) > POLICY.forgotten_force * sigma_n)
@@ -48,13 +48,17 @@ def forgotten(case: Case, x: Floats, sigma_n: float) -> int:
     return first if first < POLICY.forgotten_by * x.size else 0
 
 
-def column(case: Case, x: Floats) -> Floats | None:
-    """Return half the difference between both extreme histories, (n,), N; None if there is none.
+def matters(case: Case, x: Floats) -> bool:
+    """Return whether a model's spring has a history at the first row of a motion, (n,), m."""
+    return case.model.bouc_wen is not None and not at_rest(case, x)
+
+
+def column(case: Case, x: Floats) -> Floats:
+    """Return half the difference between both extreme histories, (n,), N.
 
     The model's spring begins without a history, between the two: one standard deviation of this
-    column covers the one that it had.
+    column covers the one that it had, unless the motion before was larger. A simulated body begins
+    without a history.
     """
-    if case.model.bouc_wen is None or at_rest(case, x):
-        return None
     low, high = extremes(case, x)
     return 0.5 * (high - low)
