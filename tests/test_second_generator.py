@@ -8,6 +8,7 @@ import math
 import tomllib
 from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -179,6 +180,25 @@ def test_memory_in_time_has_its_complex_stiffness() -> None:
     )
     found = complex_force(force(laws.FRACTIONAL, 1.0, 0.5, 1e-3, x=x))
     assert_allclose(found, bank, rtol=3e-3)
+
+
+def test_a_liquid_that_sloshes_too_little_to_soften_is_a_second_mode() -> None:
+    """Its narrow resonance lies between two frequencies of the scan of the library."""
+    law = Law("sloshing", "sloshing", laws.SLOSH, (1200.0, 2.57, 0.01, 1e-6))
+    fs = 1000.0
+    t = np.arange(8000) / fs
+    x = 6e-3 * np.sin(2 * np.pi * 2.1 * t) * np.sin(2 * np.pi * 0.13 * t)
+    v = np.gradient(x, t)
+    a = np.gradient(v, t)
+    run = SimpleNamespace(x=x, v=v, a=a)
+    bench = SimpleNamespace(fs=fs)
+    effect = SimpleNamespace(law=law)
+    force = laws.along([law], 1 / fs, x, v, a)[0]
+    near = np.column_stack(recipes._linear_modes(effect, bench, run))
+    left = force - near @ np.linalg.lstsq(near, force, rcond=None)[0]
+    assert np.std(left) < 0.01 * np.std(force)
+    still = SimpleNamespace(law=Law("", "", laws.PULSED, (1.0, 1.0)))
+    assert recipes._linear_modes(still, bench, run) == []
 
 
 def test_rate_and_state_slides_steadily_at_its_closed_form() -> None:

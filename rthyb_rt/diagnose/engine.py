@@ -56,6 +56,8 @@ from rthyb_rt.diagnose.verdict import (
 from rthyb_rt.errors import InputError
 
 Progress = Callable[[str], None]
+Anew = Callable[[ResidualProblem, list[tuple[Member, ...]]], force.Search]
+"""Searches a problem again, with these sets among those that are refined."""
 
 FEWER = 2
 """Number of sets with fewer laws whose motion is examined."""
@@ -390,7 +392,7 @@ def _in_its_noise(
     case: Case,
     found: Estimate,
     search: force.Search,
-    anew: Callable[[ResidualProblem, list[tuple[Member, ...]]], force.Search],
+    anew: Anew,
     progress: Progress,
 ) -> tuple[Estimate, force.Search]:
     """Search again with coloured noise, if a set together with such noise is likelier.
@@ -436,7 +438,7 @@ def _by_intervals(
     case: Case,
     found: Estimate,
     search: force.Search,
-    anew: Callable[[ResidualProblem, list[tuple[Member, ...]]], force.Search],
+    anew: Anew,
     progress: Progress,
 ) -> tuple[Estimate, force.Search]:
     """Search again by the likelihood of the readings of a coarse load cell near the best set.
