@@ -151,9 +151,12 @@ def _mills(u: float) -> float:
     if u < -REACH:
         inverse = 1.0 / u
         return -u - inverse + 2.0 * inverse**3
-    return math.exp(-0.5 * u * u) / (
-        math.sqrt(2.0 * math.pi) * 0.5 * math.erfc(-u / math.sqrt(2.0))
-    )
+    return math.exp(-0.5 * u * u) / (math.sqrt(2.0 * math.pi) * _integral(u))
+
+
+def _integral(u: float) -> float:
+    """Return the normal integral up to u."""
+    return 0.5 * math.erfc(-u / math.sqrt(2.0))
 
 
 def deviance(expected: Floats, reading: Floats, rows: Mask, step_n: float, noise_n: float) -> float:
@@ -176,8 +179,7 @@ def deviance(expected: Floats, reading: Floats, rows: Mask, step_n: float, noise
     near = inside[inside < REACH]
     beyond = near[near < -REACH]
     out = float(np.sum(beyond**2 + np.log(2.0 * np.pi * beyond**2)))
-    at = near[near >= -REACH] / math.sqrt(2.0)
-    return out - 2.0 * sum(math.log(0.5 * math.erfc(-u)) for u in at.tolist())
+    return out - 2.0 * sum(math.log(_integral(u)) for u in near[near >= -REACH].tolist())
 
 
 def is_rounded(step_n: float, noise_n: float) -> bool:

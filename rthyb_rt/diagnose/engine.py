@@ -270,8 +270,6 @@ def motion_of(case: Case, disp: Displacement | None) -> Estimate | None:
     if not found.exact and found.blur is not None and "f_meas" in case.channels:
         expected = case.model.force(found.motion.x, found.motion.v, found.motion.a)
         found = estimate.where_it_changes(case, found, expected) or found
-    if case.model.bouc_wen is None:
-        return found
     x = found.motion.x
     return found.beginning(spring_history.forgotten(case, x, found.sigma_n), case.fs_hz)
 
@@ -389,11 +387,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
 
 
 def _in_its_noise(
-    case: Case,
-    found: Estimate,
-    search: force.Search,
-    anew: Anew,
-    progress: Progress,
+    case: Case, found: Estimate, search: force.Search, anew: Anew, progress: Progress
 ) -> tuple[Estimate, force.Search]:
     """Search again with coloured noise, if a set together with such noise is likelier.
 
@@ -435,11 +429,7 @@ def _in_its_noise(
 
 
 def _by_intervals(
-    case: Case,
-    found: Estimate,
-    search: force.Search,
-    anew: Anew,
-    progress: Progress,
+    case: Case, found: Estimate, search: force.Search, anew: Anew, progress: Progress
 ) -> tuple[Estimate, force.Search]:
     """Search again by the likelihood of the readings of a coarse load cell near the best set.
 

@@ -229,6 +229,7 @@ class Estimate:
         begins: first row at which the motion and its history are known, see `begun`.
         read: rows with a reading of a coarse load cell that is evaluated only where it changes its
             reading, see `coarse`; None: of any other one.
+        step_n: the step of its readings, N.
     """
 
     motion: ComputedMotion
@@ -243,6 +244,7 @@ class Estimate:
     blur: Blur | None = None
     begins: int = 0
     read: NDArray[np.bool_] | None = None
+    step_n: float = 0.0
 
     @property
     def coloured(self) -> bool:
@@ -800,7 +802,7 @@ def where_it_changes(case: Case, found: Estimate, expected: Floats) -> Estimate 
     often = changed > POLICY.coarse_change * found.rows.sum()
     if often or changed < POLICY.least_rows_force:
         return None
-    now = replace(found, sigma_n=noise_n, share=1.0, blur=None, read=found.rows)
+    now = replace(found, sigma_n=noise_n, share=1.0, blur=None, read=found.rows, step_n=step_n)
     return _exact(case, now, exact)
 
 
@@ -815,8 +817,7 @@ def by_intervals(case: Case, found: Estimate, best: Floats) -> Estimate:
         best: the force by the model with the effects that were found in it, (n,), N.
     """
     f_meas = case.channels["f_meas"]
-    step_n = step_of(f_meas, case.model.f_std)
-    exact = coarse.intervals(filled(f_meas), np.isfinite(f_meas), step_n, found.sigma_n, best)
+    exact = coarse.intervals(filled(f_meas), np.isfinite(f_meas), found.step_n, found.sigma_n, best)
     near = _exact(case, replace(found, share=coarse.SHARE), exact)
     return near if near.rows.sum() >= POLICY.least_rows_force else found
 

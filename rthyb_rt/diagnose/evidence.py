@@ -22,7 +22,6 @@ from rthyb_rt.diagnose.decide import (
 )
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
-from rthyb_rt.diagnose.estimate import step_of
 from rthyb_rt.diagnose.feedback import Driven, inferred, returns
 from rthyb_rt.diagnose.fitted import (
     bent,
@@ -261,8 +260,8 @@ def rounding(problem: ResidualProblem, fit: Fit) -> float:
     if found.read is None:
         return 0.0
     reading = case.channels["f_meas"]
-    step_n = step_of(reading, case.model.f_std)
-    return coarse.deviance(force_of(problem, fit), reading, found.read, step_n, found.sigma_n)
+    force_n = force_of(problem, fit)
+    return coarse.deviance(force_n, reading, found.read, found.step_n, found.sigma_n)
 
 
 def slow_power(problem: ResidualProblem, fit: Fit) -> float:

@@ -20,7 +20,7 @@ from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
 from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.estimate import as_read
-from rthyb_rt.diagnose.fitted import contribution
+from rthyb_rt.diagnose.fitted import contribution, force_of
 from rthyb_rt.diagnose.select import leaning
 
 PROBES = ("coulomb", "viscous", "inertia", "cubic")
@@ -150,11 +150,8 @@ def _without_findings(d: DiagnosisResult) -> Case:
     f = d.case.channels["f_meas"]
     fit = search.best if d.verdict in ("explained", "ambiguous") else search.null
     model = ctx.total + leaning(search.problem, fit)
-    added = np.zeros_like(f)
-    for i in range(len(fit.members)):
-        added += contribution(search.problem, fit, i)
     judged = as_read(d.case, search.problem.estimate).rows & np.isfinite(f)
-    clean = model + _moved_on(f - model - added, judged)
+    clean = model + _moved_on(f - force_of(search.problem, fit), judged)
     return replace(d.case, channels={**d.case.channels, "f_meas": clean}, notes=[])
 
 

@@ -418,8 +418,10 @@ class ResidualProblem:
         added = [float(b[0]) for m, b in pairs if m.effect.number_at_last == "c"]
         held = zip(fit.nuisance, self.nuisances, strict=True)
         whole = self.case.model.c + sum(float(b) for b, n in held if n.number == "c") + sum(added)
-        if added or whole >= 0.0 or not self.frees("c"):
-            return bool(added) and whole < 0.0
+        if whole >= 0.0:
+            return False
+        if added or not self.frees("c"):
+            return bool(added)
         columns = columns_of(self.ctx, [fit.members[i] for i in sprung])
         force = sum(
             float(np.std(np.asarray(fit.betas[i]) @ np.array(own)))
