@@ -15,7 +15,7 @@ from rthyb_rt import core
 from rthyb_rt.diagnose import actuation, engine, localise, reading, words
 from rthyb_rt.diagnose.outcome import finish
 from rthyb_rt.diagnose.predict import nrmse
-from rthyb_rt.diagnose.select import clustered
+from rthyb_rt.diagnose.refinement import clustered
 
 
 def test_nothing_is_missing_inside_tolerances_and_noise(tmp_path):

@@ -11,7 +11,7 @@ from rthyb_rt import config, core
 from rthyb_rt.diagnose import actuation, effects, engine, reading
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.select import Member, compatible
+from rthyb_rt.diagnose.problem import Member, compatible
 from rthyb_rt.lab import experiment, virtual_time
 from tests.diagnose_cases import FS, channels, write
 from tests.test_diagnose_loop import SECTION_5, recorded

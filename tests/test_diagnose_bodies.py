@@ -16,7 +16,8 @@ from rthyb_rt.diagnose import effects, engine, force, freebody, reading, remaind
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Member, ResidualProblem, refine, solve
+from rthyb_rt.diagnose.problem import Member, ResidualProblem
+from rthyb_rt.diagnose.refinement import refine, solve
 
 MASS, SPRING, DASHPOT = 6700.0, 4.5e5, 3600.0
 

@@ -12,7 +12,7 @@ from rthyb_rt.diagnose import effects, engine
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.predict import Augmented, nrmse, predict
-from rthyb_rt.diagnose.select import Member
+from rthyb_rt.diagnose.problem import Member
 
 FS_HZ, MASS, K, C = 200.0, 8.0, 2000.0, 2.0
 CUBIC = core.element("cubic", k3_n_per_m3=-2e5)

@@ -10,11 +10,9 @@ import hypothesis.strategies as st
 import pytest
 
 from rthyb_rt.diagnose import effects
-from rthyb_rt.diagnose.decide import (
-    ALIKE,
-    NAMING,
-    RANKING,
-    Choice,
+from rthyb_rt.diagnose.court import Choice
+from rthyb_rt.diagnose.decide import ALIKE, NAMING, RANKING, choose, gathered
+from rthyb_rt.diagnose.hypotheses import (
     DriftRates,
     Evidence,
     Hypothesis,
@@ -22,8 +20,6 @@ from rthyb_rt.diagnose.decide import (
     Need,
     SetMember,
     Setting,
-    choose,
-    gathered,
 )
 from rthyb_rt.diagnose.policy import POLICY
 

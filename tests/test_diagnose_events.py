@@ -16,10 +16,12 @@ from event_cases import Rig, late, moved, on_ground, recorded, rig
 from test_diagnose_steady import along, fitted
 
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
-from rthyb_rt.diagnose import effects, engine, evidence, force, onset, outcome, reading, why
+from rthyb_rt.diagnose import effects, engine, evidence, onset, outcome, reading, why
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.select import Member, refine
+from rthyb_rt.diagnose.fitter import SetFitter
+from rthyb_rt.diagnose.problem import Member
+from rthyb_rt.diagnose.refinement import refine
 
 SEEDS = (101, 102)
 """Two rigs, of which every scenario has one."""
@@ -307,7 +309,7 @@ def test_an_offset_found_beside_a_drift_is_tried_alone_from_the_same_instant() -
     problem, _ = fitted(lambda t, x, v: 60.0 * (t > 4.3), "drift")
     laws = effects.catalogue()
     begun = Member(onset.Late(laws["bias"]), Trial((4.3,)))
-    fitter = force._Fitter(problem)
+    fitter = SetFitter(problem)
     both = refine(problem, [Member(laws["drift"], Trial()), begun])
     assert both is not None
     fitter.keep(both)
@@ -371,7 +373,7 @@ def test_a_strong_damper_that_locks_in_at_speed_leaves_only_noise() -> None:
     problem, _ = fitted(lambda t, x, v: c2 * v * np.abs(v) * (t > begins_s), "quad_damping")
     law = effects.catalogue()["quad_damping"]
     smooth = refine(problem, [Member(onset.Late(law), Trial((4.3,)))])
-    fit = onset._begun(force._Fitter(problem), [Member(onset.Late(law), Trial((4.25,)))])
+    fit = onset._begun(SetFitter(problem), [Member(onset.Late(law), Trial((4.25,)))])
     assert smooth is not None
     assert fit is not None
     assert smooth.chi2 > 20.0 * problem.y.size

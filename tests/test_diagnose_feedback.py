@@ -17,7 +17,9 @@ from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import Gathered
 from rthyb_rt.diagnose.feedback import Driven
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, price, solve
+from rthyb_rt.diagnose.fitter import SetFitter
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem, price
+from rthyb_rt.diagnose.refinement import solve
 
 FS_HZ, K, C, M = 512.0, 4e5, 1000.0, 300.0
 F_HZ, ZETA, LATE = 30.0, 0.8, 2
@@ -306,7 +308,7 @@ def asked_for_motion(problem: ResidualProblem) -> bool:
     """Whether each effect has to show in the motion that the test imposes."""
     null = solve(problem, [], [])
     assert null is not None
-    return Gathered(force._Fitter(problem), null, lambda _: 1.0)._setting().returns
+    return Gathered(SetFitter(problem), null, lambda _: 1.0)._setting().returns
 
 
 @pytest.mark.long

@@ -11,7 +11,8 @@ from rthyb_rt.diagnose import effects, instants
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import SWITCH_S, Trial
 from rthyb_rt.diagnose.onset import Late
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.refinement import refine
 from tests.test_diagnose_steady import along, fitted
 
 BEGIN_S = 2.2

@@ -16,7 +16,7 @@ from rthyb_rt.diagnose.actuation import Actuation
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import inflated, inflation
+from rthyb_rt.diagnose.refinement import inflated, inflation
 
 LATE_S = 8.0e-5  # a normal offset in time, of the load cell
 

@@ -18,7 +18,7 @@ from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.modulation import Modulated, UnknownChannel
 from rthyb_rt.diagnose.onset import Late
-from rthyb_rt.diagnose.select import Member, columns_of
+from rthyb_rt.diagnose.problem import Member, columns_of
 
 K, H = cases.K, 1 / cases.FS
 

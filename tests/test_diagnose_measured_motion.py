@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from rthyb_rt.diagnose import engine, estimate, reading, remainder
+from rthyb_rt.diagnose import engine, reading, remainder, spectral
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.outcome import DiagnosisResult
 
@@ -166,6 +166,6 @@ def test_the_velocity_of_a_transducer_is_known_in_slow_and_in_fast_tests(
     model = Model(family="drive", fs_hz=fs_hz, k=K, c=0.0, mass=0.0, x_std=sigma)
     measured = {"x_meas": x + sigma * rng.standard_normal(t.size)}
     case = Case("sine", model, t, measured, np.ones(t.size, bool))
-    found, _, _ = estimate.smoothed(case, [])
+    found, _, _ = spectral.smoothed(case, [])
     middle = slice(t.size // 4, -t.size // 4)
     assert np.std((found.v - v)[middle]) < 0.02 * np.std(v[middle])

@@ -6,8 +6,12 @@ import diagnose_cases as cases
 import numpy as np
 
 from rthyb_rt import core
-from rthyb_rt.diagnose import effects, engine, force, reading, select
+from rthyb_rt.diagnose import effects, engine, force, proposals, reading
+from rthyb_rt.diagnose.dictionary import Dictionary
 from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.fitter import LEADING, SetFitter
+from rthyb_rt.diagnose.problem import Member, price
+from rthyb_rt.diagnose.refinement import solve
 
 
 def yielding(x: np.ndarray, xy: float) -> np.ndarray:
@@ -41,7 +45,7 @@ def test_every_set_fits_at_least_as_well_as_the_best_sets_within_it(tmp_path, mo
     compared = 0
     for fitter in decided:
         fits = list(fitter.by_names.values())
-        for part in sorted(fits, key=fitter.score)[: force.LEADING]:
+        for part in sorted(fits, key=fitter.score)[:LEADING]:
             beside = [f for f in fits if set(part.names) < set(f.names)]
             more = [f for f in beside if len(f.members) == len(part.members) + 1]
             compared += len(more)
@@ -49,7 +53,7 @@ def test_every_set_fits_at_least_as_well_as_the_best_sets_within_it(tmp_path, mo
                 # By misfit and price: a form with more parameters may be worse beside the effect.
                 (added,) = (m for m in f.members if m.name not in part.names)
                 count = added.effect.settings(fitter.problem.ctx, added.trial)[1]
-                own = select.price(fitter.problem, added.effect, count)
+                own = price(fitter.problem, added.effect, count)
                 assert fitter.score(f) < fitter.score(part) + own + 0.5, (part.names, f.names)
     assert compared
 
@@ -77,9 +81,9 @@ def test_a_law_that_stood_for_a_missing_one_is_replaced_once_the_others_are_ther
     assert d.effects == ["hum", "inertia", "maxwell"]
     problem, known = decided[-1], effects.catalogue()
     shapes = {"second_mode": (16.0, 0.1), "maxwell": (0.2,), "hum": (16.7,)}
-    members = [select.Member(known[n], Trial(theta)) for n, theta in shapes.items()]
-    assert select.solve(problem, members[1:], problem.blocks(members[1:])) is None
-    fitter = force._Fitter(problem)
+    members = [Member(known[n], Trial(theta)) for n, theta in shapes.items()]
+    assert solve(problem, members[1:], problem.blocks(members[1:])) is None
+    fitter = SetFitter(problem)
     fitter.fit(members)
-    force._replaced(select.Dictionary(problem), fitter)
+    proposals._replaced(Dictionary(problem), fitter)
     assert min(fitter.by_names.values(), key=fitter.score).names == ("hum", "inertia", "maxwell")

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from rthyb_rt import core
-from rthyb_rt.diagnose import effects, force, onset, remainder
+from rthyb_rt.diagnose import effects, force, onset, proposals, remainder
 from rthyb_rt.diagnose.case import Floats
+from rthyb_rt.diagnose.dictionary import Dictionary
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import Gathered, held_out_gain
+from rthyb_rt.diagnose.fitter import SetFitter
 from rthyb_rt.diagnose.force import Search
-from rthyb_rt.diagnose.select import Dictionary, Fit, Member, ResidualProblem, refine, solve
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.refinement import refine, solve
 from tests.test_diagnose_nested import yielding
 from tests.test_diagnose_steady import fitted
 
@@ -25,9 +28,9 @@ def test_dry_contact_beside_a_damper_is_compared_with_bristles_that_were_found_f
     problem, fit = fitted(
         lambda t, x, v: 60.0 * yielding(x, WAY_M) / WAY_M + 900.0 * v, "lugre", "viscous"
     )
-    fitter = force._Fitter(problem)
+    fitter = SetFitter(problem)
     fitter.keep(fit)
-    force._with_dry_friction(fitter)
+    proposals._with_dry_friction(fitter)
     twin = fitter.by_names["coulomb", "viscous"]
     assert twin.members[-1].trial.variant == "contact"
     assert twin.members[-1].trial.theta[0] == pytest.approx(WAY_M, rel=0.2)
@@ -39,9 +42,9 @@ def test_bristles_that_bend_far_are_not_compared_with_a_contact_that_shears_as_f
     problem, fit = fitted(
         lambda t, x, v: 400.0 * yielding(x, 1.5e-3) / 1.5e-3 + 900.0 * v, "lugre", "viscous"
     )
-    fitter = force._Fitter(problem)
+    fitter = SetFitter(problem)
     fitter.keep(fit)
-    force._with_dry_friction(fitter)
+    proposals._with_dry_friction(fitter)
     assert list(fitter.by_names) == [("lugre", "viscous")]
 
 
@@ -84,9 +87,9 @@ def with_a_peak(t: Floats, x: Floats, v: Floats) -> Floats:
 
 def test_peak_beside_another_law_is_found_from_dry_friction_beside_it() -> None:
     problem, fit = fitted(with_a_peak, "coulomb", "viscous")
-    fitter = force._Fitter(problem)
+    fitter = SetFitter(problem)
     fitter.keep(fit)
-    force._reform(Dictionary(problem), fitter, dry=True)
+    proposals._reform(Dictionary(problem), fitter, dry=True)
     found = fitter.by_names["stribeck", "viscous"]
     assert found.chi2 < 1.1 * problem.y.size < 0.5 * fit.chi2
 
@@ -97,17 +100,17 @@ def test_evidence_is_scaled_by_what_the_set_found_with_it_leaves(
 ) -> None:
     """Dry friction leaves correlated rows; found on the way, the right law leaves none."""
     problem, fit = fitted(with_a_peak, "coulomb", "viscous")
-    null, first = solve(problem, [], []), force._Fitter(problem)
+    null, first = solve(problem, [], []), SetFitter(problem)
     assert null is not None
     first.keep(fit)
     right = fitted(with_a_peak, *more)[1].members if more else ()
 
-    def search(_: object, fitter: force._Fitter, seeds: list[tuple[Member, ...]]) -> None:
+    def search(_: object, fitter: SetFitter, seeds: list[tuple[Member, ...]]) -> None:
         for members in [*seeds, right]:
             if members:
                 fitter.fit(members)
 
-    monkeypatch.setattr(force, "_sweep", search)
+    monkeypatch.setattr(force, "sweep", search)
     dictionary = Dictionary(problem)
     fitter, alone, scale = force._scaled_down(dictionary, first, null)
     best = min(fitter.by_names.values(), key=fitter.score)
@@ -204,6 +207,6 @@ def test_late_load_cell_is_as_late_as_it_is_together_with_the_normal_time_offset
     assert null is not None
     offsets = [normal_s if n.name == "skew" else 0.0 for n in problem.nuisances]
     late = Member(fit.members[0].effect, Trial((1.2e-4,)))
-    known = Gathered(force._Fitter(problem), null, lambda _: 1.0)
+    known = Gathered(SetFitter(problem), null, lambda _: 1.0)
     part = known.of(replace(fit, members=(late,), nuisance=np.array(offsets))).parts[0]
     assert part.offset_s == pytest.approx(1.2e-4 + normal_s)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from rthyb_rt import cli, config
 from rthyb_rt.diagnose import channel_sizes, column_units, engine, mapping, reading, table
 from rthyb_rt.diagnose.case import Model
-from rthyb_rt.diagnose.estimate import white_noise
+from rthyb_rt.diagnose.noise_level import white_noise
 from rthyb_rt.errors import InputError
 
 NAMES = ("t", "x_cmd", "x_meas", "f_meas")

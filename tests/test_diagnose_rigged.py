@@ -10,11 +10,13 @@ import pytest
 
 from rthyb_rt import config, core
 from rthyb_rt.config.rigfile import RigFile
-from rthyb_rt.diagnose import effects, engine, estimate, force, reading, rigged
+from rthyb_rt.diagnose import effects, engine, estimate, gaps, reading, rigged
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.fitter import SetFitter
+from rthyb_rt.diagnose.motion_fitter import MotionFitter
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
 from rthyb_rt.lab import experiment, virtual_time
 from tests.test_diagnose_loop import SECTION_5, TABLE, answer_of, recorded, run
 
@@ -116,7 +118,7 @@ def test_sliding_within_the_noise_of_the_displacement_is_dry_friction(table_run)
     assert body.distinct(fit(narrow))
     assert body.distinct(fit(dry, ("viscous", Trial())))
     problem = ResidualProblem(case, ctx, found, laws.values())
-    mover = force._Mover(problem, body, force._Fitter(problem))
+    mover = MotionFitter(problem, body, SetFitter(problem))
     assert mover.move(fit(dry, narrow)) is None
     assert body.runs == rigged.RUNS, "no simulation is spent on it"
 
@@ -158,7 +160,7 @@ def test_true_model_leaves_the_noise_of_both_sensors(table_run):
 
 def test_prediction_of_a_rig_is_what_its_sensors_read_without_their_noise(table_run):
     case = case_of(table_run, config.load_rig(TABLE))
-    other = {k: estimate.filled(v) for k, v in case.channels.items()}
+    other = {k: gaps.filled(v) for k, v in case.channels.items()}
     answered = rigged.along(nothing(case), case, other)
     assert answered is not None
     x, f = answered

@@ -11,12 +11,14 @@ from validate import own_rigs
 
 from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import actuator, body
-from rthyb_rt.diagnose import effects, engine, estimate, force, reading
+from rthyb_rt.diagnose import effects, engine, estimate, gaps, noise_level, reading
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
+from rthyb_rt.diagnose.fitter import SetFitter
 from rthyb_rt.diagnose.freebody import Body
+from rthyb_rt.diagnose.motion_fitter import MotionFitter
 from rthyb_rt.diagnose.predict import Augmented, predict, start_of
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
 from rthyb_rt.lab import experiment
 
 FS_HZ = 256.0
@@ -63,17 +65,17 @@ def test_one_row_in_ten_that_is_lost_costs_its_neighbours_only():
     assert found.rows.sum() > 0.55 * whole.rows.sum()
     off = (found.motion.x - whole.motion.x)[found.rows]
     assert np.std(off) < 2e-6  # twice the sensor's noise
-    assert estimate.white_noise(holes["x_meas"]) == pytest.approx(1e-6, rel=0.2)
+    assert noise_level.white_noise(holes["x_meas"]) == pytest.approx(1e-6, rel=0.2)
 
 
 def test_a_long_gap_is_crossed_straight_and_reaches_far():
     x = np.sin(np.arange(400) / 30.0)
     x[100:103], x[200:230] = np.nan, np.nan
     good = np.sin(np.arange(400) / 30.0)
-    crossed = estimate.filled(x)
+    crossed = gaps.filled(x)
     assert np.max(np.abs(crossed - good)[100:103]) < 1e-4
     assert np.max(np.abs(np.diff(crossed[200:230], 2))) < 1e-12
-    away = estimate.away_from_gaps(x, 100.0, 0.1, 0.1, bridged=True)
+    away = gaps.away_from_gaps(x, 100.0, 0.1, 0.1, bridged=True)
     assert np.flatnonzero(~away[:150]).tolist() == list(range(97, 106))
     assert np.flatnonzero(~away[150:]).tolist() == list(range(40, 90))
 
@@ -209,7 +211,7 @@ def test_a_motion_simulated_late_counts_like_the_others():
         def refined(self, problem: ResidualProblem, fit: Fit) -> Fit:
             return replace(fit, chi2=400.0 + 9.0, residual=np.full(100, 2.0))
 
-    mover = force._Mover(problem, Still(), force._Fitter(problem))
+    mover = MotionFitter(problem, Still(), SetFitter(problem))
     early = mover.move(fit_of(problem, "coulomb", 1.0))
     assert early is not None
     mover.rescale(4.0, replace(early))

@@ -11,7 +11,7 @@ from test_diagnose_colour import coloured, pink
 from test_diagnose_noise import DRIVE, F_STD, FS_HZ, X_STD, C, K, M, motion
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import estimate, reading
+from rthyb_rt.diagnose import estimate, reading, whitening
 from rthyb_rt.diagnose.moving import sensor_colour
 
 FS = 1000.0
@@ -148,7 +148,7 @@ def test_an_error_of_the_motion_weighs_with_all_that_a_set_adds_to_the_model() -
         return np.asarray(k * error[0] + c * error[1] + kg * error[2])
 
     ones = np.ones(omega.size)
-    stated = estimate.Blur(
+    stated = whitening.Blur(
         power(4e5, 1e3, 200.0), 0.0, ones, ones, 5.0, omega, ComputedMotion(*error),
         force(4e5, 1e3, 200.0),
     )  # fmt: skip
@@ -166,8 +166,8 @@ def test_the_frequencies_at_which_sets_are_compared_do_not_depend_on_a_bodys_acc
     """Near resonance the model is accurate to 50 N, the cell to 5 N: no set adds to either."""
     ones = np.ones(4)
     still = ComputedMotion(*np.zeros((3, 4)))
-    blur = estimate.Blur(0.0 * ones + 2475.0, 2475.0, ones, 0.1 * ones, 5.0, ones, still, ones)
-    assert_allclose(estimate._in_one_band([blur, blur])[0].band, ones)
+    blur = whitening.Blur(0.0 * ones + 2475.0, 2475.0, ones, 0.1 * ones, 5.0, ones, still, ones)
+    assert_allclose(whitening._in_one_band([blur, blur])[0].band, ones)
 
 
 def test_a_gap_in_a_displacement_is_no_event_of_its_noise() -> None:

@@ -12,7 +12,7 @@ from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import augment, effects, engine, estimate, reading
 from rthyb_rt.diagnose.effects import springs
 from rthyb_rt.diagnose.effects.base import Context, Trial
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
 
 K = cases.K
 XY = 2.5e-3

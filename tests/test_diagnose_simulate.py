@@ -24,9 +24,9 @@ from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.case import Model, ModelBoucWen
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.effects.sensor import shifted
-from rthyb_rt.diagnose.estimate import white_noise
+from rthyb_rt.diagnose.noise_level import white_noise
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Member
+from rthyb_rt.diagnose.problem import Member
 
 LAG = ActuatorModel(cases.DELAY, cases.F_HZ, cases.ZETA)
 

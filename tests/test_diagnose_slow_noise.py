@@ -19,7 +19,7 @@ from test_diagnose_colour import (
 )
 from test_diagnose_noise import DRIVE, F_STD, written
 
-from rthyb_rt.diagnose import engine, estimate, evidence, noise, reading, remainder
+from rthyb_rt.diagnose import engine, evidence, noise, reading, remainder, whitening
 
 ALL = np.ones(N, dtype=np.bool_)
 LINES = noise.Lines(ALL, FINE_HZ)
@@ -52,8 +52,8 @@ def test_drift_is_likelier_in_white_noise_than_slow_noise_without_it():
     random, t = np.random.default_rng(6), np.arange(N) / FINE_HZ
     white, drift = random.standard_normal(N), 0.5 * (t - t.mean()) / t.max()
     v = np.sin(2.0 * np.pi * t)
-    kept = estimate.likelihood(white, ALL, v, FINE_HZ, 1.0, 1.0)[0]
-    swallowed = estimate.likelihood(white + drift, ALL, v, FINE_HZ, 1.0, 1.0)[0]
+    kept = whitening.likelihood(white, ALL, v, FINE_HZ, 1.0, 1.0)[0]
+    swallowed = whitening.likelihood(white + drift, ALL, v, FINE_HZ, 1.0, 1.0)[0]
     assert kept + 40.0 < swallowed
 
 
@@ -62,13 +62,13 @@ def test_slow_noise_twice_its_sheet_gives_way_to_a_set_that_stays_within():
     random, v = np.random.default_rng(7), np.sin(2.0 * np.pi * np.arange(N) / FINE_HZ)
     loud = (2.0 * coloured(random, random_walk_over_white()), v, 0.0)
     quiet = (random.standard_normal(N), v, 1e6)
-    assert estimate.likeliest([loud, quiet], ALL, FINE_HZ, 1.0, 1.0) is None
+    assert whitening.likeliest([loud, quiet], ALL, FINE_HZ, 1.0, 1.0) is None
     # Where none stays within, and where no sheet bounds the noise, the likelier one.
     larger = (3.0 * quiet[0], v, 1e6)
-    assert estimate.likeliest([loud, larger], ALL, FINE_HZ, 1.0, 1.0) is not None
-    assert estimate.within_sheet(quiet[0], 1.0, 0.0)
-    assert not estimate.within_sheet(1.3 * quiet[0], 1.0, 0.0)
-    assert estimate.within_sheet(1.3 * quiet[0], 1.0, 0.1)
+    assert whitening.likeliest([loud, larger], ALL, FINE_HZ, 1.0, 1.0) is not None
+    assert whitening.within_sheet(quiet[0], 1.0, 0.0)
+    assert not whitening.within_sheet(1.3 * quiet[0], 1.0, 0.0)
+    assert whitening.within_sheet(1.3 * quiet[0], 1.0, 0.1)
 
 
 def red_at_the_ends(random: np.random.Generator, extra) -> dict[str, np.ndarray]:

@@ -19,7 +19,8 @@ from rthyb_rt.diagnose.case import Case, Floats, Model, ModelBoucWen
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, refine
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.refinement import refine
 
 Force = Callable[[Floats, Floats, Floats], Floats]
 """A force that is left out, N, of time, displacement and velocity."""

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from rthyb_rt.diagnose import effects, stroke
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, ResidualProblem
+from rthyb_rt.diagnose.problem import Fit, ResidualProblem
 from rthyb_rt.diagnose.steady import left
 from tests.test_diagnose_steady import fitted
 

@@ -18,7 +18,17 @@ pytest.importorskip("matplotlib")
 
 import rthyb_rt as rt
 from rthyb_rt import cli
-from rthyb_rt.diagnose import catalogue, decide, engine, page, reading, residual_laws, why, words
+from rthyb_rt.diagnose import (
+    catalogue,
+    court,
+    decide,
+    engine,
+    page,
+    reading,
+    residual_laws,
+    why,
+    words,
+)
 from rthyb_rt.diagnose.outcome import finish
 from rthyb_rt.report import drawing as draw
 
@@ -292,7 +302,7 @@ def test_the_ledger_says_why_dry_friction_was_named_and_the_others_were_not():
 def test_the_verdict_names_the_rule_that_withdrew_a_set_which_leaves_only_noise():
     d = replace(diagnosed(friction), verdict="unknown")
     assert dict(why.facts(d))["verdict"].startswith("unknown: the best set leaves")
-    weak = decide.Ruling("weak", d.force.best.names, found=1.0, wanted=3.84)
+    weak = court.Ruling("weak", d.force.best.names, found=1.0, wanted=3.84)
     told = dict(why.facts(replace(d, ledger=[weak])))["verdict"]
     assert told == f"unknown: {why.TURNED['weak']}"
 
@@ -301,7 +311,7 @@ def test_the_ledger_says_that_a_set_in_whose_place_another_is_named_was_too_smal
     """It may fit better: that it is less simple is not why it is not named."""
     d = diagnosed(friction)
     rival = next(f for f in d.force.rivals if not set(f.names) & set(d.force.best.names))
-    small = [*d.force.ledger, decide.Ruling("size", rival.names, found=8e-4, wanted=1e-3)]
+    small = [*d.force.ledger, court.Ruling("size", rival.names, found=8e-4, wanted=1e-3)]
     told = why.ledger(replace(d, force=replace(d.force, ledger=small)), catalogue=False)
     row = next(row for row in told if row.effects == rival.names)
     assert row.fate == "lost"
@@ -312,7 +322,7 @@ def test_the_ledger_says_that_a_set_in_whose_place_another_is_named_was_too_smal
 def test_the_ledger_says_of_a_stated_value_what_it_explains_beside_a_tiny_law():
     d = diagnosed(friction)
     rival = d.force.rivals[0]
-    beside = decide.Ruling("beside tiny", rival.names, "", 5.0, 20.0, against=("quadratic",))
+    beside = court.Ruling("beside tiny", rival.names, "", 5.0, 20.0, against=("quadratic",))
     search = replace(d.force, best=d.force.null, ledger=[beside])
     said = why._why_force(search, rival, "lost", 20.0)
     assert re.search(r"but added to .* by 5.00, and must improve it by 20.0", said)

@@ -14,7 +14,7 @@ from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Model, ModelBoucWen
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Member
+from rthyb_rt.diagnose.problem import Member
 from rthyb_rt.lab.experiment import specimen_elements
 
 N, K = 4096, 4e5

@@ -13,18 +13,15 @@ import numpy as np
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, SimulationError, actuator
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Param
-from rthyb_rt.diagnose.estimate import (
-    GAP_S,
-    Whitener,
-    away_from_gaps,
-    filled,
-    likeliest,
-    noise_of,
-)
+from rthyb_rt.diagnose.estimate import GAP_S
 from rthyb_rt.diagnose.form import gain_of_form, neighbours, of_form
+from rthyb_rt.diagnose.gaps import away_from_gaps, filled
 from rthyb_rt.diagnose.noise import TRIED
+from rthyb_rt.diagnose.noise_level import noise_of
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import clustered, inflation, penalty
+from rthyb_rt.diagnose.problem import penalty
+from rthyb_rt.diagnose.refinement import clustered, inflation
+from rthyb_rt.diagnose.whitening import Whitener, likeliest
 
 
 @dataclass(frozen=True)
@@ -161,7 +158,7 @@ class ActuatorFit:
         model: the actuator at the end of the recording.
         before: the actuator up to a row, if an effect begins there.
         covariance: of the parameters and the time offset, from noise alone, (p, p).
-        scatter: the same from the residual itself, see `select.clustered`.
+        scatter: the same from the residual itself, see `refinement.clustered`.
         slopes: of the whitened rows to the parameters and the time offset, (rows, p).
         motion: the simulated motion, relative to the zero of the displacement sensor.
         zero_m: difference of that zero from the zero of the command, mean of the rows.

@@ -19,7 +19,7 @@ from rthyb_rt.diagnose.actuation import CATALOGUE, Actuation, ActuatorEffect, Ac
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.onset import SINGLES
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import inflated, inflation
+from rthyb_rt.diagnose.refinement import inflated, inflation
 
 BLOCKS = 48
 """Number of intervals between trial onsets: a quarter of a second each in twelve seconds."""

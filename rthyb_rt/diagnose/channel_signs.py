@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from rthyb_rt.diagnose.case import Floats, Model
-from rthyb_rt.diagnose.estimate import filled
+from rthyb_rt.diagnose.gaps import filled
 from rthyb_rt.diagnose.policy import POLICY
 
 SHIFTS = 5

@@ -20,7 +20,9 @@ from rthyb_rt.core.diagnosis_models import SimulationError, actuator
 from rthyb_rt.diagnose import channel_signs
 from rthyb_rt.diagnose.case import CHANNELS, Floats, Model
 from rthyb_rt.diagnose.column_units import USUAL, read_unit
-from rthyb_rt.diagnose.estimate import filled, nominal_time, white_noise
+from rthyb_rt.diagnose.estimate import nominal_time
+from rthyb_rt.diagnose.gaps import filled
+from rthyb_rt.diagnose.noise_level import white_noise
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.errors import InputError
 

@@ -14,9 +14,11 @@ from itertools import combinations
 import numpy as np
 
 from rthyb_rt.diagnose.case import Case, Floats
+from rthyb_rt.diagnose.dictionary import Dictionary
 from rthyb_rt.diagnose.freebody import Body, Loose
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Dictionary, Fit, Member, ResidualProblem, compatible, solve
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem, compatible
+from rthyb_rt.diagnose.refinement import solve
 
 MOST = 6
 """Number of pairs of damping laws refined with the spring, and of sets simulated first."""

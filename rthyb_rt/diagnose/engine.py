@@ -17,31 +17,30 @@ from rthyb_rt.diagnose import (
     fitted,
     force,
     freebody,
+    gaps,
     lateness,
     localise,
     modulation,
     noise,
+    noise_level,
     redundant,
     remainder,
     rigged,
     spring_history,
     steady,
+    whitening,
 )
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorEffect, ActuatorFit
 from rthyb_rt.diagnose.case import Case, Floats
-from rthyb_rt.diagnose.decide import Ruling
+from rthyb_rt.diagnose.court import Ruling
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.sensor import QUANTISATION
 from rthyb_rt.diagnose.estimate import Estimate
 from rthyb_rt.diagnose.intervals import Sure, intervals, of_the_spring_there_is
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, followed
-from rthyb_rt.diagnose.select import (
-    Fit,
-    Member,
-    ResidualProblem,
-    refine,
-)
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.refinement import refine
 from rthyb_rt.diagnose.verdict import (
     Moved,
     Rounded,
@@ -299,7 +298,7 @@ def simulated(case: Case) -> ComputedMotion:
     from rthyb_rt.core.diagnosis_models import actuator
 
     assert case.model.actuator is not None
-    return actuator(case.model.actuator, estimate.filled(case.channels["x_cmd"]), case.fs_hz)
+    return actuator(case.model.actuator, gaps.filled(case.channels["x_cmd"]), case.fs_hz)
 
 
 def context_of(
@@ -307,7 +306,7 @@ def context_of(
 ) -> Context:
     """Return the quantities of a recording on which force laws depend."""
     other = {
-        name: estimate.filled(values)
+        name: gaps.filled(values)
         for name, values in case.recorded.items()
         if np.isfinite(values).any()
     }
@@ -418,7 +417,7 @@ def _in_its_noise(
     if blur is not None and sheet:
         changes = (fitted.change(problem, fit, blur.error) for fit in sets.values())
         blurs = blur.behind(changes, case.fs_hz)
-    own = estimate.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blurs)
+    own = whitening.likeliest(tried, found.rows, case.fs_hz, sigma, sheet, blurs)
     if own is None:
         return found, search
     progress("noise")
@@ -538,8 +537,8 @@ def _felt(case: Case, search: force.Search, ctx: Context) -> bool:
         return False
     f_meas, model = case.channels["f_meas"], case.model
     rows = search.problem.estimate.rows & np.isfinite(f_meas)
-    sigma = estimate.force_noise(f_meas, model.f_std)
-    inertia = -model.mass * (motion.a + estimate.filled(case.channels["ag"]))
+    sigma = noise_level.force_noise(f_meas, model.f_std)
+    inertia = -model.mass * (motion.a + gaps.filled(case.channels["ag"]))
 
     def excess(rest: Floats) -> float:
         return (1.4826 * float(np.median(np.abs(rest[rows]))) / sigma) ** 2 - 1.0
@@ -636,7 +635,7 @@ def quantisation(case: Case) -> Found | None:
     f = case.get("f_meas")
     if f is None or case.model.f_std is None:
         return None
-    lsb = estimate.step_of(f, case.model.f_std)
+    lsb = noise_level.step_of(f, case.model.f_std)
     if lsb == 0.0:
         return None
     return Found(

@@ -10,16 +10,7 @@ import numpy as np
 
 from rthyb_rt.diagnose import coarse
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.decide import (
-    Choice,
-    DriftRates,
-    Evidence,
-    Hypothesis,
-    Laws,
-    Need,
-    SetMember,
-    Setting,
-)
+from rthyb_rt.diagnose.court import Choice
 from rthyb_rt.diagnose.decide import gathered as decided
 from rthyb_rt.diagnose.effects import catalogue
 from rthyb_rt.diagnose.feedback import Driven, inferred, returns
@@ -34,15 +25,18 @@ from rthyb_rt.diagnose.fitted import (
     strained,
 )
 from rthyb_rt.diagnose.form import neighbours
-from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import (
-    Fit,
-    Member,
-    ResidualProblem,
-    inflation,
-    price,
-    solve,
+from rthyb_rt.diagnose.hypotheses import (
+    DriftRates,
+    Evidence,
+    Hypothesis,
+    Laws,
+    Need,
+    SetMember,
+    Setting,
 )
+from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem, price
+from rthyb_rt.diagnose.refinement import inflation, solve
 from rthyb_rt.diagnose.steady import past_forms
 
 FOLD_S = 0.25

@@ -22,8 +22,9 @@ import numpy as np
 from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import noise
 from rthyb_rt.diagnose.case import Case, Floats
-from rthyb_rt.diagnose.estimate import low_passed
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, columns_of, solve
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem, columns_of
+from rthyb_rt.diagnose.refinement import solve
+from rthyb_rt.diagnose.spectral import low_passed
 
 
 def returns(case: Case) -> bool:

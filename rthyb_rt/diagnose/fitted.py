@@ -9,9 +9,9 @@ import numpy as np
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.decide import times_price
+from rthyb_rt.diagnose.court import times_price
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, Nuisance, ResidualProblem, columns_of, leaning, price
+from rthyb_rt.diagnose.problem import Fit, Nuisance, ResidualProblem, columns_of, leaning, price
 
 
 def count(problem: ResidualProblem, fit: Fit) -> int:

@@ -17,18 +17,14 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import ComputedMotion, SimulationError
-from rthyb_rt.diagnose import estimate, noise
+from rthyb_rt.diagnose import gaps, noise, noise_level, whitening
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects import having, of_number
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, changed, parameters, start_of
-from rthyb_rt.diagnose.select import (
-    Fit,
-    Member,
-    ResidualProblem,
-    clustered,
-)
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.refinement import clustered
 
 RUNS = 4000
 """Largest number of simulations in a diagnosis, plus a few to complete a fit."""
@@ -98,14 +94,14 @@ class Body:
         self.loose = self._loose()
         self.held = "f_meas" in case.channels and case.model.family == "ground"
         self.x = case.channels["x_meas"]
-        self.other = {k: estimate.filled(v) for k, v in case.recorded.items()}
+        self.other = {k: gaps.filled(v) for k, v in case.recorded.items()}
         rows = case.rows & np.isfinite(self.x)
         for name in ("ag", "f_in"):
             if name in case.channels:
                 rows &= np.isfinite(case.channels[name])
         self.rows = np.flatnonzero(rows)
         spread = float(np.std(self.x[self.rows])) or 1.0
-        noise = estimate.noise_of(self.x, case.model.x_std)
+        noise = noise_level.noise_of(self.x, case.model.x_std)
         self.sigma = float(np.hypot(noise, POLICY.simulators_differ * spread))
         self.spread = spread
         model = case.model
@@ -168,11 +164,11 @@ class Body:
         x[self.rows] = fit.residual * self.sigma
         if not rows.all():
             x = np.interp(np.arange(x.size), self.rows, x[self.rows])
-        own = estimate.likelihood(x, rows, self.ctx.v, self.case.fs_hz, self.sigma, sheet)[1]
+        own = whitening.likelihood(x, rows, self.ctx.v, self.case.fs_hz, self.sigma, sheet)[1]
         white = fit.residual if own is None else own.whiten(x)[rows]
         wider = sheet * (1.0 + (own.scatter if own is not None else 0.0))
         # No zero of the sensor is fitted: a constant is a body that rests elsewhere.
-        return estimate.within_sheet(x[rows], wider, 0.0) and noise.steady(white, self.case.fs_hz)
+        return whitening.within_sheet(x[rows], wider, 0.0) and noise.steady(white, self.case.fs_hz)
 
     def _ends(self, first: Augmented, place: tuple[str, int, int]) -> tuple[float, float]:
         """Return the range of a parameter: for a shape, that of its effect, as logarithms."""
@@ -257,7 +253,7 @@ class Body:
         it sticks: it is simulated without a width first, and with one if that is not sufficient. So
         is a stop without rounding or loss, which an estimated motion shows where there is none. A
         contact that seemed to shear along the estimate is a step as well; one that sheared in a
-        simulation, see `force._Mover.plain_friction`, continues to do so.
+        simulation, see `motion_fitter.MotionFitter.plain_friction`, continues to do so.
         """
         sharp = self.sharp(fit)
         found = self.refined(problem, sharp) if sharp is not None else None
@@ -398,7 +394,7 @@ def _not_recorded(case: Case) -> Floats:
     if given is None:
         return np.zeros((0, case.t.size))
     size = float(np.nanstd(given)) * (case.model.mass if name == "ag" else 1.0)
-    long = sorted(estimate.long_gaps(given), key=lambda g: g[0] - g[1])[:LOST]
+    long = sorted(gaps.long_gaps(given), key=lambda g: g[0] - g[1])[:LOST]
     out = np.zeros((2 * len(long), case.t.size))
     for i, (a, b) in enumerate(sorted(long)):
         out[2 * i, a:b] = size
@@ -536,7 +532,7 @@ def _inverse(gram: Floats) -> Floats:
 def _covariance(
     first: Augmented, places: Sequence[tuple[str, int, int]], inverse: Floats, nuisances: int
 ) -> Floats:
-    """Return the covariance of (log shapes, coefficients, nuisance) as in `select.Fit`."""
+    """Return the covariance of (log shapes, coefficients, nuisance) as in `problem.Fit`."""
     shapes = [len(m.trial.theta) for m in first.members]
     widths = [len(b) for b in first.betas]
     rows, factors, at = [], [], []

@@ -17,7 +17,7 @@ from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import SWITCH_S
 from rthyb_rt.diagnose.onset import lasting
-from rthyb_rt.diagnose.select import Fit, ResidualProblem
+from rthyb_rt.diagnose.problem import Fit, ResidualProblem
 
 INSTANTS = 200
 """Number of jumps of a force whose readings are separate, at most: the largest. Also the largest

@@ -18,16 +18,8 @@ from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Context, Param, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
 from rthyb_rt.diagnose.policy import POLICY, SIDES
-from rthyb_rt.diagnose.select import (
-    Fit,
-    ResidualProblem,
-    clustered,
-    design_of,
-    inflated,
-    inflation,
-    priors_of,
-    whole,
-)
+from rthyb_rt.diagnose.problem import Fit, ResidualProblem, whole
+from rthyb_rt.diagnose.refinement import clustered, design_of, inflated, inflation, priors_of
 
 STEP = 1e-4
 Intervals = dict[str, list[float]]

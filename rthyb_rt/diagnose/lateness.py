@@ -16,7 +16,8 @@ from rthyb_rt.diagnose import effects, fitted, force
 from rthyb_rt.diagnose.actuation import Actuation, ActuatorFit
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
-from rthyb_rt.diagnose.select import Fit, ResidualProblem, refine, solve, whole
+from rthyb_rt.diagnose.problem import Fit, ResidualProblem, whole
+from rthyb_rt.diagnose.refinement import refine, solve
 
 PASSES = 3
 STEP_S = 1e-5

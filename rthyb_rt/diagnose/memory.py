@@ -18,7 +18,8 @@ from scipy.special import gamma
 from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, solve
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
+from rthyb_rt.diagnose.refinement import solve
 from rthyb_rt.diagnose.steady import standing
 
 ORDERS = np.linspace(0.05, 0.95, 10)

@@ -28,7 +28,7 @@ from rthyb_rt.diagnose.effects.sensor import shifted
 from rthyb_rt.diagnose.policy import POLICY
 
 if TYPE_CHECKING:
-    from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem
+    from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
 
 GOLDEN = 0.6180339887498949
 """Shift, relative to the recording (the golden section): no period occurs twice."""
@@ -219,7 +219,7 @@ def forms(effects: Iterable[Effect], further: dict[str, Floats], free: set[str])
 
 def modulated(problem: ResidualProblem, fit: Fit) -> list[tuple[Member, ...]]:
     """Return a set with one of its laws, or one that is always present, modulated by a channel."""
-    from rthyb_rt.diagnose.select import Member
+    from rthyb_rt.diagnose.problem import Member
 
     out: list[tuple[Member, ...]] = []
     by_law: dict[str, list[Modulated]] = {}
@@ -279,7 +279,7 @@ def _holds(problem: ResidualProblem, fit: Fit, which: int) -> bool:
         whole @ whole
     ):
         return False
-    from rthyb_rt.diagnose.select import penalty
+    from rthyb_rt.diagnose.problem import penalty
 
     if gain(own) < penalty(problem.ln_n, 1) or not _the_channel(g, gain(own), gain, rest):
         return False

@@ -12,8 +12,8 @@ from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.actuation import CATALOGUE, MASK_S
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
-from rthyb_rt.diagnose.estimate import filled
-from rthyb_rt.diagnose.select import columns_of
+from rthyb_rt.diagnose.gaps import filled
+from rthyb_rt.diagnose.problem import columns_of
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose import force

@@ -8,24 +8,12 @@ from typing import Protocol
 
 import numpy as np
 
+from rthyb_rt.diagnose.dictionary import BLOCKS, Dictionary
 from rthyb_rt.diagnose.effects.base import SWITCH_S, Context, Effect, Floats, Trial
-from rthyb_rt.diagnose.estimate import Rows
+from rthyb_rt.diagnose.gaps import Rows
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import (
-    BLOCKS,
-    Dictionary,
-    Fit,
-    Member,
-    ResidualProblem,
-    Scan,
-    compatible,
-    inflated,
-    inflation,
-    names_of,
-    priors_of,
-    refine,
-    solve,
-)
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem, compatible, names_of
+from rthyb_rt.diagnose.refinement import Scan, inflated, inflation, priors_of, refine, solve
 
 FEW = 2
 """Number of effects in a set that is considered no more complex than one onset."""

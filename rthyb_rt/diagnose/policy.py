@@ -312,8 +312,8 @@ class Policy:
     )  # fmt: skip
     white_residual: float = _entry(
         1.1, "factor", "judgement",
-        "Inflation (`select.inflation`) up to which a residual is regarded as pure noise, so that "
-        "no effect with an onset is looked for.",
+        "Inflation (`refinement.inflation`) up to which a residual is regarded as pure noise, so "
+        "that no effect with an onset is looked for.",
     )  # fmt: skip
     motion_understood: float = _entry(
         1.5, "chi-squared per row", "judgement",

@@ -19,12 +19,12 @@ from rthyb_rt.core.diagnosis_models import (
     actuator,
     body,
 )
-from rthyb_rt.diagnose import estimate, loading_history
+from rthyb_rt.diagnose import estimate, gaps, loading_history, noise_level, spectral
 from rthyb_rt.diagnose.case import Case, Floats, Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.onset import lasting
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Member, columns_of
+from rthyb_rt.diagnose.problem import Member, columns_of
 
 ROUNDS = 25
 HEAD = 300
@@ -202,7 +202,7 @@ def predict(
         through = Prediction(case.t, result.f[-n:], result.x[-n:])
         return _anew(augmented.lasting(), case, through)
     model = augmented.model
-    other = {k: estimate.filled(v) for k, v in case.recorded.items() if np.isfinite(v).any()}
+    other = {k: gaps.filled(v) for k, v in case.recorded.items() if np.isfinite(v).any()}
     x_meas = case.channels.get("x_meas")
     measured = _measured(case)
     x_only = np.full(case.t.size, np.nan)
@@ -285,7 +285,7 @@ def _measured(case: Case) -> bool:
 def _commanded(augmented: Augmented, case: Case) -> ComputedMotion:
     """Return the motion of the actuator along the command, relative to the sensor's zero."""
     assert augmented.actuator is not None
-    motion = actuator(augmented.actuator, estimate.filled(case.channels["x_cmd"]), case.fs_hz)
+    motion = actuator(augmented.actuator, gaps.filled(case.channels["x_cmd"]), case.fs_hz)
     return motion.from_zero(augmented.zeros_m[0])
 
 
@@ -301,21 +301,21 @@ def followed(augmented: Augmented, case: Case, wanted: Case) -> ComputedMotion |
     if _measured(wanted):
         late = replace(augmented, zeros_m=(augmented.zeros_m[1],) * 2)
         ahead = _commanded(late if continues(case, wanted) else augmented, wanted)
-        if not _follows(ahead.x, estimate.filled(wanted.channels["x_meas"]), wanted.model):
+        if not _follows(ahead.x, gaps.filled(wanted.channels["x_meas"]), wanted.model):
             return None
     return _commanded(augmented, case)
 
 
 def _follows(x: Floats, x_meas: Floats, model: Model) -> bool:
-    sigma = estimate.noise_of(x_meas, model.x_std)
+    sigma = noise_level.noise_of(x_meas, model.x_std)
     return float(np.std(x - x_meas)) < POLICY.prediction_follows * sigma
 
 
 def _measured_motion(case: Case) -> ComputedMotion:
     if estimate.quasi_static(case):
-        x = estimate.filled(case.channels["x_meas"])
+        x = gaps.filled(case.channels["x_meas"])
         return ComputedMotion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
-    motion, _, _ = estimate.smoothed(case, [])
+    motion, _, _ = spectral.smoothed(case, [])
     return motion
 
 
@@ -345,7 +345,7 @@ def start_of(
 ) -> tuple[float, float]:  # fmt: skip
     """Return displacement and velocity at the first row, from the first measured rows."""
     dt = case.dt
-    x_meas = estimate.filled_if_short(x_meas)
+    x_meas = gaps.filled_if_short(x_meas)
     end = _head(x_meas)
     if end < HEAD_LEAST:
         return (float(x_meas[0]), 0.0) if end else (0.0, 0.0)
@@ -475,11 +475,11 @@ def output_error(
     x_meas = case.channels.get("x_meas")
     if case.model.family not in ("ground", "forced") or x_meas is None:
         return augmented
-    other = {k: estimate.filled(v) for k, v in case.recorded.items()}
+    other = {k: gaps.filled(v) for k, v in case.recorded.items()}
     places = parameters(augmented)
     rows = case.rows & np.isfinite(x_meas)
     sigma = float(np.std(x_meas[rows])) or 1.0
-    priors = _priors(case, places, estimate.noise_of(x_meas, case.model.x_std) / sigma)
+    priors = _priors(case, places, noise_level.noise_of(x_meas, case.model.x_std) / sigma)
     if augmented.model.family == "ground":
         push, mass = -case.model.mass * other["ag"], case.model.mass
     else:

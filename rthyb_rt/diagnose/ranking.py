@@ -13,7 +13,7 @@ from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.intervals import intervals
-from rthyb_rt.diagnose.select import Fit
+from rthyb_rt.diagnose.problem import Fit
 from rthyb_rt.diagnose.words import called, interval_text, law_text, together, value_text
 
 _AnyFit = TypeVar("_AnyFit", Fit, ActuatorFit)

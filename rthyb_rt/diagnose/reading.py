@@ -20,10 +20,12 @@ from rthyb_rt.diagnose import channel_sizes
 from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
 from rthyb_rt.diagnose.drive_clock import drive_clock, made_up
-from rthyb_rt.diagnose.estimate import filled, filled_if_short, quasi_static, white_noise
+from rthyb_rt.diagnose.estimate import quasi_static
 from rthyb_rt.diagnose.external_table import Lab, read_lab, time_unit
+from rthyb_rt.diagnose.gaps import filled, filled_if_short
 from rthyb_rt.diagnose.mapping import EXAMPLE, Wish, proposals
 from rthyb_rt.diagnose.modelfile import at_rate, find_model, model_of_rig, read_model
+from rthyb_rt.diagnose.noise_level import white_noise
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.errors import InputError
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from rthyb_rt.diagnose.case import Case, Floats
-from rthyb_rt.diagnose.estimate import white_noise
+from rthyb_rt.diagnose.noise_level import white_noise
 from rthyb_rt.diagnose.policy import POLICY
 
 WINDOW_S = 1.0 / 32.0

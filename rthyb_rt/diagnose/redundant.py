@@ -12,18 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rthyb_rt.diagnose import estimate
+from rthyb_rt.diagnose import estimate, gaps, noise_level, spectral
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
-from rthyb_rt.diagnose.estimate import Complex
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import (
-    Fit,
-    Member,
-    columns_of,
-    inflation,
-    penalty,
-)
+from rthyb_rt.diagnose.problem import Fit, Member, columns_of, penalty
+from rthyb_rt.diagnose.refinement import inflation
+from rthyb_rt.diagnose.spectral import Complex
 
 
 @dataclass(frozen=True)
@@ -42,11 +37,11 @@ class Witness:
 
     ctx: Context
     rest: Floats
-    rows: estimate.Mask
+    rows: gaps.Mask
     nuisance: Floats
     priors: Floats
     sigma_n: float
-    denoise: estimate.Denoiser
+    denoise: spectral.Denoiser
 
     def left(self, fit: Fit) -> Floats:
         """Return the residual of the sum with a set, in units of the noise, followed by priors."""
@@ -92,13 +87,13 @@ def disagreement(case: Case) -> str:
     ground = case.model.family == "ground"
     if any(name not in case.channels for name in ("x_meas", "a_meas", *("ag",) * ground)):
         return ""
-    x, felt = (estimate.filled(case.channels[name]) for name in ("x_meas", "a_meas"))
-    ag = estimate.filled(case.channels["ag"]) if ground else np.zeros(x.size)
+    x, felt = (gaps.filled(case.channels[name]) for name in ("x_meas", "a_meas"))
+    ag = gaps.filled(case.channels["ag"]) if ground else np.zeros(x.size)
     window, made = _accelerations(x, ag, case.dt)
     w = 2.0 * np.pi * np.fft.rfftfreq(x.size, case.dt)
     noise = np.hypot(
-        estimate.noise_of(case.channels["a_meas"], case.model.a_std),
-        w**2 * estimate.noise_of(case.channels["x_meas"], case.model.x_std),
+        noise_level.noise_of(case.channels["a_meas"], case.model.a_std),
+        w**2 * noise_level.noise_of(case.channels["x_meas"], case.model.x_std),
     )
     weight = 1.0 / (noise * np.sqrt(np.sum(window**2)))
     # Noise in the regressor would bias gain and time offset towards zero.
@@ -146,14 +141,14 @@ def witness(case: Case, ctx: Context, found: estimate.Estimate) -> Witness | Non
         return None
     if "f_meas" not in channels or "a_meas" not in channels or disagreement(case):
         return None
-    force, felt = estimate.filled(channels["f_meas"]), estimate.filled(channels["a_meas"])
+    force, felt = gaps.filled(channels["f_meas"]), gaps.filled(channels["a_meas"])
     sigma = float(
         np.hypot(
-            estimate.force_noise(channels["f_meas"], model.f_std),
-            model.mass * estimate.noise_of(channels["a_meas"], model.a_std),
+            noise_level.force_noise(channels["f_meas"], model.f_std),
+            model.mass * noise_level.noise_of(channels["a_meas"], model.a_std),
         )
     )
-    band = estimate.band_of(force, case.fs_hz, sigma)
+    band = spectral.band_of(force, case.fs_hz, sigma)
     # Either channel may have a normal time offset.
     skew = np.gradient(force) * case.fs_hz
     # An accelerometer drifts like a load cell: it cannot be used at low frequencies.

@@ -14,21 +14,24 @@ from rthyb_rt.diagnose import (
     instants,
     memory,
     noise,
+    noise_level,
     steady,
     stroke,
     varying,
     verdict,
+    whitening,
 )
 from rthyb_rt.diagnose.case import Case, Floats, Model
-from rthyb_rt.diagnose.decide import Ruling
+from rthyb_rt.diagnose.court import Ruling
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.evidence import held_out_gain
-from rthyb_rt.diagnose.force import AGAIN, RIVALS, SETTLED, Search, unscaled
+from rthyb_rt.diagnose.force import RIVALS, Search, unscaled
 from rthyb_rt.diagnose.freebody import Body, judged
 from rthyb_rt.diagnose.intervals import Sure
+from rthyb_rt.diagnose.motion_fitter import AGAIN, SETTLED
 from rthyb_rt.diagnose.policy import POLICY, SIDES
 from rthyb_rt.diagnose.predict import Augmented, nrmse, output_error, predict
-from rthyb_rt.diagnose.select import Fit, ResidualProblem
+from rthyb_rt.diagnose.problem import Fit, ResidualProblem
 from rthyb_rt.diagnose.verdict import Asked, Left, Reproduced, Rounded, Simulated
 
 DRAWN = 4
@@ -169,7 +172,7 @@ def loud(search: Search) -> bool:
             return False
         sheet = float(np.hypot(sheet, found.blur.rms))
     rest = left_by(search, search.null)[found.rows]
-    return not estimate.within_sheet(rest, sheet, found.scatter)
+    return not whitening.within_sheet(rest, sheet, found.scatter)
 
 
 def understood(search: Search) -> bool:
@@ -186,7 +189,7 @@ def blurred(search: Search) -> bool:
 def stated(case: Case) -> float | None:
     """Return the noise that the data sheet of the force states, N."""
     forced = case.model.family == "forced"
-    return estimate.force_sheet(case.get("f_in" if forced else "f_meas"), case.model.f_std)
+    return noise_level.force_sheet(case.get("f_in" if forced else "f_meas"), case.model.f_std)
 
 
 def by_the_sheet(search: Search) -> bool:
@@ -239,7 +242,7 @@ def simulated(search: Search) -> Simulated | None:
         k_off,
         c_off,
         nrmse(made, np.where(case.rows, x_meas, np.nan)),
-        estimate.noise_of(x_meas, m.x_std) / spread,
+        noise_level.noise_of(x_meas, m.x_std) / spread,
     )
 
 

@@ -16,14 +16,14 @@ import numpy as np
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import ComputedMotion, SimulationError
-from rthyb_rt.diagnose import augment, estimate
+from rthyb_rt.diagnose import augment, gaps, noise_level
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.effects.sensor import shifted
 from rthyb_rt.diagnose.freebody import Body, Loose, _with_nuisance
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented
-from rthyb_rt.diagnose.select import Fit, ResidualProblem
+from rthyb_rt.diagnose.problem import Fit, ResidualProblem
 from rthyb_rt.lab import experiment
 
 RUNS = 700
@@ -62,12 +62,12 @@ def as_given(case: Case) -> ComputedMotion | None:
     assert rig is not None
     made = ComputedMotion(
         *core.VirtualRig(experiment.rig_config(rig, case.fs_hz)).motion(
-            estimate.filled(case.channels["x_cmd"])
+            gaps.filled(case.channels["x_cmd"])
         )
     )
     x_meas = case.channels["x_meas"]
     rows = case.rows & np.isfinite(x_meas)
-    sigma = estimate.noise_of(x_meas, case.model.x_std)
+    sigma = noise_level.noise_of(x_meas, case.model.x_std)
     off = float(np.mean(((x_meas - made.x)[rows] / sigma) ** 2))
     return made if off < POLICY.rig_follows else None
 
@@ -143,7 +143,7 @@ def along(model: Augmented, case: Case, other: dict[str, Floats]) -> tuple[Float
     x, f = rig.run(other["x_cmd"])
     x_meas = case.channels.get("x_meas")
     if x_meas is not None and np.isfinite(x_meas).any():
-        sigma = estimate.noise_of(x_meas, model.base.x_std)
+        sigma = noise_level.noise_of(x_meas, model.base.x_std)
         if not float(np.nanmean((x_meas - x) ** 2)) < POLICY.rig_follows * sigma**2:
             return None
     still = ComputedMotion(x, np.gradient(x) * case.fs_hz, np.zeros_like(x))
@@ -170,8 +170,8 @@ class RigBody(Body):
         last = max(LONGEST_S * case.fs_hz, peak + BEYOND_S * case.fs_hz)
         self.command = self.other["x_cmd"]
         self.simulated = self.command[: int(min(last, case.t.size))]
-        self.sigma_f = estimate.force_noise(self.f, case.model.f_std)
-        self.sigma = estimate.noise_of(self.x, case.model.x_std)
+        self.sigma_f = noise_level.force_noise(self.f, case.model.f_std)
+        self.sigma = noise_level.noise_of(self.x, case.model.x_std)
         good = case.rows & np.isfinite(self.x) & np.isfinite(self.f)
         self.judged = np.flatnonzero(good[: self.simulated.size])
         self.rows = np.arange(2 * self.judged.size)

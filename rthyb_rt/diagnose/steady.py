@@ -22,14 +22,8 @@ from rthyb_rt.diagnose import fitted, instants
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.form import neighbours
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import (
-    Fit,
-    ResidualProblem,
-    design_of,
-    inflation,
-    priors_of,
-    unfiltered_slopes,
-)
+from rthyb_rt.diagnose.problem import Fit, ResidualProblem
+from rthyb_rt.diagnose.refinement import design_of, inflation, priors_of, unfiltered_slopes
 
 
 @dataclass(frozen=True)

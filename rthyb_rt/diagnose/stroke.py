@@ -20,7 +20,8 @@ from rthyb_rt.diagnose import fitted
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
-from rthyb_rt.diagnose.select import Fit, Member, ResidualProblem, penalty, priors_of, solve
+from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem, penalty
+from rthyb_rt.diagnose.refinement import priors_of, solve
 from rthyb_rt.diagnose.steady import left, standing
 
 BEGUN = [

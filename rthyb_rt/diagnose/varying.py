@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from rthyb_rt.diagnose.case import Floats
-from rthyb_rt.diagnose.select import Fit, ResidualProblem, penalty, priors_of
+from rthyb_rt.diagnose.problem import Fit, ResidualProblem, penalty
+from rthyb_rt.diagnose.refinement import priors_of
 from rthyb_rt.diagnose.steady import standing
 
 HARMONICS = 3

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from rthyb_rt.diagnose.decide import Ruling
+from rthyb_rt.diagnose.court import Ruling
 from rthyb_rt.diagnose.policy import SIDES, Policy, of_size
 
 Said = Literal["none", "explained", "ambiguous", "unknown"]

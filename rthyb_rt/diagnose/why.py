@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from rthyb_rt.diagnose import effects, evidence, fitted, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
+from rthyb_rt.diagnose.dictionary import Dictionary, Solved
 from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.problem import Fit, Nuisance
 from rthyb_rt.diagnose.remainder import bend, left_of
-from rthyb_rt.diagnose.select import Dictionary, Fit, Nuisance, Solved
 from rthyb_rt.diagnose.verdict import allowed, within
 from rthyb_rt.diagnose.words import called, quantity, together, value_text
 from rthyb_rt.numbers import number

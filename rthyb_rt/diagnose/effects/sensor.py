@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rthyb_rt.diagnose import estimate, mains
+from rthyb_rt.diagnose import mains, noise_level, spectral
 from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 from rthyb_rt.diagnose.effects.friction import Viscous
 from rthyb_rt.diagnose.policy import POLICY
@@ -58,7 +58,7 @@ def _loudest_hz(force: Floats, noise: float, dt: float) -> float | None:
 
 
 def _up_to(cut_hz: float, force: Floats, dt: float) -> Floats:
-    size = estimate.fast_length(force.size + 2 * _fade(force, dt))
+    size = spectral.fast_length(force.size + 2 * _fade(force, dt))
     spectrum, f, _ = _faded(force, dt, size)
     pad = _fade(force, dt)
     low = np.fft.irfft(spectrum / (1.0 + (f / cut_hz) ** 8), size)
@@ -318,7 +318,7 @@ def _expected(ctx: Context) -> Floats:
     Nonlinear Models (2006), chapter 4.
     """
     reading = ctx.other["fy_meas"]
-    return estimate.quiet(reading, 1.0 / ctx.dt, _noise(reading, ctx.dt))
+    return spectral.quiet(reading, 1.0 / ctx.dt, _noise(reading, ctx.dt))
 
 
 def _noise(signal: Floats, dt: float) -> float:
@@ -326,7 +326,7 @@ def _noise(signal: Floats, dt: float) -> float:
 
     If the noise is higher there than at the top of the spectrum, that level is used.
     """
-    white = estimate.white_noise(signal)
+    white = noise_level.white_noise(signal)
     power = np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(signal.size))) ** 2
     share = np.cumsum(power) / (float(power.sum()) or 1.0)
     f = np.fft.rfftfreq(signal.size, dt)
