@@ -50,6 +50,8 @@ class Choice:
 
 
 class UnknownNeed(Exception):
+    """Raised by a rule that needs evidence which has not been gathered."""
+
     def __init__(self, need: Need) -> None:
         self.need = need
 

@@ -27,6 +27,7 @@ from rthyb_rt.diagnose.problem import (
 from rthyb_rt.diagnose.refinement import slopes_of
 
 BLOCKS = 16
+"""Number of parts of a recording whose products are kept, and that are held out in turn."""
 
 
 @dataclass(frozen=True)

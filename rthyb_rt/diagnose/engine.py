@@ -26,6 +26,7 @@ from rthyb_rt.diagnose import (
     redundant,
     remainder,
     rigged,
+    sensor_faults,
     spring_history,
     steady,
     whitening,
@@ -41,6 +42,7 @@ from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.predict import Augmented, followed
 from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
 from rthyb_rt.diagnose.refinement import refine
+from rthyb_rt.diagnose.sensor_faults import SensorResidual
 from rthyb_rt.diagnose.verdict import (
     Moved,
     Rounded,
@@ -64,6 +66,8 @@ NEWTON_STEPS = 12
 """Largest number of steps by which a set is refined by a coarse load cell's readings."""
 ROUNDS = 3
 """Number of searches by these readings, each near the set found by the last one."""
+MENDED = 3
+"""Number of times that a recording is diagnosed again without faults of its sensors."""
 PASSES = 2
 """Number of simulations of such a motion, the second one with the effects found along it."""
 
@@ -317,10 +321,51 @@ def context_of(
 def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult:
     """Find the physics that the model lacks.
 
+    If something remains unknown, it may be the fault of a sensor: without that, the recording is
+    diagnosed again. So it is if the displacement is noisier than stated.
+
     Args:
         case: recording and model.
         progress: receives the name of each stage.
     """
+    first = done = _diagnosed(case, progress)
+    # Faults of the load cell may show only once the motion is known.
+    for _ in range(MENDED):
+        mended = sensor_faults.mended(done.case, _left(done), done.verdict == "unknown")
+        if mended is None:
+            break
+        try:
+            done = _diagnosed(mended, progress)
+        except InputError:  # the rest is not enough
+            break
+    return done if done.verdict != "unknown" else first
+
+
+def _left(done: DiagnosisResult) -> list[SensorResidual]:
+    """Return what a diagnosis leaves of the displacement and the load cell, if it has them."""
+    left, search = [], done.force
+    if done.disp is not None:
+        task, motion = done.disp.task, done.disp.best.motion
+        rows = np.zeros(task.x.size, dtype=np.bool_)
+        rows[task.rows] = True
+        made, rest, white = motion.x, task.x - motion.x, task.own is None
+        left += [SensorResidual("x_meas", made, rest, rows, *_of_motion(motion), white)]
+    if search is None or "f_meas" not in done.case.channels or done.case.model.family == "forced":
+        return left
+    found, motion = search.problem.estimate, search.problem.estimate.motion
+    if found.read is None:
+        made = fitted.force_of(search.problem, search.best)
+        rest = remainder.left_by(search, search.best)
+        white = found.exact and not found.coloured
+        left += [SensorResidual("f_meas", made, rest, found.rows, *_of_motion(motion), white)]
+    return left
+
+
+def _of_motion(motion: ComputedMotion) -> tuple[Floats, Floats, Floats]:
+    return motion.x, motion.v, motion.a
+
+
+def _diagnosed(case: Case, progress: Progress) -> DiagnosisResult:
     progress("actuator")
     disp = displacement(case)
     found = motion_of(case, disp)

@@ -35,6 +35,7 @@ from rthyb_rt.diagnose.spectral import (
 from rthyb_rt.diagnose.whitening import Blur
 
 SHIFT_S = 0.025
+"""Time at either end in which a force that is shifted in time is not known."""
 GAP_S = 0.4
 """Time after which a gap in the command no longer affects a simulated motion."""
 TURN_ROWS = 20

@@ -62,7 +62,7 @@ class Fitter(Protocol):
         stated: names of effects that change a stated value within its tolerance.
         exact: whether the motion is free of estimation noise.
         rows: number of independent rows evaluated.
-        judged: what is evaluated, see `decide.Setting`.
+        judged: what is evaluated, see `hypotheses.Setting`.
         witnessed: whether another channel verifies the load cell, see `redundant`.
     """
 

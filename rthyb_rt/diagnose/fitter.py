@@ -1,4 +1,4 @@
-"""Sets of effects, each refined once along the measured motion."""
+"""Sets of effects, each refined once along the measured motion, and what is tried with them."""
 
 from __future__ import annotations
 
@@ -157,9 +157,11 @@ class SetFitter:
                         self.fit(members, driving=fit.chi2 < at_noise)
 
     def price(self, fit: Fit) -> float:
+        """Return what the parameters of a set must earn, in chi-squared."""
         return cost(self.problem, fit)
 
     def score(self, fit: Fit) -> float:
+        """Return chi-squared and price."""
         return fit.chi2 + self.price(fit)
 
 

@@ -72,6 +72,7 @@ class MotionFitter(SetFitter):
         return self.by_names[fit.names]
 
     def fit(self, members: Iterable[Member], driving: bool = False) -> Fit | None:
+        """Refine a set in the force balance, and then by its motion; None as from either."""
         begun = self.first.fit(members, driving)
         return self.move(begun) if begun is not None else None
 
@@ -177,7 +178,7 @@ class MotionFitter(SetFitter):
         """Refine the best set again from where larger sets left its laws, if its friction sticks.
 
         The misfit of such a motion has many minima, nearly as deep as one another. The deepest one
-        counts, and their scatter is part of the interval, see `_forms`.
+        counts, and their scatter is part of the interval.
         """
         best = self.leading
         if best is None or not any(m.effect.dry for m in best.members):

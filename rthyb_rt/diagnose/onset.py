@@ -152,7 +152,7 @@ def lasting(member: Member) -> Member:
 
 
 class OnsetFitter(Protocol):
-    """Refines sets of effects, see `force`."""
+    """Refines sets of effects, see `fitter`."""
 
     problem: ResidualProblem
 

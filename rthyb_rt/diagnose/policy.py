@@ -994,6 +994,25 @@ class Policy:
         10.0, "multiple of the channel's range", "judgement",
         "Distance beyond the range of a channel at which a reading is impossible.",
     )  # fmt: skip
+    stray_jump: float = _entry(
+        8.0, "standard deviations", "physics",
+        "Fourth difference of a residual from which a single row may be a stray reading.",
+        "noise reaches 8 in one row of 10^15; a row that is off by 11 times the noise does",
+    )  # fmt: skip
+    stray_healed: float = _entry(
+        4.0, "standard deviations", "physics",
+        "Largest fourth difference beside a stray reading, without it.",
+        "noise reaches 4 in one row of 16 000",
+    )  # fmt: skip
+    stray_most: int = _entry(
+        5, "readings", "judgement",
+        "Largest number of stray readings of a channel that are excluded; more are a signal.",
+    )  # fmt: skip
+    stray_place: float = _entry(
+        0.02, "fraction of the range of motion", "judgement",
+        "Distance from either end of the motion, and from one another, within which readings may "
+        "be those of a law, not stray ones.",
+    )  # fmt: skip
     dead_cell: float = _entry(
         0.9, "fraction of the channel's power", "judgement",
         "Fraction of white noise in a load cell's signal from which it is regarded as noise only.",

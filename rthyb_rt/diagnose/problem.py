@@ -1,4 +1,4 @@
-"""The residual of one recording, and the sets of effects that may explain it.
+"""The residual of one recording, the sets of effects that may explain it, and their price.
 
 Possible errors of the model within its stated tolerances are nuisance columns with a prior.
 """
@@ -165,7 +165,8 @@ class Fit:
         count: number of fitted parameters.
         residual: whitened, evaluated rows; empty before refinement.
         covariance: of (log shapes, coefficients), before scaling.
-        scatter: the same from the residual itself, see `clustered`; for a simulated motion only.
+        scatter: the same from the residual itself, see `refinement.clustered`; for a simulated
+            motion only.
         start: initial displacement, m, and velocity, m/s, of that motion.
         lost: what its input was fitted to be where it was not recorded, see `freebody.Body`.
     """

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rthyb_rt import units
-from rthyb_rt.diagnose import channel_sizes
+from rthyb_rt.diagnose import channel_sizes, strays
 from rthyb_rt.diagnose.axes import OfAxis
 from rthyb_rt.diagnose.case import CHANNELS, NO_READING, Case, Floats, Model
 from rthyb_rt.diagnose.drive_clock import drive_clock, made_up
@@ -456,29 +456,12 @@ def _fits_family(channels: dict[str, Floats], model: Model, where: str) -> None:
 
 
 def _spikes(channels: dict[str, Floats], notes: list[str]) -> None:
-    """Exclude single readings far beyond all others: faulty samples.
-
-    At most a few rows in a thousand are of this kind; more are a signal.
-    """
+    """Exclude single readings far beyond all others: faulty samples."""
     for name, values in channels.items():
-        good = np.isfinite(values)
-        low, high = np.quantile(values[good], (0.002, 0.998))
-        span = float(high - low)
-        off = good & (
-            (values < low - POLICY.stray_reading * span)
-            | (values > high + POLICY.stray_reading * span)
-        )
-        # A real peak has flanks: a faulty sample is isolated.
-        alone = off & ~np.r_[False, off[:-1]] & ~np.r_[off[1:], False]
-        if span > 0.0 and off.any() and np.array_equal(alone, off):
-            clean = values.copy()
-            clean[off] = np.nan
-            channels[name] = clean
-            first = int(np.flatnonzero(off)[0])
-            notes.append(
-                f"{name} has {int(off.sum())} stray reading{'s' if off.sum() > 1 else ''} "
-                f"({values[first]:.3g} {CHANNELS[name]} in row {first + 1}); not evaluated there"
-            )
+        rows = strays.impossible(values)
+        if rows.size:
+            channels[name], note = strays.without(name, values, rows)
+            notes.append(note)
 
 
 def _clipped(channels: dict[str, Floats], where: str, notes: list[str]) -> None:

@@ -173,6 +173,14 @@ def refine(problem: ResidualProblem, members: Sequence[Member], steps: int = 8) 
 
 
 def priors_of(problem: ResidualProblem, members: Sequence[Member], first: int, size: int) -> Floats:
+    """Return the inverse variances of the priors on a set's parameters, (size, size).
+
+    Args:
+        problem: the problem.
+        members: the set; its coefficients begin at ``first``, those of the nuisance follow.
+        first: number of parameters before them.
+        size: number of all parameters.
+    """
     extra = np.zeros((size, size))
     j = first
     for m in members:

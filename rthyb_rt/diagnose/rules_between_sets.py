@@ -260,4 +260,5 @@ def driven(court: Court, of: Hypothesis) -> bool:
 
 
 def by_score(of: Hypothesis) -> tuple[float, tuple[str, ...]]:
+    """Return what sets are sorted by: their score, and their names where that is equal."""
     return of.score, of.names

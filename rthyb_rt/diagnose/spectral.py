@@ -86,12 +86,21 @@ def fast_length(least: int) -> int:
 
 @dataclass(frozen=True)
 class Spectrum:
+    """The transform of a signal that is continued beyond its ends by its mirror image.
+
+    Attributes:
+        pad: number of rows by which it is continued at either end.
+        n: its number of rows.
+        omega: frequencies of the transform, (m,), rad/s.
+    """
+
     pad: int
     n: int
     omega: Floats
 
     @classmethod
     def of(cls, n: int, fs_hz: float) -> Spectrum:
+        """Return the transform for a number of rows at a sampling frequency, Hz."""
         pad = int(min(n - 2, max(4.0 * fs_hz, 64)))
         # A length with small prime factors: other transforms take ten times as long.
         while pad > 64 and not _smooth_number(n + 2 * pad):
@@ -100,9 +109,11 @@ class Spectrum:
         return cls(pad, n, 2.0 * np.pi * f_hz)
 
     def forward(self, signal: Floats, odd: bool = False) -> Complex:
+        """Return the spectrum, (m,), of a signal, (n,); ``odd``: continued point-symmetrically."""
         return np.fft.rfft(_extended(signal, self.pad, odd))
 
     def back(self, spectrum: Complex) -> Floats:
+        """Return the signal, (n,), of a spectrum, (m,)."""
         return np.fft.irfft(spectrum, self.n + 2 * self.pad)[self.pad : self.pad + self.n]
 
 
@@ -247,6 +258,7 @@ def rests(x: Floats, fs_hz: float) -> tuple[bool, bool]:
 
 
 def without_edges(rows: NDArray[np.bool_], fs_hz: float, x: Floats) -> NDArray[np.bool_]:
+    """Return rows, (n,), without those at either end, where the smoother lacks half its data."""
     out = rows.copy()
     for at, rest in zip((0, -1), rests(x, fs_hz), strict=True):
         cut = int(min((EDGE_S if rest else MOVING_EDGE_S) * fs_hz, rows.size / 12))
@@ -256,6 +268,7 @@ def without_edges(rows: NDArray[np.bool_], fs_hz: float, x: Floats) -> NDArray[n
 
 
 def whitening_filter(s: Spectrum, power: Floats, band: Floats) -> Callable[[Floats], Floats]:
+    """Return the filter that makes noise of a power, (m,), white within a band, (m,), 0 to 1."""
     gain = band / np.sqrt(power)
 
     def whiten(signal: Floats) -> Floats:

@@ -1,4 +1,8 @@
-"""Noise of the force residual: its likelihood, and the filter that makes it white."""
+"""Noise of the force residual: its likelihood, and the filter that makes it white.
+
+It has two parts: that of the load cell, within its data sheet, and what the error of an estimated
+motion contributes.
+"""
 
 from __future__ import annotations
 
@@ -83,9 +87,9 @@ class Whitener:
 
     Attributes:
         whiten: an entire signal, (n,) to (n,); linear.
-        pieces: parts of it, see `Estimate`.
+        pieces: parts of it, see `estimate.Estimate`.
         scatter: relative standard deviation of the noise's rms over such a recording.
-        share: fraction of the band that is evaluated, see `Estimate`.
+        share: fraction of the band that is evaluated, see `estimate.Estimate`.
     """
 
     whiten: Callable[[Floats], Floats]
