@@ -79,6 +79,10 @@ def test_a_motion_that_both_sensors_show_is_the_noise_of_neither():
     force = 1e5 * x + 50.0 * np.gradient(x) + white(4)
     assert understated.unrelated(x, white(4), ALL)
     assert not understated.unrelated(x, force, ALL)
+    for value in (np.nan, np.inf):
+        x[5] = value
+        with np.errstate(invalid="ignore"):
+            assert not understated.unrelated(x, white(4), ALL)
 
 
 @pytest.mark.parametrize(

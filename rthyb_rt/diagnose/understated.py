@@ -57,6 +57,8 @@ def unrelated(one: Floats, other: Floats, rows: Mask) -> bool:
     slope = np.gradient(one)
     design = np.column_stack([one, slope, np.gradient(slope)])[rows]
     design, off = design - design.mean(axis=0), other[rows] - np.mean(other[rows])
+    if not (np.isfinite(design).all() and np.isfinite(off).all()):
+        return False
     found = np.linalg.lstsq(design, off, rcond=None)[0]
     shared = float(np.mean((design @ found) ** 2)) / max(float(np.mean(off**2)), 1e-300)
     return shared < POLICY.excess_as_noise
