@@ -331,7 +331,10 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
     first = done = _diagnosed(case, progress)
     # Faults of the load cell may show only once the motion is known.
     for _ in range(MENDED):
-        mended = sensor_faults.mended(done.case, _left(done), done.verdict == "unknown")
+        unknown = done.verdict == "unknown"
+        if not unknown and (done.disp is None or done.disp.quiet):
+            break  # all is explained, within the data sheet
+        mended = sensor_faults.mended(done.case, _left(done), unknown)
         if mended is None:
             break
         try:
@@ -349,7 +352,7 @@ def _left(done: DiagnosisResult) -> list[SensorResidual]:
         rows = np.zeros(task.x.size, dtype=np.bool_)
         rows[task.rows] = True
         made, rest, white = motion.x, task.x - motion.x, task.own is None
-        left += [SensorResidual("x_meas", made, rest, rows, *_of_motion(motion), white)]
+        left += [SensorResidual("x_meas", made, rest, rows, motion, white)]
     if search is None or "f_meas" not in done.case.channels or done.case.model.family == "forced":
         return left
     found, motion = search.problem.estimate, search.problem.estimate.motion
@@ -357,12 +360,8 @@ def _left(done: DiagnosisResult) -> list[SensorResidual]:
         made = fitted.force_of(search.problem, search.best)
         rest = remainder.left_by(search, search.best)
         white = found.exact and not found.coloured
-        left += [SensorResidual("f_meas", made, rest, found.rows, *_of_motion(motion), white)]
+        left += [SensorResidual("f_meas", made, rest, found.rows, motion, white)]
     return left
-
-
-def _of_motion(motion: ComputedMotion) -> tuple[Floats, Floats, Floats]:
-    return motion.x, motion.v, motion.a
 
 
 def _diagnosed(case: Case, progress: Progress) -> DiagnosisResult:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rthyb_rt.core.diagnosis_models import ComputedMotion
 from rthyb_rt.diagnose import strays, understated
 from rthyb_rt.diagnose.case import CHANNELS, Case, Floats
 from rthyb_rt.diagnose.gaps import Mask
@@ -21,7 +22,7 @@ class SensorResidual:
         made: what model and set make of it, (n,).
         rest: what they leave, (n,).
         rows: which rows are evaluated, (n,).
-        x, v, a: motion, each (n,), SI.
+        motion: the motion that belongs to it.
         plain: whether the residual would be white if nothing else were missing.
     """
 
@@ -29,9 +30,7 @@ class SensorResidual:
     made: Floats
     rest: Floats
     rows: Mask
-    x: Floats
-    v: Floats
-    a: Floats
+    motion: ComputedMotion
     plain: bool
 
 
@@ -49,7 +48,8 @@ def mended(case: Case, left: list[SensorResidual], unknown: bool) -> Case | None
     channels, notes, model = dict(case.channels), list(case.notes), case.model
     sheets = {"x_meas": model.x_std, "f_meas": model.f_std}
     for one in left if unknown else ():
-        rows = strays.isolated(one.rest, one.rows, sheets[one.name] or 0.0, one.x, one.v)
+        moved = one.motion
+        rows = strays.isolated(one.rest, one.rows, sheets[one.name] or 0.0, moved.x, moved.v)
         rows = rows[np.isfinite(channels[one.name][rows])]
         if rows.size:
             channels[one.name], note = strays.without(one.name, channels[one.name], rows)
@@ -77,4 +77,5 @@ def _noise(one: SensorResidual, left: list[SensorResidual]) -> float:
         understated.unrelated(one.rest, o.rest, one.rows & o.rows) for o in others
     ):
         return 0.0
-    return understated.level(one.rest, one.made, one.rows, (one.x, one.v, one.a))
+    motion = (one.motion.x, one.motion.v, one.motion.a)
+    return understated.level(one.rest, one.made, one.rows, motion)

@@ -80,12 +80,12 @@ def _flat(off: Floats) -> bool:
     lines = power.size // BANDS
     bands = np.array([np.mean(part) for part in np.array_split(power, BANDS)])
     usual = float(np.median(bands))
-    most = 1.0 + POLICY.excess_as_noise + POLICY.power_scatter * np.sqrt(2.0 / lines)
+    chance = POLICY.power_scatter * np.sqrt(2.0 / lines)
+    most, left = (1.0 + n * POLICY.excess_as_noise + chance for n in (1, BANDS))
     slow, rest = bands[0] / usual, bands[1:] / usual
     # The largest of many lines that are distributed exponentially.
     line = float(np.max(power[lines:])) / usual
     by_chance = np.log(power.size) + 2.0 * POLICY.power_scatter
-    left = 1.0 + BANDS * POLICY.excess_as_noise + POLICY.power_scatter * np.sqrt(2.0 / lines)
     return bool(
         np.max(rest) < most and np.min(bands) * most > usual and slow < left and line < by_chance
     )
