@@ -213,6 +213,7 @@ def test_a_law_for_a_free_body_has_to_move_it_as_it_was_moved() -> None:
 
 # ---- rules that turn it -------------------------------------------------------------------------
 
+DELAY_RATE = Moved(names=("delay_rate",))
 BLURRED = replace(FRICTION, exact=False, part_before=1e-4)
 RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
     "blur": (Seen(BLURRED), {}, "none", "explained"),
@@ -224,6 +225,10 @@ RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
     "chance": (
         Seen(replace(FRICTION, before=0.05, coloured=True)),
         {"sheet": True, "strength": 10.0}, "none", "explained",
+    ),
+    "leftover": (
+        Seen(replace(FRICTION, before=0.13, after=0.085), DELAY_RATE), {},
+        "explained", "explained",
     ),
     "weak": (
         Seen(replace(FRICTION, names=("coulomb", "gap"), laws=2)), {"strength": 1.0},
@@ -250,6 +255,20 @@ def test_each_rule_turns_what_is_said(rule: str) -> None:
     verdict = said(seen, **answers)
     assert (verdict.said, [r.rule for r in verdict.ledger]) == (turned, [rule])
     assert said(seen, (rule,), **answers).said == without
+
+
+def test_beside_an_effect_of_the_actuator_a_force_explains_most_of_what_may_be_noise() -> None:
+    """The motion is simulated with that effect, whose formula is not exact."""
+    small = replace(FRICTION, before=0.13, after=0.085)
+    assert said(Seen(small, DELAY_RATE)).names == ("delay_rate",)
+    both = ("delay_rate", "coulomb")
+    assert said(Seen(replace(small, after=0.05), DELAY_RATE)).names == both
+    # More than noise, or than the load cell's sheet, or no such motion.
+    assert said(Seen(replace(small, before=0.3, after=0.09), DELAY_RATE)).names == both
+    assert said(Seen(replace(small, loud=True), DELAY_RATE)).names == both
+    assert said(Seen(small, Moved())).names == ("coulomb",)
+    assert said(Seen(small)).names == ("coulomb",)
+    assert said(Seen(replace(small, bent=4.0), DELAY_RATE)).said == "unknown"
 
 
 def test_a_finding_without_which_noise_would_be_larger_than_its_sheet_is_no_chance() -> None:

@@ -288,6 +288,12 @@ class Policy:
         0.15, "misfit / noise power", "judgement",
         "Additional misfit in the force that is acceptable for the model without any effect.",
     )  # fmt: skip
+    leftover_share: float = _entry(
+        0.5, "fraction of the misfit", "judgement",
+        "Maximum fraction of such a misfit that a set may leave along a motion simulated with an "
+        "effect of the actuator.",
+        "more than half is explained",
+    )  # fmt: skip
     excess_of_nothing_actuator: float = _entry(
         0.3, "misfit / noise power", "judgement",
         "The same for the displacement.",

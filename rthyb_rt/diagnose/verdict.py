@@ -391,6 +391,23 @@ def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     return False, known
 
 
+def leftover(court: _Court, left: Left, named: bool, known: bool) -> Turn:
+    """Beside an effect of the actuator, a force must explain most of a misfit as small as noise.
+
+    The force was evaluated along a motion simulated with that effect. Its formula is not exact
+    either: the error of the motion shows in the force, and something in the catalogue absorbs a
+    part of it.
+    """
+    actuator, policy = court.seen.actuator, court.policy
+    if not named or left.moved or actuator is None or not actuator.names:
+        return named, known
+    noise = left.before < policy.excess_as_noise + policy.excess_of_nothing
+    if not noise or left.loud or left.share <= policy.leftover_share:
+        return named, known
+    court.rules("leftover", left.names, left.share, policy.leftover_share)
+    return False, within(left.bent, policy)
+
+
 def weak(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     """Each effect of a set must have a size: one that may be zero is a substitute.
 
@@ -470,8 +487,8 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
-    "blur": blur, "motion": motion, "reproduced": reproduced, "chance": chance, "weak": weak,
-    "steady": steady,
+    "blur": blur, "motion": motion, "reproduced": reproduced, "chance": chance,
+    "leftover": leftover, "weak": weak, "steady": steady,
     "varying": beside_nameless("varying", 0), "stroke": beside_nameless("stroke", 1),
     "memory": beside_nameless("memory", 1), "steps": steps,
 }  # fmt: skip

@@ -520,6 +520,7 @@ TURNED = {
     "reproduced": "the best set, found in the balance of forces, does not reproduce the measured "
     "motion when it is simulated",
     "chance": "the best set is no larger than what noise of this spectrum produces by chance",
+    "leftover": "the best set leaves most of a misfit that the form of an actuator effect may cause",
     "weak": "one effect of the best set may be zero: its size is below 1.96 standard deviations",
     "steady": "the parameters of the best set differ between parts of the recording",
     **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},

@@ -1,6 +1,7 @@
 """How much each threshold of the table matters: every one moved, answers counted that change.
 
-    python tests/validate/sensitivity.py [--seed 20261] [--count 10] [--page docs/...md] [--rows]
+    python tests/validate/sensitivity.py [--seed 20261] [--count 10] [--page docs/...md]
+                                         [--rows | --unmeasured]
 
 Cases of both generators in turn. Each is diagnosed in this process once. Where the diagnosis reads
 a threshold for the first time, the process forks: a child goes on from there with 0.7 times its
@@ -9,6 +10,8 @@ what a case does not read is not tried. So a threshold that decides at the end c
 the end. Minutes a case; what was stopped goes on at the case at which it was, in --out.
 --rows: nothing is diagnosed. The page gets the table as it is now; of a threshold that it has with
 another value, or does not have, it says that its sensitivity has not been measured.
+--unmeasured: only those thresholds are moved of which --page says so. The page keeps its other
+rows, and gets theirs, each with the number of these cases that use it, when all cases are done.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ import json
 import os
 import re
 import sys
+import textwrap
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -131,10 +135,10 @@ def decided(answer: Answer) -> str:
     return json.dumps([answer["verdict"], sorted(answer.get("effects") or ()), sets])
 
 
-def compared(folder: Path, what: str) -> dict[str, Any]:
-    """What came of one case with each threshold moved."""
+def compared(folder: Path, what: str, names: set[str]) -> dict[str, Any]:
+    """What came of one case with each of these thresholds moved."""
     began = time.monotonic()
-    plain, found = tried(lambda: answered(folder), set(entries()))
+    plain, found = tried(lambda: answered(folder), names)
     right: dict[str, bool] = {}
 
     def judged(answer: Answer) -> bool:
@@ -155,7 +159,7 @@ def compared(folder: Path, what: str) -> dict[str, Any]:
     }  # fmt: skip
     return {
         "what": what, "right": judged(plain), "verdict": plain["verdict"], "entries": rows,
-        "seconds": time.monotonic() - began,
+        "names": sorted(names), "seconds": time.monotonic() - began,
     }  # fmt: skip
 
 
@@ -219,20 +223,57 @@ def with_rows(page: str) -> str:
 
     What was measured of a threshold with another value says nothing of the one it has now.
     """
-    known: dict[tuple[str, str], list[str]] = {}
-    text, first = [], None
-    for old in page.splitlines():
-        cells = [c.strip() for c in re.split(r"(?<!\\)\|", old)[1:-1]]
-        if len(cells) == COLUMNS and cells[0].startswith("`"):
-            known[cells[0].strip("`"), cells[1]] = cells[-3:]
-            first = len(text) if first is None else first
-        else:
-            text.append(old)
+    known, text, first = measured_before(page)
     rows = [
         row_of(n, e, known.get((n, value_text(getattr(POLICY, n))), UNMEASURED))
         for n, e in entries().items()
     ]
     return "\n".join([*text[:first], *rows, *text[first:]]) + "\n"
+
+
+def measured_before(page: str) -> tuple[dict[tuple[str, str], list[str]], list[str], int]:
+    """What a page says was measured, by threshold and value; its other lines; its first row."""
+    known: dict[tuple[str, str], list[str]] = {}
+    text, first = [], 0
+    for old in page.splitlines():
+        cells = [c.strip() for c in re.split(r"(?<!\\)\|", old)[1:-1]]
+        if len(cells) == COLUMNS and cells[0].startswith("`"):
+            known[cells[0].strip("`"), cells[1]] = cells[-3:]
+            first = first or len(text)
+        else:
+            text.append(old)
+    return known, text, first
+
+
+def unmeasured(page: str) -> set[str]:
+    """The thresholds of whose present value a page says that nothing has been measured."""
+    known, *_ = measured_before(page)
+    at = {n: known.get((n, value_text(getattr(POLICY, n))), UNMEASURED) for n in entries()}
+    return {n for n, told in at.items() if told == UNMEASURED}
+
+
+def with_measured(page: str, results: list[dict[str, Any]], seed: int, state: str) -> str:
+    """A page with rows for the thresholds that it lacked, and on which cases they were measured."""
+    known, text, first = measured_before(page)
+    new = set(results[0]["names"])
+    rows = [
+        line(n, e, results) if n in new
+        else row_of(n, e, known.get((n, value_text(getattr(POLICY, n))), UNMEASURED))
+        for n, e in entries().items()
+    ]  # fmt: skip
+    right = sum(r["right"] for r in results)
+    runs = sum(len(row) for r in results for row in r["entries"].values())
+    said = (
+        f"{', '.join(f'`{n}`' for n in entries() if n in new)} were measured later, with "
+        f"{len(results)} other cases of both generators, {right} of them answered correctly (state "
+        f"`{state}`, seed {seed}): {runs} diagnoses."
+    )
+    return "\n".join([*text[:first], *rows, *text[first:], "", *wrapped(said)]) + "\n"
+
+
+def wrapped(said: str) -> list[str]:
+    """A paragraph of the page."""
+    return textwrap.wrap(said, 100, break_long_words=False, break_on_hyphens=False)
 
 
 def written(results: list[dict[str, Any]], seed: int, state: str) -> str:
@@ -281,17 +322,22 @@ def options() -> argparse.Namespace:
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "policy")
     parser.add_argument("--page", type=Path)
-    parser.add_argument("--rows", action="store_true", help="only the rows of --page, unmeasured")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--rows", action="store_true", help="only the rows of --page, unmeasured")
+    how.add_argument("--unmeasured", action="store_true", help="only what --page has not measured")
     return parser.parse_args()
 
 
 def main() -> int:
     args = options()
+    before = args.page.read_text() if args.page and args.page.exists() else ""
     if args.rows and args.page:
-        args.page.write_text(with_rows(args.page.read_text()))
+        args.page.write_text(with_rows(before))
         return 0
+    names = unmeasured(before) if args.unmeasured else set(entries())
     state = digest(*PROGRAM)
-    kept = args.out / f"moved-{state}" / str(args.seed)
+    some = "moved" if len(names) == len(entries()) else "some"
+    kept = args.out / f"{some}-{state}" / str(args.seed)
     kept.mkdir(parents=True, exist_ok=True)
     made = args.out / f"cases-{digest('tests/prove', 'tests/validate')[:8]}"
     results = []
@@ -301,12 +347,14 @@ def main() -> int:
         if not path.exists():
             print(f"{i + 1} of {args.count}: {what}", file=sys.stderr, flush=True)
             with np.errstate(all="ignore"):
-                made_of = json.dumps(compared(folder, what))
+                made_of = json.dumps(compared(folder, what, names))
             path.write_text(made_of)
         done = json.loads(path.read_text())
         results.append(done)
-        if args.page:
+        if args.page and not args.unmeasured:
             args.page.write_text(written(results, args.seed, state))
+    if args.page and args.unmeasured:
+        args.page.write_text(with_measured(before, results, args.seed, state))
     if not args.page:
         print(written(results, args.seed, state))
     return 0
