@@ -12,7 +12,7 @@ from diagnose_answers import diagnosed, found, holds
 from scipy import signal
 
 from rthyb_rt import core
-from rthyb_rt.diagnose import actuation, engine, localise, reading, words
+from rthyb_rt.diagnose import actuation, actuator_choice, localise, reading, words
 from rthyb_rt.diagnose.outcome import finish
 from rthyb_rt.diagnose.predict import nrmse
 from rthyb_rt.diagnose.refinement import clustered
@@ -120,7 +120,7 @@ def test_a_delay_beside_a_lag_counts_by_its_evidence_and_beside_inexact_laws_by_
         effects_of = tuple(known[n] for n in names)
         return SimpleNamespace(chi2=chi2, effects=effects_of, misfit=lambda scale: chi2 / scale)
 
-    weighed = engine._Weighed(task, of(1.6e7), [], 1.0, 1.0, None)
+    weighed = actuator_choice.WeighedSets(task, of(1.6e7), [], 1.0, 1.0, None)
     both, alone = of(10_000.0, "delay", beside), of(10_400.0, beside)
     assert weighed.completes(both, known["delay"], alone) == named
 

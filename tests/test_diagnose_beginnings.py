@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rthyb_rt import config, core
-from rthyb_rt.diagnose import actuation, effects, engine, reading
+from rthyb_rt.diagnose import actuation, actuator_choice, effects, engine, reading
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.problem import Member, compatible
@@ -111,7 +111,7 @@ def test_velocity_of_a_lag_steps_with_a_held_command_after_the_row_and_not_befor
     """A nanosecond of time offset, which noise decides, would take each step before its row."""
     rig = config.parse_rig(LAG, "lag")
     case = reading.read_case(lagging(tmp_path / "run"), reading.model_of_rig(rig))
-    disp = engine.displacement(case)
+    disp = actuator_choice.displacement(case)
     assert disp is not None
     assert not disp.found
     exact = core.VirtualRig(experiment.rig_config(rig, case.fs_hz)).motion(case.channels["x_cmd"])[

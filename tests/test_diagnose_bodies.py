@@ -12,7 +12,7 @@ import pytest
 from diagnose_answers import diagnosed, found, holds
 from scipy import optimize, signal
 
-from rthyb_rt.diagnose import effects, engine, force, freebody, reading, remainder
+from rthyb_rt.diagnose import effects, engine, force, freebody, motion_evaluated, reading, remainder
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.policy import POLICY
@@ -274,10 +274,10 @@ def test_a_body_that_moves_as_simulated_lacks_no_force_whatever_its_sensors_hum(
 
 def proposed(case: Case, name: str, shape: Trial | None = None) -> force.Search:
     """Return a law in a form, as if the force balance had named it."""
-    motion = engine.motion_of(case, None)
+    motion = motion_evaluated.motion_of(case, None)
     assert motion is not None
     law = effects.catalogue()[name]
-    problem = ResidualProblem(case, engine.context_of(case, motion), motion, [law])
+    problem = ResidualProblem(case, motion_evaluated.context_of(case, motion), motion, [law])
     null, best = solve(problem, [], []), refine(problem, [Member(law, shape or Trial())])
     assert null is not None
     assert best is not None

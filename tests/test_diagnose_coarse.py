@@ -11,7 +11,7 @@ from diagnose_answers import diagnosed, holds
 from scipy.optimize import minimize_scalar
 from scipy.stats import norm
 
-from rthyb_rt.diagnose import coarse, engine
+from rthyb_rt.diagnose import coarse, result
 
 STEP_N, NOISE_N = 400.0, 15.0
 T = np.arange(6000) / 1000.0
@@ -206,7 +206,7 @@ def test_energy_and_curves_are_those_of_all_readings(tmp_path) -> None:
     friction = 160.0 * np.sign(v)
     columns = recorded(elastic(u) + friction, u, 900.0)
     d = diagnosed(tmp_path, columns, cases.baseline())
-    work = next(c for c in engine.to_json(d)["candidates"] if c["name"] == "coulomb")["energy_J"]
+    work = next(c for c in result.to_json(d)["candidates"] if c["name"] == "coulomb")["energy_J"]
     assert work == pytest.approx(friction @ np.diff(x, prepend=x[0]), rel=0.1)
     assert np.array_equal(d.context.force, columns["f_meas"])
 

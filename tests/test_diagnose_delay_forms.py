@@ -10,7 +10,7 @@ import pytest
 from scipy import signal
 from scipy.interpolate import CubicSpline
 
-from rthyb_rt.diagnose import engine, reading
+from rthyb_rt.diagnose import actuator_choice, reading
 
 FASTEST = 0.17
 """Largest velocity along the command, m/s."""
@@ -37,7 +37,7 @@ def named(folder, delay_of: Callable[[np.ndarray], np.ndarray], *, later_s: floa
     columns = {"t": np.arange(u.size) / cases.FS, "x_cmd": u, "x_meas": x + noise,
                "f_meas": cases.K * x}  # fmt: skip
     recording, toml = cases.write(folder, columns)
-    found = engine.displacement(reading.read_case(recording, reading.read_model(toml)))
+    found = actuator_choice.displacement(reading.read_case(recording, reading.read_model(toml)))
     assert found is not None
     return found.best.names
 

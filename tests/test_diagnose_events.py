@@ -16,7 +16,7 @@ from event_cases import Rig, late, moved, on_ground, recorded, rig
 from test_diagnose_steady import along, fitted
 
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
-from rthyb_rt.diagnose import effects, engine, evidence, onset, outcome, reading, why
+from rthyb_rt.diagnose import effects, engine, evidence, onset, outcome, reading, result, why
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.fitter import SetFitter
@@ -45,7 +45,7 @@ def either(bench: Rig, low: float, high: float) -> float:
     return float(bench.random.choice([-1.0, 1.0]) * bench.random.uniform(low, high))
 
 
-def diagnosed(paths: Paths) -> engine.DiagnosisResult:
+def diagnosed(paths: Paths) -> result.DiagnosisResult:
     return engine.diagnose(reading.read_case(paths[0], reading.read_model(paths[1])))
 
 
@@ -59,7 +59,7 @@ def in_turn(scenarios: Iterable[Scenario], *quick: Scenario) -> list[Any]:
     ]
 
 
-def begun(d: engine.DiagnosisResult) -> dict[str, float]:
+def begun(d: result.DiagnosisResult) -> dict[str, float]:
     """Effects named that begin in mid-record, and when."""
     return {c.name: c.from_s for c in d.candidates if c.name in d.effects and c.from_s is not None}
 
@@ -185,7 +185,7 @@ def test_what_happens_in_mid_test_is_named_with_when(
     assert any(later in note and f"{told[later]:.4g} s" in note for note in d.notes)
     if len(names) == 1:
         assert d.windows[0][0] >= told[later] - 1.0 / bench.fs_hz
-    said = engine.to_json(d)
+    said = result.to_json(d)
     assert [c["from_s"] for c in said["candidates"] if c["name"] == later] == [told[later]]
 
 

@@ -12,7 +12,7 @@ from test_diagnose_noise import written
 from test_diagnose_steady import along
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import effects, engine, estimate, force, onset
+from rthyb_rt.diagnose import effects, estimate, force, motion_evaluated, onset
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import Gathered
@@ -122,7 +122,7 @@ def problem_of(noise_kg: float, dashpot_n_s_per_m: float) -> ResidualProblem:
         pieces=None,
     )
     return ResidualProblem(
-        case, engine.context_of(case, found), found, effects.catalogue().values()
+        case, motion_evaluated.context_of(case, found), found, effects.catalogue().values()
     )
 
 
@@ -285,7 +285,7 @@ def pushed(seed: int = 5) -> ResidualProblem:
         pieces=None,
     )  # fmt: skip
     return ResidualProblem(
-        case, engine.context_of(case, found), found, effects.catalogue().values()
+        case, motion_evaluated.context_of(case, found), found, effects.catalogue().values()
     )
 
 

@@ -11,7 +11,7 @@ from diagnose_answers import diagnosed
 from scipy import signal
 
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
-from rthyb_rt.diagnose import effects, engine, intervals, reading
+from rthyb_rt.diagnose import actuator_choice, effects, engine, intervals, reading, result
 from rthyb_rt.diagnose.actuation import Actuation
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.form import neighbours, of_form
@@ -21,7 +21,7 @@ from rthyb_rt.diagnose.refinement import inflated, inflation
 LATE_S = 8.0e-5  # a normal offset in time, of the load cell
 
 
-def held(d: engine.DiagnosisResult, name: str, key: str) -> tuple[float, float]:
+def held(d: result.DiagnosisResult, name: str, key: str) -> tuple[float, float]:
     """Return the ends of an interval."""
     low, high = next(c for c in d.candidates if c.name == name).ci95[key]
     return low, high
@@ -164,7 +164,7 @@ def test_motions_about_a_fitted_actuator_lie_one_standard_deviation_away(tmp_pat
     """Their distances from it, squared, in units of the noise, come to the numbers that it has."""
     recording, toml = cases.write(tmp_path, cases.channels(delay=cases.DELAY + 2e-3))
     case = reading.read_case(recording, reading.read_model(toml))
-    disp = engine.displacement(case)
+    disp = actuator_choice.displacement(case)
     assert disp is not None
     assert disp.best.names == ("delay",)
     task: Actuation = disp.task

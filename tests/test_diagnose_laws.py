@@ -12,7 +12,7 @@ from scipy import signal
 
 from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import ActuatorModel, ComputedMotion, actuator
-from rthyb_rt.diagnose import effects, engine, outcome, reading
+from rthyb_rt.diagnose import effects, engine, found_model, outcome, reading
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Model
 from rthyb_rt.diagnose.effects.base import Context, Trial
@@ -165,7 +165,7 @@ def test_a_law_is_named_with_its_form_and_becomes_a_rig(law, tmp_path):
     name, form = law.split(", ", 1)
     d = diagnosed(tmp_path, lambda t, x, v, a: LAWS[law](x, v), seed=3)
     assert (d.verdict, d.effects) == ("explained", [name])
-    model = engine.augmented(d)
+    model = found_model.augmented(d)
     (member,) = [m for m in model.members if m.name == name]
     said = member.effect.form(d.context, member.trial)
     assert all(word in said for word in form.split())
@@ -215,7 +215,7 @@ def test_a_worn_column_beside_a_naive_model_yields_pinches_and_degrades(tmp_path
     params = {k: v for c in d.candidates[:3] for k, v in c.params.items()}
     assert params["xy_m"] == pytest.approx(2e-3, rel=0.15)
     assert set(params) == {"xy_m", "alpha", "depth", "width_ratio", "loss", "travel_m"}
-    text, lost = rig_toml(engine.augmented(d))
+    text, lost = rig_toml(found_model.augmented(d))
     assert lost == []
     assert any(one.element == "rc_column" for one in config.parse_rig(text).specimen)
 
@@ -258,7 +258,7 @@ def test_a_wall_aimed_at_its_largest_displacement_is_named_and_foretold(tmp_path
     then = reading.read_case(written("then", slice(end, None))[0], model, judged=False)
     d = engine.diagnose(first)
     assert (d.verdict, d.effects) == ("explained", ["degradation", "hysteresis", "pinching"])
-    found = engine.augmented(d)
+    found = found_model.augmented(d)
     assert "aimed" in found.members[0].effect.form(d.context, found.members[0].trial)
     text, lost = rig_toml(found)
     assert lost == []
@@ -371,7 +371,7 @@ def test_a_joint_that_reloads_towards_its_largest_displacement_yields_and_degrad
     d = engine.diagnose(reading.read_case(recording, reading.read_model(toml)))
     assert (d.verdict, d.effects) == ("explained", ["degradation", "hysteresis"])
     assert d.fit["nrmse_after"] < 0.03
-    text, lost = rig_toml(engine.augmented(d))
+    text, lost = rig_toml(found_model.augmented(d))
     assert lost == []
     (loop,) = [e for e in config.parse_rig(text).specimen if e.element == "takeda"]
     assert loop.xy_m == pytest.approx(2e-3, rel=0.1)

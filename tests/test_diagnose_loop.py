@@ -15,7 +15,7 @@ import pytest
 from scipy import signal
 
 from rthyb_rt import cli, config, core
-from rthyb_rt.diagnose import effects, engine, outcome, reading, recovered
+from rthyb_rt.diagnose import effects, engine, found_model, outcome, reading, recovered
 from rthyb_rt.diagnose.effects.base import Context, Effect, Param, Trial
 from rthyb_rt.errors import InputError
 from rthyb_rt.lab import experiment, virtual_time
@@ -151,7 +151,7 @@ def test_a_test_that_was_held_is_not_simulated_again(tmp_path):
     case = reading.read_case(recorded(tmp_path / "run", rec), reading.model_of_rig(done.rig))
     d = engine.diagnose(case)
     with pytest.raises(InputError, match="held and resumed"):
-        outcome.close_loop(d, engine.augmented(d))
+        outcome.close_loop(d, found_model.augmented(d))
     said = outcome.finish(d, None, None).answer["closed_loop"]
     assert said["possible"] is False
     assert "held and resumed" in said["why"]

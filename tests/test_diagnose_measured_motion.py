@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from rthyb_rt.diagnose import engine, reading, remainder, spectral
+from rthyb_rt.diagnose import engine, found_model, reading, remainder, spectral
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.outcome import DiagnosisResult
 
@@ -109,7 +109,7 @@ def test_a_wall_that_rocks_softens_without_a_loop(tmp_path: Path, after: float) 
 
     d = diagnosed(tmp_path, law, 128.0)
     assert (d.verdict, d.effects) == ("explained", ["cubic"])
-    model = engine.augmented(d)
+    model = found_model.augmented(d)
     (rocks,) = [e for e in model.elements()[0] if e.kind == "rocking"]
     assert rocks.params[1] == pytest.approx(uplift, rel=0.02)
     assert rocks.params[0] == pytest.approx((1.0 - after) * K, rel=0.03)

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import engine, outcome
+from rthyb_rt.diagnose import engine, found_model, outcome, result
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.reading import read_case
 
@@ -81,7 +81,7 @@ def under_voltage(seed: int, law: str, known: bool) -> Case:
 
 
 @cache
-def diagnosed(law: str, known: bool) -> engine.DiagnosisResult:
+def diagnosed(law: str, known: bool) -> result.DiagnosisResult:
     return engine.diagnose(under_voltage(1, law, known))
 
 
@@ -185,10 +185,10 @@ def test_columns_that_are_no_channel_are_read_in_their_own_unit_and_said(tmp_pat
 def test_a_recording_without_the_channel_is_foretold_at_its_mean() -> None:
     t, motion = driven(5)
     d = diagnosed("coulomb", True)
-    model = engine.augmented(d)
+    model = found_model.augmented(d)
     without = model.effect_force(motion, t, {})
     coulomb = next(c for c in d.candidates if c.name == "coulomb")
 
     assert np.abs(without).max() == pytest.approx(coulomb.params["Fc_N"], rel=0.02)
-    answer = json.loads(json.dumps(engine.to_json(d)))
+    answer = json.loads(json.dumps(result.to_json(d)))
     assert answer["candidates"][0]["modulated_by"]["channel"] == "voltage_V"

@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
-from rthyb_rt.diagnose import engine, reading
+from rthyb_rt.diagnose import engine, reading, result
 
 FS_HZ, K, C, M = 512.0, 4e5, 1200.0, 30.0
 X_STD, F_STD = 1.5e-6, 6.0
@@ -38,7 +38,7 @@ def motion(fs_hz: float, late_s: float = LATE_S) -> tuple[np.ndarray, ...]:
     return t, u, x, v, a
 
 
-def written(folder: Path, columns: dict[str, np.ndarray], baseline: str) -> engine.DiagnosisResult:
+def written(folder: Path, columns: dict[str, np.ndarray], baseline: str) -> result.DiagnosisResult:
     table = np.column_stack(list(columns.values()))
     np.savetxt(folder / "r.csv", table, delimiter=",", header=",".join(columns), comments="")
     (folder / "b.toml").write_text(baseline, encoding="utf-8")

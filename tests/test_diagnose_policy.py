@@ -25,7 +25,7 @@ SOURCES = list(FILES.values())
 INLINE = {
     "actuation.py late_zero": "rows that a mean is taken of",
     "actuation.py least": "where a fit ends",
-    "engine.py _force_found": "length of a list",
+    "findings.py force_found": "length of a list",
     "estimate.py _legs": "rows that a line is taken of",
     "gaps.py filled": "rows that a cubic takes",
     "spectral.py of": "rows to either side of a transform",

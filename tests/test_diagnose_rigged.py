@@ -10,7 +10,7 @@ import pytest
 
 from rthyb_rt import config, core
 from rthyb_rt.config.rigfile import RigFile
-from rthyb_rt.diagnose import effects, engine, estimate, gaps, reading, rigged
+from rthyb_rt.diagnose import effects, estimate, gaps, motion_evaluated, reading, rigged
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.fitter import SetFitter
@@ -104,7 +104,7 @@ def test_sliding_within_the_noise_of_the_displacement_is_dry_friction(table_run)
     case = case_of(table_run, config.load_rig(TABLE))
     found = estimate.from_sensors(case)
     assert found is not None
-    ctx = engine.context_of(case, found)
+    ctx = motion_evaluated.context_of(case, found)
     body, laws = rigged.RigBody(case, ctx), effects.catalogue()
 
     def fit(*parts: tuple[str, Trial]) -> Fit:
@@ -147,7 +147,7 @@ def test_true_model_leaves_the_noise_of_both_sensors(table_run):
     case = case_of(table_run, config.load_rig(TABLE))
     found = estimate.from_sensors(case)
     assert found is not None
-    body = rigged.RigBody(case, engine.context_of(case, found))
+    body = rigged.RigBody(case, motion_evaluated.context_of(case, found))
     model = nothing(case)
     off = body.differences(model, np.zeros(2), (0.0, 0.0))
     force, displacement = np.split(off, 2)
@@ -180,7 +180,7 @@ def test_late_load_cell_reads_the_force_of_before(table_run):
     model = Augmented(case.model, case.model, (late, zero), betas, None, (1e-2, 0.1, 5e3))
     found = estimate.from_sensors(case)
     assert found is not None
-    ctx = engine.context_of(case, found)
+    ctx = motion_evaluated.context_of(case, found)
     wave = 1000.0 * np.sin(2.0 * np.pi * 3.0 * case.t)
     expected = 1000.0 * np.sin(2.0 * np.pi * 3.0 * (case.t - 2.5 * case.dt)) + 7.0
     assert np.max(np.abs(rigged.read(model, wave, ctx) - expected)[8:-8]) < 0.01

@@ -11,7 +11,15 @@ from validate import own_rigs
 
 from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import actuator, body
-from rthyb_rt.diagnose import effects, engine, estimate, gaps, noise_level, reading
+from rthyb_rt.diagnose import (
+    effects,
+    engine,
+    estimate,
+    gaps,
+    motion_evaluated,
+    noise_level,
+    reading,
+)
 from rthyb_rt.diagnose.case import Case, Model
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.fitter import SetFitter
@@ -47,7 +55,7 @@ def problem_of(case: Case) -> ResidualProblem:
     found = estimate.from_sensors(case)
     assert found is not None
     return ResidualProblem(
-        case, engine.context_of(case, found), found, effects.catalogue().values()
+        case, motion_evaluated.context_of(case, found), found, effects.catalogue().values()
     )
 
 

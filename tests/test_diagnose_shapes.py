@@ -9,7 +9,7 @@ from scipy import stats
 
 from rthyb_rt import config, core
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import augment, effects, engine, estimate, reading
+from rthyb_rt.diagnose import augment, effects, engine, estimate, found_model, reading
 from rthyb_rt.diagnose.effects import springs
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
@@ -243,7 +243,7 @@ def test_a_stop_that_loses_energy_at_millimetres_per_second_is_found_and_runs(tm
     d = diagnosed_from(tmp_path, columns, slow_model(32.0, 1.0))
     assert (d.verdict, d.effects) == ("explained", ["stopper"])
     mended = tmp_path / "augmented.toml"
-    mended.write_text(augment.rig_toml(engine.augmented(d))[0], encoding="utf-8")
+    mended.write_text(augment.rig_toml(found_model.augmented(d))[0], encoding="utf-8")
     (stop,) = (e for e in config.load_rig(mended).specimen if e.element == "stopper")
     assert stop.loss_s_per_m == pytest.approx(1200.0, rel=0.05)
 

@@ -14,7 +14,7 @@ from scipy.stats import chi2, norm
 
 from rthyb_rt import core
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import effects, engine, steady
+from rthyb_rt.diagnose import effects, motion_evaluated, steady
 from rthyb_rt.diagnose.case import Case, Floats, Model, ModelBoucWen
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.estimate import Estimate
@@ -36,7 +36,7 @@ def along(
     case = Case(model.family, model, t, channels, rows)
     found = Estimate(motion, f_meas, rows, lambda y: y / f_std, f_std, True)
     laws = effects.catalogue().values()
-    return ResidualProblem(case, engine.context_of(case, found), found, laws)
+    return ResidualProblem(case, motion_evaluated.context_of(case, found), found, laws)
 
 
 def fitted(

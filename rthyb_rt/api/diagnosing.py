@@ -18,10 +18,10 @@ from rthyb_rt.config.fields import written
 from rthyb_rt.errors import InputError, RthybError
 
 if TYPE_CHECKING:
-    from rthyb_rt.diagnose import engine
     from rthyb_rt.diagnose.axes import OfAxis
     from rthyb_rt.diagnose.effects import Effect
     from rthyb_rt.diagnose.outcome import Outcome
+    from rthyb_rt.diagnose.result import DiagnosisResult
 
 Progress = Callable[[str], None]
 """Called with the name of the part that begins."""
@@ -42,7 +42,7 @@ class Diagnosis:
 
     def __init__(
         self,
-        found: engine.DiagnosisResult,
+        found: DiagnosisResult,
         outcome: Outcome,
         checks: list[dict[str, Any]] | None,
         model: Path,

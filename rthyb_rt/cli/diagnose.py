@@ -17,9 +17,9 @@ from rthyb_rt.errors import InputError, RthybError
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.axes import OfAxis
     from rthyb_rt.diagnose.case import Case
-    from rthyb_rt.diagnose.engine import DiagnosisResult
     from rthyb_rt.diagnose.mapping import Wish
     from rthyb_rt.diagnose.outcome import Outcome
+    from rthyb_rt.diagnose.result import DiagnosisResult
 
 MISMATCH = 8
 

@@ -17,7 +17,7 @@ from rthyb_rt.diagnose.problem import columns_of
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose import force
-    from rthyb_rt.diagnose.engine import Displacement
+    from rthyb_rt.diagnose.result import Displacement
 
 KINDS = ("sweep", "random", "multi_frequency", "multi_amplitude")
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import closed, engine
+from rthyb_rt.diagnose import closed, found_model, result
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.closed import ClosedLoop
-from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.predict import Augmented, Prediction, nrmse, output_error, predict
 from rthyb_rt.diagnose.recovered import Recovered, recover
+from rthyb_rt.diagnose.result import DiagnosisResult
 from rthyb_rt.errors import InputError, RthybError
 
 
@@ -44,9 +44,9 @@ def finish(d: DiagnosisResult, heldout: Case | None, wanted: Case | None) -> Out
         heldout: a complete second recording.
         wanted: a second recording whose outputs are to be predicted.
     """
-    model = engine.augmented(d)
+    model = found_model.augmented(d)
     if d.case.model.family == "drive" and (heldout is not None or wanted is not None):
-        model = engine.in_newtons(d, model, wanted or heldout)
+        model = found_model.in_newtons(d, model, wanted or heldout)
     if heldout is not None or wanted is not None:
         model = output_error(model, d.case)
     errors: dict[str, float] = {}
@@ -59,7 +59,7 @@ def finish(d: DiagnosisResult, heldout: Case | None, wanted: Case | None) -> Out
             d.verdict, d.effects, d.ambiguous_with = "unknown", [], []
             d.notes.append("the effects found are not confirmed by the second recording")
     prediction = predict(model, wanted, d.case) if wanted is not None else None
-    out = Outcome({**engine.to_json(d), "notes": list(d.notes)}, model, prediction, errors)
+    out = Outcome({**result.to_json(d), "notes": list(d.notes)}, model, prediction, errors)
     _close(d, out)
     return out
 
@@ -92,7 +92,7 @@ def close_loop(d: DiagnosisResult, model: Augmented) -> ClosedLoop:
     if rec is None:
         raise InputError("the recording was not made by this program, so its test is not known")
     base = closed.same_actuator(d.case.model, rec)
-    plain = engine.baseline(d)
+    plain = found_model.baseline(d)
     texts = []
     for m in (plain, model):
         text, lost = rig_toml(
@@ -110,7 +110,7 @@ def close_loop(d: DiagnosisResult, model: Augmented) -> ClosedLoop:
 
 
 def _held_out(d: DiagnosisResult, model: Augmented, heldout: Case) -> dict[str, float]:
-    plain = predict(engine.baseline(d), heldout, d.case)
+    plain = predict(found_model.baseline(d), heldout, d.case)
     after = predict(model, heldout, d.case)
     out: dict[str, float] = {}
     f_name = "f_in" if d.case.model.family == "forced" else "f_meas"

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from rthyb_rt import __version__
 from rthyb_rt.diagnose import fitted, why
 from rthyb_rt.diagnose.augment import rig_toml
-from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.estimate import as_read
 from rthyb_rt.diagnose.gaps import filled
 from rthyb_rt.diagnose.ranking import rows_of
 from rthyb_rt.diagnose.residual_laws import draw_laws, force_unit
+from rthyb_rt.diagnose.result import DiagnosisResult
 from rthyb_rt.diagnose.words import (
     LOOP_WORDS,
     called,

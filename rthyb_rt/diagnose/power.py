@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from rthyb_rt.diagnose import effects, engine
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context, Effect, Trial
-from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.estimate import as_read
 from rthyb_rt.diagnose.fitted import contribution, force_of
 from rthyb_rt.diagnose.problem import leaning
+from rthyb_rt.diagnose.result import DiagnosisResult
 
 PROBES = ("coulomb", "viscous", "inertia", "cubic")
 SIZES = (0.16, 0.08, 0.04, 0.02, 0.01, 0.005)

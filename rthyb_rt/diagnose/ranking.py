@@ -11,9 +11,9 @@ import numpy as np
 from rthyb_rt.diagnose import evidence, fitted
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
-from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.problem import Fit
+from rthyb_rt.diagnose.result import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.words import called, interval_text, law_text, together, value_text
 
 _AnyFit = TypeVar("_AnyFit", Fit, ActuatorFit)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from rthyb_rt.diagnose import effects
 from rthyb_rt.diagnose.effects.base import Trial
-from rthyb_rt.diagnose.engine import DiagnosisResult
 from rthyb_rt.diagnose.estimate import as_read
 from rthyb_rt.diagnose.intervals import intervals
 from rthyb_rt.diagnose.problem import columns_of, leaning
+from rthyb_rt.diagnose.result import DiagnosisResult
 from rthyb_rt.diagnose.words import called, together
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     from rthyb_rt.diagnose import force as forces
     from rthyb_rt.diagnose.case import Floats
-    from rthyb_rt.diagnose.engine import Displacement
     from rthyb_rt.diagnose.problem import Fit
+    from rthyb_rt.diagnose.result import Displacement
     from rthyb_rt.report.drawing import Plate
 
 STEP = 1e-4

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rthyb_rt.core.diagnosis_models import ComputedMotion
-from rthyb_rt.diagnose import strays, understated
+from rthyb_rt.diagnose import fitted, remainder, strays, understated
 from rthyb_rt.diagnose.case import CHANNELS, Case, Floats
 from rthyb_rt.diagnose.gaps import Mask
 from rthyb_rt.diagnose.policy import POLICY
+from rthyb_rt.diagnose.result import DiagnosisResult
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,26 @@ class SensorResidual:
     rows: Mask
     motion: ComputedMotion
     plain: bool
+
+
+def left_by(done: DiagnosisResult) -> list[SensorResidual]:
+    """Return what a diagnosis leaves of the displacement and the load cell, if it has them."""
+    left, search = [], done.force
+    if done.disp is not None:
+        task, motion = done.disp.task, done.disp.best.motion
+        rows = np.zeros(task.x.size, dtype=np.bool_)
+        rows[task.rows] = True
+        made, rest, white = motion.x, task.x - motion.x, task.own is None
+        left += [SensorResidual("x_meas", made, rest, rows, motion, white)]
+    if search is None or "f_meas" not in done.case.channels or done.case.model.family == "forced":
+        return left
+    found, motion = search.problem.estimate, search.problem.estimate.motion
+    if found.read is None:
+        made = fitted.force_of(search.problem, search.best)
+        rest = remainder.left_by(search, search.best)
+        white = found.exact and not found.coloured
+        left += [SensorResidual("f_meas", made, rest, found.rows, motion, white)]
+    return left
 
 
 def mended(case: Case, left: list[SensorResidual], unknown: bool) -> Case | None:

@@ -17,10 +17,10 @@ from rthyb_rt.diagnose import effects, evidence, fitted, redundant
 from rthyb_rt.diagnose import force as forces
 from rthyb_rt.diagnose.actuation import ActuatorFit
 from rthyb_rt.diagnose.dictionary import Dictionary, Solved
-from rthyb_rt.diagnose.engine import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.problem import Fit, Nuisance
 from rthyb_rt.diagnose.remainder import bend, left_of
+from rthyb_rt.diagnose.result import DiagnosisResult, Displacement
 from rthyb_rt.diagnose.verdict import allowed, within
 from rthyb_rt.diagnose.words import called, quantity, together, value_text
 from rthyb_rt.numbers import number
@@ -520,7 +520,7 @@ TURNED = {
     "reproduced": "the best set, found in the balance of forces, does not reproduce the measured "
     "motion when it is simulated",
     "chance": "the best set is no larger than what noise of this spectrum produces by chance",
-    "leftover": "the best set leaves most of a misfit that the form of an actuator effect may cause",
+    "leftover": "the best set leaves most of a misfit that the form of an actuator effect explains",
     "weak": "one effect of the best set may be zero: its size is below 1.96 standard deviations",
     "steady": "the parameters of the best set differ between parts of the recording",
     **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},

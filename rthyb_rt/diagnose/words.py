@@ -15,10 +15,10 @@ from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.effects.base import Effect
 from rthyb_rt.diagnose.effects.sensor import QUANTISATION
-from rthyb_rt.diagnose.engine import DiagnosisResult, Found
 from rthyb_rt.diagnose.force import Search
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.remainder import left_of
+from rthyb_rt.diagnose.result import DiagnosisResult, Found
 
 if TYPE_CHECKING:
     from rthyb_rt.diagnose.outcome import Outcome

@@ -8,10 +8,10 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rthyb_rt.diagnose import engine, reading
+from rthyb_rt.diagnose import engine, reading, result
 
 
-def right(d: engine.DiagnosisResult, answer: dict[str, Any]) -> bool:
+def right(d: result.DiagnosisResult, answer: dict[str, Any]) -> bool:
     """Return whether verdict and names equal the answer's."""
     verdict = answer.get("verdict")
     if verdict is not None and d.verdict != verdict:
