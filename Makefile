@@ -46,7 +46,7 @@ help:
 	@echo 'make soak       a service for five minutes, and nothing that grows (SECONDS=300)'
 	@echo 'make validate-diagnosis  the diagnosis on cases that it has not seen, into docs (COUNT=60, SEED=)'
 	@echo 'make validate-diagnosis-short  a fixed few of them, held against that page; two minutes'
-	@echo 'make validate-policy  each threshold of the diagnosis moved, into docs; minutes a case (COUNT=10)'
+	@echo 'make validate-policy  each threshold of the diagnosis moved, into docs; minutes a case (COUNT=10, UNMEASURED=1)'
 	@echo 'make benchmark-rths  every control law on the benchmark of the field, into docs; half an hour (JOBS=2)'
 	@echo 'make benchmark-rths-short  the goals of the law inverse on it, held; three minutes'
 	@echo 'make benchmark-marths  the benchmark of two actuators, into docs; ten minutes (JOBS=2)'
@@ -243,7 +243,8 @@ validate-diagnosis-short: $(TEST_READY)
 validate-policy: $(TEST_READY)
 	@OPENBLAS_NUM_THREADS=1 $(BIN)/python tests/validate/sensitivity.py \
 	    $(if $(filter command line,$(origin COUNT)),--count $(COUNT)) \
-	    $(if $(filter command line,$(origin SEED)),--seed $(SEED)) --page docs/diagnosis-policy.md
+	    $(if $(filter command line,$(origin SEED)),--seed $(SEED)) \
+	    $(if $(UNMEASURED),--unmeasured) --page docs/diagnosis-policy.md
 
 # Every control law on the same plants; the page and its picture go to docs.
 JOBS := 2

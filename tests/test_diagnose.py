@@ -125,6 +125,29 @@ def test_a_delay_beside_a_lag_counts_by_its_evidence_and_beside_inexact_laws_by_
     assert weighed.completes(both, known["delay"], alone) == named
 
 
+@pytest.mark.parametrize(
+    ("apart", "alike"), [(0.0, True), (1.9, True), (2.1, False), (-0.5, True), (-12.0, True)]
+)
+def test_a_lag_that_fits_as_well_as_a_delay_is_no_worse_for_its_second_number(
+    apart: float, alike: bool
+) -> None:
+    """Beside another effect, its number must contribute something."""
+    known = {e.name: e for e in actuation.CATALOGUE}
+
+    def of(chi2: float, count: int, *names: str) -> SimpleNamespace:
+        effects_of = tuple(known[n] for n in names)
+        return SimpleNamespace(count=count, effects=effects_of, misfit=lambda scale: chi2 / scale)
+
+    weighed = actuator_choice.WeighedSets(None, None, [], 1.0, 1.0, None)
+    delay, lag = of(1000.0, 1, "delay"), of(1000.0 + apart, 2, "oil_column")
+    assert weighed.alike(lag, delay) == alike
+    pair, other = (
+        of(1000.0, 2, "act_gain", "delay"),
+        of(1000.0 + apart, 3, "act_gain", "oil_column"),
+    )
+    assert weighed.alike(other, pair) == (apart < -0.9)
+
+
 @pytest.mark.long
 def test_relaxation_beside_less_damping_is_told_with_what_it_means_for_fast_motion(tmp_path):
     relaxing = core.element("maxwell", km_n_per_m=2e5, tau_s=0.1)

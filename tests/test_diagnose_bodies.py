@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import diagnose_cases as cases
 import numpy as np
@@ -402,3 +403,37 @@ def test_hard_stop_is_simulated_as_one_whatever_an_estimated_motion_makes_of_it(
     assert found_one.chi2 / body.rows.size < POLICY.motion_met
     assert found_one.members[0].trial.variant == "both"
     assert found_one.members[0].trial.theta == pytest.approx([xs], rel=1e-3)
+
+
+def test_beside_dry_friction_each_law_is_tried_that_a_friction_which_falls_may_stand_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Friction that falls with velocity leads; damping is missing beside dry friction."""
+    catalogue = effects.catalogue()
+
+    def of(*names: str) -> SimpleNamespace:
+        return SimpleNamespace(names=tuple(sorted(names)))
+
+    def larger(dictionary: object, fit: SimpleNamespace, most: int) -> list[tuple[Member, ...]]:
+        assert fit is dry
+        added = ("quad_damping", "viscous", "stribeck", "bias")
+        return [tuple(Member(catalogue[n], Trial()) for n in (*fit.names, own)) for own in added]
+
+    monkeypatch.setattr(force, "larger", larger)
+    dry, best, body = of("coulomb", "stiffness"), of("stiffness", "stribeck"), SimpleNamespace()
+    known = {f.names: f for f in (dry, best, of("coulomb", "stiffness", "viscous"))}
+    mover = SimpleNamespace(leading=best, by_names=known)
+
+    def tried(held: bool = True) -> list[list[str]]:
+        body.held = held
+        sets = force.beside_dry_friction(None, body, mover)  # type: ignore[arg-type]
+        return [sorted(m.name for m in members) for members in sets]
+
+    damped = ["coulomb", "quad_damping", "stiffness"]
+    # A load cell's effect does not move a body that is judged by its motion.
+    assert tried() == [damped]
+    assert tried(held=False) == [damped, ["bias", "coulomb", "stiffness"]]
+    mover.leading = dry
+    assert tried() == []
+    mover.leading = of("stiffness", "stribeck", "viscous")
+    assert tried() == []

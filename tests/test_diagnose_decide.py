@@ -45,7 +45,7 @@ def evidence(*sets: Hypothesis, null: float = 20_000.0, **setting: Any) -> Evide
 ANSWERS = {
     "held_out": 0.9, "size": 0.5, "left": 0.5, "driven": (60.0, 60.0, 60.0),
     "driven_together": 180.0, "slow_noise": 1.0, "near_noise": 1.0, "beyond_forms": 1e9,
-    "own_size": 0.1, "yielding": None,
+    "own_size": 0.1, "yielding": None, "line_of_others": 0.0,
 }  # fmt: skip
 
 
@@ -877,3 +877,18 @@ def test_a_stiff_second_mode_beside_a_negative_mass_must_show_in_the_motion_of_t
     assert named(exact=False, earned=5.0) == ()
     assert named(exact=False, earned=500.0) == ("inertia", "second_mode")
     assert named(exact=True, earned=5.0) == ("inertia", "second_mode")
+
+
+def test_a_line_where_the_other_forces_have_one_must_be_more_than_the_form_of_a_law() -> None:
+    """A hum is the load cell's own, unless a law makes a harmonic of the motion there."""
+
+    def seen(loop_alone: float) -> Evidence:
+        both = of("hum", "hysteresis", chi2=1000.0)
+        loop = of("hysteresis", chi2=1000.0 + loop_alone)
+        return evidence(loop, of("hum", chi2=50_000.0), both, null=60_000.0)
+
+    assert decided(seen(170.0), line_of_others=0.001).best.names == ("hum", "hysteresis")
+    harmonic = decided(seen(170.0), line_of_others=0.1)
+    assert harmonic.best.names == ("hysteresis",)
+    assert "harmonic" in {r.rule for r in harmonic.ledger}
+    assert decided(seen(470.0), line_of_others=0.1).best.names == ("hum", "hysteresis")

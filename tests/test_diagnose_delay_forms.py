@@ -57,3 +57,22 @@ def test_the_form_of_a_delay_that_grows_with_velocity_is_no_second_lag(tmp_path,
 def test_a_constant_delay_beside_one_that_grows_with_velocity_is_named(tmp_path):
     names = named(tmp_path, FORMS["as stated"], later_s=2e-3)
     assert names == ("delay", "delay_rate")
+
+
+def of_a_delay(folder, kind: str):
+    """Return what is found of an actuator that is 3 ms later than stated."""
+    u = cases.command(kind)
+    x, v, _ = cases.moved(u, cases.DELAY + 3e-3)
+    noise = cases.X_STD * np.random.default_rng(3).standard_normal(u.size)
+    columns = {"t": np.arange(u.size) / cases.FS, "x_cmd": u, "x_meas": x + noise,
+               "f_meas": cases.K * x + cases.C * v}  # fmt: skip
+    recording, toml = cases.write(folder, columns)
+    found = actuator_choice.displacement(reading.read_case(recording, reading.read_model(toml)))
+    assert found is not None
+    return found.best.names, [f.names for f in found.equal]
+
+
+def test_one_frequency_does_not_tell_a_delay_from_a_lag(tmp_path):
+    """Gain and phase at one frequency are two numbers, and a lag has two."""
+    assert of_a_delay(tmp_path / "sine", "sine") == (("delay",), [("oil_column",)])
+    assert of_a_delay(tmp_path / "sweep", "sweep") == (("delay",), [])

@@ -96,3 +96,47 @@ def test_steady_noise_of_a_narrow_band_has_no_bursts_however_long_it_is() -> Non
     assert noise.steady(narrow, cases.FS)
     assert not noise.steady(knock * wide, cases.FS)
     assert not noise.steady(knock * narrow, cases.FS)
+
+
+def test_a_line_of_a_force_is_told_by_its_largest_one() -> None:
+    """Beside a sine of 1 there is one of 0.05 at three times its frequency, none at seven."""
+    t = np.arange(4000) / 200.0
+    force = np.sin(2.0 * np.pi * 0.75 * t) + 0.05 * np.sin(2.0 * np.pi * 2.25 * t)
+    assert mains.line_at(force, 2.25, 1.0 / 200.0) == pytest.approx(0.05, rel=0.02)
+    assert mains.line_at(force, 5.25, 1.0 / 200.0) < 1e-3
+    assert mains.line_at(np.zeros(100), 2.0, 0.01) == 0.0
+    # A sweep has power there, and no line.
+    swept = np.sin(2.0 * np.pi * (0.3 + 0.2 * t) * t)
+    assert mains.line_at(swept, 2.25, 1.0 / 200.0) == 0.0
+
+
+def loops(x: np.ndarray, exponent: float, part: float) -> np.ndarray:
+    """Return Bouc-Wen's z / xy for x / xy, with another exponent and form than the tool's."""
+    z, out = 0.0, np.empty(x.size)
+    for i in range(x.size):
+        dx = (x[i] - x[max(i - 1, 0)]) / 8.0
+        for _ in range(8):
+            z += dx * (1.0 - abs(z) ** exponent * (part + (1.0 - part) * np.sign(dx * z)))
+        out[i] = z
+    return out
+
+
+@pytest.mark.long
+def test_what_a_loop_of_another_form_lacks_of_a_harmonic_is_no_hum(tmp_path: Path) -> None:
+    """Sine cycles of growing amplitude: the loop's third harmonic is as steady as a hum."""
+    fs_hz, xy, random = 300.0, 1.2e-3, np.random.default_rng(5)
+    t = np.arange(int(32.0 * fs_hz)) / fs_hz
+    x = 0.7e-3 * (1.0 + np.floor(t / 8.0)) * np.sin(2.0 * np.pi * 0.75 * t)
+    k = 1.4e7
+    pink = np.fft.irfft(
+        np.fft.rfft(random.standard_normal(t.size)) / np.sqrt(1.0 + np.arange(t.size // 2 + 1))
+    )
+    f = k * (0.3 * x + 0.7 * xy * loops(x / xy, 1.8, 0.6)) + 190.0 * pink / pink.std()
+    columns = {"t": t, "x_meas": x + 7e-7 * random.standard_normal(t.size), "f_meas": f}
+    model = cases.baseline(k=k, c=0, moving_mass=0, k_tol=0.02, c_tol=0.15, fs_hz=fs_hz)
+    model = model.replace(f"f_std = {cases.F_STD}", "f_std = 220.0")
+    model = model.replace(f"x_std = {cases.X_STD}", "x_std = 7.4e-7")
+    head, _, tail = model.partition("[actuator]")
+    d = diagnosed(tmp_path, columns, head + "[noise]" + tail.partition("[noise]")[2])
+    assert d.verdict == "explained"
+    assert d.effects == ["hysteresis"]

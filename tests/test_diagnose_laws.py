@@ -508,3 +508,17 @@ def test_a_channel_that_modulates_a_law_is_as_late_in_a_late_cell_as_the_law(row
     plain = columns_of(ctx, [Member(effects.catalogue()["viscous"], Trial()), cell])[0][0]
     wanted = plain * np.sin(0.7 * (ctx.t - rows / cases.FS))
     assert seen[8:-8] == pytest.approx(wanted[8:-8], abs=1e-6 * np.max(np.abs(plain)))
+
+
+@pytest.mark.parametrize("variant", ["spread0", "spread0.5", "spread1.0"])
+def test_bristles_beside_a_softer_spring_are_yielding_of_the_same_form(
+    ctx: Context, variant: str
+) -> None:
+    """k (alpha x + (1 - alpha) z) is a spring of alpha k and a chain of (1 - alpha) k."""
+    chain, yielding = effects.catalogue()["lugre"], effects.catalogue()["hysteresis"]
+    xy, alpha = 0.3 * ctx.x_range, 0.35
+    own = Trial((xy,), variant)
+    force = chain.columns(ctx, own)[0] * (1.0 - alpha) * ctx.model.k * xy
+    force += (alpha - 1.0) * ctx.model.k * ctx.x
+    twin = yielding.columns(ctx, yielding.like(own))[0] * (1.0 - alpha)
+    assert twin == pytest.approx(force, abs=1e-9 * float(np.abs(force).max()))

@@ -213,7 +213,7 @@ def test_a_law_for_a_free_body_has_to_move_it_as_it_was_moved() -> None:
 
 # ---- rules that turn it -------------------------------------------------------------------------
 
-DELAY_RATE = Moved(names=("delay_rate",))
+DELAY_RATE = Moved(names=("delay_rate",), exact=False)
 BLURRED = replace(FRICTION, exact=False, part_before=1e-4)
 RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
     "blur": (Seen(BLURRED), {}, "none", "explained"),
@@ -267,6 +267,7 @@ def test_beside_an_effect_of_the_actuator_a_force_explains_most_of_what_may_be_n
     assert said(Seen(replace(small, before=0.3, after=0.09), DELAY_RATE)).names == both
     assert said(Seen(replace(small, loud=True), DELAY_RATE)).names == both
     assert said(Seen(small, Moved())).names == ("coulomb",)
+    assert said(Seen(small, Moved(("delay",)))).names == ("delay", "coulomb")
     assert said(Seen(small)).names == ("coulomb",)
     assert said(Seen(replace(small, bent=4.0), DELAY_RATE)).said == "unknown"
 

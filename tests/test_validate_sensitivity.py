@@ -5,7 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from validate.sensitivity import Tried, cell, decided, line, moved, tried
+from validate.sensitivity import (
+    UNMEASURED,
+    Tried,
+    cell,
+    decided,
+    line,
+    moved,
+    row_of,
+    tried,
+    unmeasured,
+    with_measured,
+)
 
 from rthyb_rt.diagnose.policy import POLICY, Policy, entries
 
@@ -94,3 +105,45 @@ def test_the_page_says_how_many_cases_read_a_threshold() -> None:
     assert text.endswith("| 1 | 1 (1 lost) | 0 |")
     text = line("left_naive", entries()["left_naive"], results)
     assert text.endswith("| 0 | – | – |")
+
+
+PAGE = "\n".join(
+    [
+        "# Thresholds",
+        "",
+        "| threshold | value | unit | origin | decides | basis | used in | × 0.7 | × 1.4 |",
+        "|---|---|---|---|---|---|---|---|---|",
+        *(row_of(n, e, ["5", "0", "1"]) for n, e in entries().items()),
+        "",
+        "The cases.",
+        "",
+    ]
+)
+
+
+def test_what_a_page_has_not_measured_is_measured_later_and_the_rest_stays() -> None:
+    name, other = "same_evidence", "left_naive"
+    new = [row_of(n, entries()[n], UNMEASURED) for n in (name, other)]
+    old = [row_of(n, entries()[n], ["5", "0", "1"]) for n in (name, other)]
+    page = PAGE.replace(old[0], new[0]).replace(old[1], new[1])
+    assert unmeasured(PAGE) == set()
+    assert unmeasured(page) == {name, other}
+    assert unmeasured("") == set(entries())
+    # Of another value nothing is known.
+    text = f"| {POLICY.same_evidence:g} |"
+    assert unmeasured(PAGE.replace(old[0], old[0].replace(text, "| 1e9 |"))) == {name}
+    move = {"changed": True, "right": False, "same": False, "verdict": "unknown"}
+    results = [
+        {
+            "right": True, "names": [name, other],
+            "entries": {name: {"0.7": move, "1.4": {**move, "changed": False, "same": True}}},
+        }
+    ]  # fmt: skip
+    later = with_measured(page, results, 7, "abcd")
+    assert unmeasured(later) == set()
+    assert row_of(name, entries()[name], ["1", "1 (1 lost)", "0"]) in later
+    assert row_of(other, entries()[other], ["0", "–", "–"]) in later
+    kept = [row for row in PAGE.splitlines() if row.startswith("| `") and row not in old]
+    assert all(row in later for row in kept)
+    assert "The cases." in later
+    assert "seed 7): 2 diagnoses." in later.replace("\n", " ")

@@ -75,10 +75,16 @@ class WeighedSets:
         return True
 
     def alike(self, fit: ActuatorFit, best: ActuatorFit) -> bool:
-        """Return whether a set cannot be distinguished from the best one."""
+        """Return whether a set cannot be distinguished from the best one.
+
+        If the recording shows no difference at all between single effects, as between a delay and a
+        lag at one frequency, a lower price is no evidence.
+        """
+        apart = fit.misfit(self.scale) - best.misfit(self.scale)
+        if len(fit.effects) == len(best.effects) == 1 and apart < POLICY.twin_evidence:
+            return True
         more = max(0, fit.count - best.count)
         dearer = POLICY.dearer_rival_actuator * POLICY.same_evidence * more
-        apart = fit.misfit(self.scale) - best.misfit(self.scale)
         return apart + dearer < POLICY.same_evidence
 
 

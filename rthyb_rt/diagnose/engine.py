@@ -33,6 +33,7 @@ from rthyb_rt.diagnose.problem import Member, ResidualProblem
 from rthyb_rt.diagnose.result import DiagnosisResult, Displacement, Found, Progress
 from rthyb_rt.diagnose.searching import (
     along_its_motion,
+    away_from_rest,
     balance_is_doubtful,
     felt_by_cell,
     in_its_noise,
@@ -116,7 +117,10 @@ def _diagnosed(case: Case, progress: Progress) -> DiagnosisResult:
         # What the displacement and the load cell both show is not limited by the balance's noise.
         settled = search.moved and (not held or felt_by_cell(case, search, ctx))
         if not settled:
+            plain = found
             found, search = in_its_noise(case, found, search, anew, progress)
+            moves = away_from_rest(case, plain, search, anew, progress)
+            found, search = moves or (found, search)
             if disp is not None and found.motion is disp.best.motion and not search.moved:
                 found, ctx, search = lateness.settled(disp.task, disp.best, found, ctx, search)
             settled = search.moved and (not held or felt_by_cell(case, search, ctx))
@@ -183,7 +187,8 @@ def _judged(
     """Return the verdict, gathering what the rules ask for."""
     moved = None
     if disp is not None:
-        moved = Moved(disp.best.names, tuple(f.names for f in disp.equal), disp.known)
+        exact = all(e.exact for e in disp.best.effects)
+        moved = Moved(disp.best.names, tuple(f.names for f in disp.equal), disp.known, exact)
     if search is None:
         rounding = None if steps is None else Rounded(steps.name)
         said = judge(Seen(None, moved, rounding), POLICY)

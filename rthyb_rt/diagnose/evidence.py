@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from rthyb_rt.diagnose import coarse
+from rthyb_rt.diagnose import coarse, mains
 from rthyb_rt.diagnose.case import Floats
 from rthyb_rt.diagnose.court import Choice
 from rthyb_rt.diagnose.decide import gathered as decided
@@ -208,6 +208,8 @@ class Gathered:
             return slow_power(problem, fit)
         if need.what == "near noise":
             return near_power(problem, fit, need.which[0])
+        if need.what == "line of others":
+            return line_of_others(problem, fit, need.which[0])
         if need.what == "own size":
             return size(problem, fit, need.which)
         return size(problem, fit) if need.what == "size" else self.held_out(fit)
@@ -277,6 +279,14 @@ def near_power(problem: ResidualProblem, fit: Fit, which: int) -> float:
     apart = np.r_[-apart, apart]
     angle = 2.0 * np.pi * np.outer(member.trial.theta[0] + apart, t - t[0])
     return _power(np.vstack([np.cos(angle), np.sin(angle)]), fit.residual)
+
+
+def line_of_others(problem: ResidualProblem, fit: Fit, which: int) -> float:
+    """Return the force without an effect of one frequency there, relative to its largest line."""
+    others = (contribution(problem, fit, i) for i in range(len(fit.members)) if i != which)
+    force = sum(others, problem.ctx.total)
+    f_hz = fit.members[which].trial.theta[0]
+    return mains.line_at(np.asarray(force), f_hz, problem.ctx.dt)
 
 
 def _power(lines: Floats, residual: Floats) -> float:

@@ -15,7 +15,7 @@ from rthyb_rt.diagnose.effects import of_number
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import Gathered
 from rthyb_rt.diagnose.fitted import count
-from rthyb_rt.diagnose.fitter import LEADING, SetFitter, without
+from rthyb_rt.diagnose.fitter import LEADING, SetFitter, plainer_friction, without
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.motion_fitter import PARTS, MotionFitter
 from rthyb_rt.diagnose.policy import POLICY
@@ -163,6 +163,27 @@ def _simplest(
                 mover.fit(members)
 
 
+def beside_dry_friction(
+    dictionary: Dictionary, body: Body, mover: MotionFitter
+) -> list[tuple[Member, ...]]:
+    """Return sets of dry friction with one more law, if a richer friction leads.
+
+    A friction that falls with velocity may stand for dry friction beside a law of damping. It has
+    as many parameters, so that such a set may have three effects for any body.
+    """
+    best, plainer = mover.leading, plainer_friction()
+    rich = [n for n in best.names if n in plainer] if best is not None else []
+    if best is None or len(rich) != 1 or len(best.names) > 2:
+        return []
+    names = tuple(sorted(plainer[n] if n in rich else n for n in best.names))
+    dry = mover.by_names.get(names)
+    if dry is None:
+        return []
+    found = [m for m in larger(dictionary, dry, POOL) if m[-1].name not in rich]
+    found = [m for m in found if not (body.held and m[-1].effect.sensor)]
+    return [m for m in found if names_of(m) not in mover.by_names]
+
+
 def _moved(
     dictionary: Dictionary,
     body: Body,
@@ -220,6 +241,9 @@ def _moved(
                     mover.fit(members)
     mover.relieve()
     mover.plain_friction()
+    for members in beside_dry_friction(dictionary, body, mover):
+        if not enough or body.plain(members):
+            mover.fit(members)
     if problem.decays:
         mover.exchange()
     mover.settle()

@@ -11,7 +11,8 @@ from rthyb_rt.diagnose.effects import Effect
 
 What = Literal[
     "part", "yielding", "beyond forms", "drift", "driven", "driven together", "driven more", "size",
-    "own size", "left", "held out", "zero", "slow noise", "near noise", "rounding",
+    "own size", "left", "held out", "zero", "slow noise", "near noise",
+    "line of others", "rounding",
 ]  # fmt: skip
 
 
@@ -213,8 +214,9 @@ class Need:
             "zero", how far a constant force or a drift deflects the spring, in standard deviations
             of the displacement noise in its data sheet; "slow noise", the power of the slowest
             lines of what it leaves, as a multiple of the noise power; "near noise", that of the
-            lines next to that of the effect; "rounding", how improbable the readings of a coarse
-            load cell are with it, each as an interval (-2 ln).
+            lines next to that of the effect; "line of others", the force of model and other laws at
+            its frequency, as a fraction of their largest line; "rounding", how improbable the
+            readings of a coarse load cell are with it, each as an interval (-2 ln).
         of: the set.
         which: indices of the effects concerned.
     """

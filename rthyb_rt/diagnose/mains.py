@@ -13,6 +13,8 @@ LEAST_HZ = 2.0
 """Frequency below which a line is regarded as motion."""
 AROUND = 6
 """Number of lines on either side that belong to a line found: those of its taper."""
+BESIDE = 64
+"""Number of lines on either side that are the surroundings of one."""
 FINER = 10
 """Number of steps to either side in which a frequency is refined, twice."""
 WINDOW_HZ = 2.0
@@ -51,6 +53,20 @@ def lines_hz(rest: Floats, motion: Floats, dt: float) -> list[float]:
         found.append(float(f[i] + step * f[1]))
         strength[max(i - AROUND, 0) : i + AROUND + 1] = 0.0
     return found
+
+
+def line_at(force: Floats, f_hz: float, dt: float) -> float:
+    """Return a force's line at a frequency, (n,), N, as a fraction of its largest one; 0: none.
+
+    A line stands out of its surroundings, as in `lines_hz`.
+    """
+    spectrum = np.abs(np.fft.rfft((force - force.mean()) * np.hanning(force.size)))
+    place = round(f_hz * dt * force.size)
+    near = float(spectrum[max(place - 1, 0) : place + 2].max(initial=0.0))
+    around = spectrum[max(place - BESIDE, 0) : place + BESIDE + 1]
+    if not around.size or near <= POLICY.hum_line * float(np.median(around)):
+        return 0.0
+    return near / float(spectrum.max())
 
 
 def hum_hz(rest: Floats, motion: Floats, dt: float) -> float | None:

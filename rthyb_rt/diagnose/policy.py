@@ -134,8 +134,9 @@ class Policy:
     )  # fmt: skip
     twin_evidence: float = _entry(
         2.0, "chi-squared", "judgement",
-        "If the best set only changes a stated value, a single effect that was rejected for its "
-        "higher price is reported as equally good if its chi-squared is larger by less than this.",
+        "If the best set only changes a stated value, or is a single effect of the actuator, a "
+        "single effect that was rejected for its higher price is reported as equally good if its "
+        "chi-squared is larger by less than this.",
     )  # fmt: skip
     dearer_rival: float = _entry(
         1.5, "multiple of same_evidence", "judgement",
@@ -288,10 +289,16 @@ class Policy:
         0.15, "misfit / noise power", "judgement",
         "Additional misfit in the force that is acceptable for the model without any effect.",
     )  # fmt: skip
+    at_rest: float = _entry(
+        1e-3, "fraction of the largest velocity", "judgement",
+        "Velocity of a simulated motion below which it is at rest: an actuator overshoots as it "
+        "stops, by less than its sensor shows.",
+        "at a lag of 10 Hz, a ten-thousandth of the amplitude of a motion of 1 Hz",
+    )  # fmt: skip
     leftover_share: float = _entry(
         0.5, "fraction of the misfit", "judgement",
         "Maximum fraction of such a misfit that a set may leave along a motion simulated with an "
-        "effect of the actuator.",
+        "inexact effect of the actuator.",
         "more than half is explained",
     )  # fmt: skip
     excess_of_nothing_actuator: float = _entry(
@@ -607,7 +614,8 @@ class Policy:
     rounded_rows: float = _entry(
         0.02, "fraction of the rows", "judgement",
         "The model alone is accepted if at most this fraction of the rows deviates by more than "
-        "half a quantisation step plus noise.",
+        "half a quantisation step plus noise; likewise dry friction, if the force in rows at rest "
+        "exceeds its level.",
     )  # fmt: skip
     rounded_noise: float = _entry(
         3.0, "standard deviations of noise", "physics",

@@ -39,6 +39,8 @@ def needed(court: Court, of: Hypothesis, in_any_form: bool = True) -> bool:
         exempt = own >= least or stated or _no_form(court, of, i, less) or relieves
         if not exempt or (own < least and _beside_a_joint_law(of, i)):
             return court.refuse("share", of, part=part.name, found=own, wanted=least)
+        if own < least and _a_harmonic(court, of, i):
+            return court.refuse("harmonic", of, part=part.name, found=own, wanted=least)
         if in_any_form and not _past_forms(court, of, i, own):
             return False
     return _needed_together(court, of)
@@ -128,6 +130,17 @@ def _of_no_form(court: Court, of: Hypothesis, which: int) -> bool:
     if not at_noise or court.setting.naive:
         return False
     return bool(court.ask("beyond forms", of, (which,)) > court.times(of) * part.price)
+
+
+def _a_harmonic(court: Court, of: Hypothesis, which: int) -> bool:
+    """Return whether a line of the load cell is at a frequency that the other laws have as well.
+
+    A law makes harmonics of a sine; what its formula lacks of them is a line at the same frequency,
+    as steady as the motion.
+    """
+    if of.parts[which].name not in court.laws.lines:
+        return False
+    return bool(court.ask("line of others", of, (which,)) > court.policy.hum_apart)
 
 
 def _before_a_stated_value(court: Court, of: Hypothesis, which: int) -> bool:

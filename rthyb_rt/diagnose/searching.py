@@ -24,6 +24,7 @@ from rthyb_rt.diagnose import (
 from rthyb_rt.diagnose.case import Case, Floats
 from rthyb_rt.diagnose.effects.base import Context
 from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.gaps import Mask
 from rthyb_rt.diagnose.motion_evaluated import context_of
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
@@ -119,6 +120,58 @@ def _near_the_best(case: Case, found: Estimate, search: force.Search) -> Estimat
         if moved < POLICY.coarse_settled * found.sigma_n:
             break
     return found
+
+
+def away_from_rest(
+    case: Case, found: Estimate, search: force.Search, anew: Anew, progress: Progress
+) -> tuple[Estimate, force.Search] | None:
+    """Search again without the rows at rest, if friction leaves something, or something begins.
+
+    There it may have any force up to its level; a simulated motion ends in the sign of a rounding
+    error. The answer counts if it explains all other rows, and those at rest as well with such a
+    force; not if something would begin there, which nothing shows, or begins now as before.
+    """
+    ctx, best = search.problem.ctx, search.best
+    at_rest = found.rows & (np.abs(ctx.v) < POLICY.at_rest * ctx.v_range)
+    if not (found.exact and _dry(best) and bool(at_rest.any())):
+        return None
+    late = [m for m in best.members if m.effect.late]
+    moves = replace(found, rows=found.rows & ~at_rest)
+    if (remainder.understood(search) and not late) or moves.rows.sum() < POLICY.least_rows_force:
+        return None
+    progress("rest")
+    problem = ResidualProblem(case, ctx, moves, effects.catalogue().values())
+    again = anew(problem, [f.members for f in search.pool])
+    moves, again = in_its_noise(case, moves, again, anew, progress)
+    begins = [m for m in again.best.members if m.effect.late]
+    begins = begins if late else [m for m in begins if _at(ctx, m, at_rest)]
+    if begins or not remainder.understood(again) or not _holds(again, found, at_rest):
+        return None
+    return moves, again
+
+
+def _dry(fit: Fit) -> list[int]:
+    """Return which laws of a set are dry friction."""
+    return [i for i, m in enumerate(fit.members) if m.effect.dry]
+
+
+def _at(ctx: Context, late: Member, rows: Mask) -> bool:
+    """Return whether an effect begins in, or next to, such a row."""
+    near = np.abs(ctx.t - ctx.first_s - late.trial.theta[-1]) < 2.0 * ctx.dt
+    return bool((near & rows).any())
+
+
+def _holds(search: force.Search, found: Estimate, at_rest: Mask) -> bool:
+    """Return whether dry friction up to its level explains what the rest of a set leaves at rest.
+
+    A set without dry friction must explain it by itself.
+    """
+    problem, fit = search.problem, search.best
+    frictions = [fitted.contribution(problem, fit, i) for i in _dry(fit)]
+    held = found.force - fitted.force_of(problem, fit) + sum(frictions)
+    level = sum(float(np.max(np.abs(f[search.problem.estimate.rows]))) for f in frictions)
+    beyond = np.abs(held[at_rest]) > level + 3.0 * found.sigma_n
+    return float(np.mean(beyond)) < POLICY.rounded_rows
 
 
 def in_the_rig(

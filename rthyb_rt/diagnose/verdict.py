@@ -98,11 +98,13 @@ class Moved:
     Attributes:
         names, equal: names of the best set and of others that fit equally well.
         known: whether its residual may be noise, or due to the form of a law.
+        exact: whether its effects have no other form than that of the formula.
     """
 
     names: Names = ()
     equal: tuple[Names, ...] = ()
     known: bool = True
+    exact: bool = True
 
 
 @dataclass(frozen=True)
@@ -392,14 +394,14 @@ def chance(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 
 
 def leftover(court: _Court, left: Left, named: bool, known: bool) -> Turn:
-    """Beside an effect of the actuator, a force must explain most of a misfit as small as noise.
+    """Beside an inexact effect of the actuator, a force must explain most of what may be noise.
 
-    The force was evaluated along a motion simulated with that effect. Its formula is not exact
-    either: the error of the motion shows in the force, and something in the catalogue absorbs a
-    part of it.
+    The force was evaluated along a motion simulated with that effect, such as a delay that grows
+    with velocity. The error of its formula shows in the force, and something in the catalogue
+    absorbs a part of it.
     """
     actuator, policy = court.seen.actuator, court.policy
-    if not named or left.moved or actuator is None or not actuator.names:
+    if not named or left.moved or actuator is None or actuator.exact:
         return named, known
     noise = left.before < policy.excess_as_noise + policy.excess_of_nothing
     if not noise or left.loud or left.share <= policy.leftover_share:

@@ -300,6 +300,8 @@ DROPPED = {
     "by {wanted}",
     "share": "{part}, added to the others, improves chi-squared by {found}; up to {wanted} may "
     "be due to the form of the laws",
+    "harmonic": "{part}, added to the others, improves chi-squared by {found}; at a frequency "
+    "that the other forces have as well, up to {wanted} may be due to the form of the laws",
     "form": "{part}, added to the others in any form that their laws may have, improves "
     "chi-squared by {found}, but must improve it by {wanted}",
     "together": "improves chi-squared by {found} more than {against}, but must improve it by "
@@ -520,7 +522,7 @@ TURNED = {
     "reproduced": "the best set, found in the balance of forces, does not reproduce the measured "
     "motion when it is simulated",
     "chance": "the best set is no larger than what noise of this spectrum produces by chance",
-    "leftover": "the best set leaves most of a misfit that the form of an actuator effect explains",
+    "leftover": "the best set leaves most of a misfit that the form of an actuator effect leaves",
     "weak": "one effect of the best set may be zero: its size is below 1.96 standard deviations",
     "steady": "the parameters of the best set differ between parts of the recording",
     **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},

@@ -237,8 +237,10 @@ class Hysteresis(Effect):
 
     def like(self, trial: Trial) -> Trial:
         """Return the loop whose approach to slip has the form of the given bristles."""
-        form = {"dahl": "bw1", "slips": "bw1"}.get(trial.variant, "iwan0")
-        return Trial(trial.theta[:1], form)
+        if trial.variant in ("dahl", "slips"):
+            return Trial(trial.theta[:1], "bw1")
+        spread = float(trial.variant.removeprefix("spread"))
+        return Trial((trial.theta[0], spread), "iwan") if spread else Trial(trial.theta, "iwan0")
 
     def form(self, ctx: Context, trial: Trial) -> str:
         """Return the loop by the names of its authors."""
