@@ -180,7 +180,7 @@ def beside_dry_friction(
     if dry is None:
         return []
     found = [m for m in larger(dictionary, dry, POOL) if m[-1].name not in rich]
-    found = [m for m in found if not (body.held and m[-1].effect.sensor)]
+    found = [m for m in found if not (body.held and _seen_only(m))]
     return [m for m in found if names_of(m) not in mover.by_names]
 
 

@@ -30,10 +30,7 @@ def lines_hz(rest: Floats, motion: Floats, dt: float) -> list[float]:
         motion: the force of the model, whose own lines do not count, (n,), N.
         dt: sampling period, s.
     """
-    rest = rest - rest.mean()
-    taper = np.hanning(rest.size)
-    spectrum = np.abs(np.fft.rfft(rest * taper))
-    moved = np.abs(np.fft.rfft((motion - motion.mean()) * taper))
+    spectrum, moved = _tapered(rest), _tapered(motion)
     f = np.fft.rfftfreq(rest.size, dt)
     local = np.array(
         [np.median(part) for part in np.array_split(spectrum, max(spectrum.size // 128, 1))]
@@ -55,12 +52,17 @@ def lines_hz(rest: Floats, motion: Floats, dt: float) -> list[float]:
     return found
 
 
+def _tapered(signal: Floats) -> Floats:
+    """Return the amplitudes of a signal's lines, tapered, without its mean."""
+    return np.asarray(np.abs(np.fft.rfft((signal - signal.mean()) * np.hanning(signal.size))))
+
+
 def line_at(force: Floats, f_hz: float, dt: float) -> float:
     """Return a force's line at a frequency, (n,), N, as a fraction of its largest one; 0: none.
 
     A line stands out of its surroundings, as in `lines_hz`.
     """
-    spectrum = np.abs(np.fft.rfft((force - force.mean()) * np.hanning(force.size)))
+    spectrum = _tapered(force)
     place = round(f_hz * dt * force.size)
     near = float(spectrum[max(place - 1, 0) : place + 2].max(initial=0.0))
     around = spectrum[max(place - BESIDE, 0) : place + BESIDE + 1]

@@ -224,10 +224,7 @@ def with_rows(page: str) -> str:
     What was measured of a threshold with another value says nothing of the one it has now.
     """
     known, text, first = measured_before(page)
-    rows = [
-        row_of(n, e, known.get((n, value_text(getattr(POLICY, n))), UNMEASURED))
-        for n, e in entries().items()
-    ]
+    rows = [row_of(n, e, told_of(known, n)) for n, e in entries().items()]
     return "\n".join([*text[:first], *rows, *text[first:]]) + "\n"
 
 
@@ -245,10 +242,15 @@ def measured_before(page: str) -> tuple[dict[tuple[str, str], list[str]], list[s
     return known, text, first
 
 
+def told_of(known: dict[tuple[str, str], list[str]], name: str) -> list[str]:
+    """What was measured of a threshold with its present value."""
+    return known.get((name, value_text(getattr(POLICY, name))), UNMEASURED)
+
+
 def unmeasured(page: str) -> set[str]:
     """The thresholds of whose present value a page says that nothing has been measured."""
     known, *_ = measured_before(page)
-    at = {n: known.get((n, value_text(getattr(POLICY, n))), UNMEASURED) for n in entries()}
+    at = {n: told_of(known, n) for n in entries()}
     return {n for n, told in at.items() if told == UNMEASURED}
 
 
@@ -258,7 +260,7 @@ def with_measured(page: str, results: list[dict[str, Any]], seed: int, state: st
     new = set(results[0]["names"])
     rows = [
         line(n, e, results) if n in new
-        else row_of(n, e, known.get((n, value_text(getattr(POLICY, n))), UNMEASURED))
+        else row_of(n, e, told_of(known, n))
         for n, e in entries().items()
     ]  # fmt: skip
     right = sum(r["right"] for r in results)
