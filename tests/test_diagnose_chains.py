@@ -73,6 +73,54 @@ def test_friction_with_bristles_is_simulated_in_the_form_in_which_it_was_found(f
     assert np.std(made - found) < 0.01 * np.std(found)
 
 
+def test_bristles_whose_friction_falls_are_simulated_as_such(ctx):
+    """All of LuGre's law, here solved row by row with the exact step of its bristle."""
+    effect, trial = effects.catalogue()["lugre"], Trial((1e-3, 1.7, 0.05), "falls")
+    found = np.column_stack(effect.columns(ctx, trial)) @ [FC_N, 0.0]
+    made = force_of(effect.elements(ctx, trial, np.array([FC_N, 0.0])), ctx)
+    assert np.std(made - found) < 0.01 * np.std(found)
+    v, z, force = ctx.v, 0.0, np.zeros(ctx.t.size)
+    level = FC_N * (1.0 + 0.7 * np.exp(-((v / 0.05) ** 2)))
+    for i in range(1, v.size):
+        end = np.sign(v[i]) * level[i]
+        z = end + (z - end) * np.exp(-abs(v[i]) * ctx.dt * FC_N / 1e-3 / level[i])
+        force[i] = z
+    assert np.std(found - force) < 0.02 * np.std(force)
+
+
+def test_two_chains_are_simulated_as_such_and_follow_ramberg_and_osgood(ctx):
+    """Its backbone never ends to bend, other than that of one chain."""
+    effect, k = effects.catalogue()["hysteresis"], ctx.model.k
+    trial = Trial((1e-3, 3e-3), "chains")
+    found = np.column_stack(effect.columns(ctx, trial)) @ [0.5, 0.3]
+    made = force_of(effect.elements(ctx, trial, np.array([0.5, 0.3])), ctx)
+    assert np.std(made - found) < 0.01 * np.std(found)
+    # x = f / k + a (f / fy)^5: Masing's chain has the yields that make this backbone.
+    xs = np.linspace(0.0, 1.05 * ctx.x_range, 400)
+    fs = np.linspace(0.0, 2.0 * k * 2e-3, 4000)
+    backbone = np.interp(xs, fs / k + 1e-3 * (fs / (k * 2e-3)) ** 5, fs)
+    slopes = np.append(np.diff(backbone) / np.diff(xs), 0.0)
+    truth = sum(
+        (slopes[j] - slopes[j + 1]) * sliders(np.array([xs[j + 1]]), ctx.x)
+        for j in range(xs.size - 1)
+        if slopes[j] - slopes[j + 1] > 1e-3 * k
+    )
+    one, both = (
+        min(_left(effect, Trial(shape, name), ctx, truth) for shape in shapes)
+        for name, shapes in (
+            ("iwan", [(a, s) for a in np.linspace(1e-3, 4e-3, 13) for s in (0.5, 0.8, 1.0)]),
+            ("chains", [(a, b) for a in np.linspace(1e-3, 4e-3, 13) for b in (2 * a, 3.5 * a)]),
+        )
+    )
+    assert both < 0.3 * one
+
+
+def _left(effect, trial: Trial, ctx: Context, truth: np.ndarray) -> float:
+    design = np.column_stack([*effect.columns(ctx, trial), ctx.x])
+    rest = truth - design @ np.linalg.lstsq(design, truth, rcond=None)[0]
+    return float(np.std(rest) / np.std(truth))
+
+
 def test_damped_bristles_that_no_chain_has_are_damped_in_a_rig_file(ctx):
     effect, trial = effects.catalogue()["lugre"], Trial((2e-3,), "slips")
     kinds = [

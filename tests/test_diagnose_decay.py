@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -68,6 +70,44 @@ def test_a_pendulum_whose_swing_hardly_changes_shows_how_far_it_softens(seed: in
     assert (d.verdict, d.effects) == ("explained", ["cubic"])
     k3 = d.candidates[0].params["k3_N_m3"]
     assert k3 == pytest.approx(-k / (6.0 * length**2), rel=0.1)
+
+
+@pytest.mark.parametrize("fs_hz", [50.0, 100.0])
+def test_a_pendulum_read_by_video_softens_and_does_nothing_else(fs_hz: float) -> None:
+    """From 94 degrees, in steps of .3 degrees, with a tenth of a newton metre's accuracy at best.
+
+    Noise near the frequency of the swing counts for next to nothing in the linear model's balance,
+    but for much in a spring that is three times softer at the end of the swing.
+    """
+    t, step = np.arange(int(6.0 * fs_hz)) / fs_hz, np.deg2rad(0.3)
+
+    def rate(_: float, y: np.ndarray) -> list[float]:
+        return [y[1], -37.3 * np.sin(y[0]) - 0.034 * y[1]]
+
+    x = solve_ivp(rate, (0.0, t[-1]), [1.64, 0.0], t_eval=t, rtol=1e-10, atol=1e-12).y[0]
+    model = Model("forced", fs_hz, 37.3, 0.034, 1.0, x_std=step / np.sqrt(12.0))
+    channels = {"x_meas": step * np.round(x / step), "f_in": np.zeros(t.size)}
+    d = engine.diagnose(Case("swing", model, t, channels, np.ones(t.size, dtype=np.bool_)))
+
+    assert (d.verdict, d.effects) == ("explained", ["cubic"])
+    assert d.candidates[0].params["k3_N_m3"] == pytest.approx(-37.3 / 6.0, rel=0.1)
+
+
+def test_a_second_recording_may_have_another_rate() -> None:
+    t = np.arange(4000) / 200.0
+    spring = Member(effects.catalogue()["cubic"], Trial())
+    model = Model("drive", 100.0, 1e4, 30.0)
+    made = Augmented(model, model, (spring,), (np.array([1.0]),), None, (0.05, 0.3, 1e3))
+    every = np.ones(t.size, dtype=np.bool_)
+
+    def force(rows: slice) -> np.ndarray:
+        own = replace(model, fs_hz=200.0 / (rows.step or 1))
+        x = 0.03 * np.sin(2.0 * np.pi * t[rows])
+        f = predict(made, Case("second", own, t[rows], {"x_meas": x}, every[rows])).f
+        return f[20:-20]
+
+    twice, once = force(slice(None)), force(slice(None, None, 2))
+    assert once == pytest.approx(twice[20:-20:2], abs=2e-3 * np.max(np.abs(once)))
 
 
 def test_a_second_recording_begins_where_its_first_rows_of_force_say() -> None:

@@ -296,6 +296,21 @@ def test_sets_that_differ_by_less_than_evidence_tells_are_both_named() -> None:
     assert decided(dearer).equal == ()
 
 
+def test_a_power_of_velocity_near_two_is_no_other_explanation_than_the_square() -> None:
+    """It contains it, and fits a little better; but it is one beside any other law."""
+    power = part("power_damping", 30.0, 2)
+    beside = (of("cubic", chi2=9000.0), of(power, chi2=9500.0))
+    square = of("cubic", "quad_damping", chi2=1008.0)
+    seen = evidence(
+        square, of("cubic", power, chi2=1001.0), of("quad_damping", chi2=9600.0), *beside
+    )
+    assert decided(seen).best == square
+    assert decided(seen).equal == ()
+    other = of("cubic", "coulomb", chi2=1008.0)
+    seen = evidence(other, of("cubic", power, chi2=1001.0), of("coulomb", chi2=9600.0), *beside)
+    assert [h.names for h in decided(seen).equal] == [("cubic", "power_damping")]
+
+
 def test_a_cheaper_name_for_the_same_thing_is_no_evidence() -> None:
     """Moving the stated damping costs less than an effect; the other one was not worth its price.
 

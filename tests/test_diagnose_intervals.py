@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import diagnose_cases as cases
 import numpy as np
@@ -313,3 +314,13 @@ def test_an_interval_ends_where_the_meaning_of_its_parameter_does():
     # Another form of a law may have a length that no specimen has.
     ends = intervals.within(known, {"xy_m": 3e-5}, {"xy_m": [1e-143, 5.0]})
     assert ends == {"xy_m": [1e-9, 5.0]}
+
+
+def test_a_spring_does_not_lose_more_than_there_is():
+    """Of a spring that is 30 % softer than the model's, 60 % of the model's are 86 %."""
+    problem = SimpleNamespace(nuisances=[SimpleNamespace(number="k")])
+    fit = SimpleNamespace(members=(), betas=(), nuisance=[-0.3])
+    params, ci = {"loss": 0.6, "travel_m": 0.1}, {"loss": [0.3, 0.9], "travel_m": [0.05, 0.2]}
+    intervals.of_the_spring_there_is(problem, fit, "degradation", params, ci)
+    assert params["loss"] == pytest.approx(0.6 / 0.7)
+    assert ci["loss"] == pytest.approx([0.3 / 0.7, 1.0])

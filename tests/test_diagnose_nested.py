@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import diagnose_cases as cases
 import numpy as np
 
@@ -87,3 +89,21 @@ def test_a_law_that_stood_for_a_missing_one_is_replaced_once_the_others_are_ther
     fitter.fit(members)
     proposals._replaced(Dictionary(problem), fitter)
     assert min(fitter.by_names.values(), key=fitter.score).names == ("hum", "inertia", "maxwell")
+
+
+def test_a_joint_law_and_single_laws_with_its_names_are_two_sets(monkeypatch):
+    """The single ones fit better and are refused for their form: the joint law must not go too."""
+    monkeypatch.setattr(SetFitter, "score", lambda self, fit: fit.chi2)
+    fitter = SetFitter.__new__(SetFitter)
+    fitter.by_names = {}
+
+    def kept(chi2: float, *complete: bool):
+        members = [SimpleNamespace(effect=SimpleNamespace(complete=c)) for c in complete]
+        fit = SimpleNamespace(names=("hysteresis", "pinching"), members=members, chi2=chi2)
+        fitter.keep(fit)
+        return fit
+
+    joint, single = kept(12.0, True), kept(10.0, False, False)
+    kept(11.0, False, False)
+    kept(13.0, True)
+    assert fitter.ranked == [single, joint]

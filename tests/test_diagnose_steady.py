@@ -18,6 +18,7 @@ from rthyb_rt.diagnose import effects, motion_evaluated, steady
 from rthyb_rt.diagnose.case import Case, Floats, Model, ModelBoucWen
 from rthyb_rt.diagnose.effects.base import Context, Trial
 from rthyb_rt.diagnose.estimate import Estimate
+from rthyb_rt.diagnose.fitted import cost
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.problem import Fit, Member, ResidualProblem
 from rthyb_rt.diagnose.refinement import refine
@@ -42,7 +43,7 @@ def along(
 def fitted(
     force: Force, *names: str, seed: int = 1, kind: str = "sweep"
 ) -> tuple[ResidualProblem, Fit]:
-    """The named set, in the shapes that fit best, along a motion that is known."""
+    """The named set, in the shapes that a search would choose, along a motion that is known."""
     x, v, a = moved(command(kind))
     t = np.arange(x.size) / FS
     model = Model("drive", FS, k=K, c=C, moving_mass=M, k_tol=0.01, c_tol=0.15, f_std=F_STD)
@@ -51,7 +52,9 @@ def fitted(
     problem, laws = along(model, t, ComputedMotion(x, v, a), f_meas), effects.catalogue()
     shapes = product(*(laws[n].trials(problem.ctx) for n in names))
     sets = [[Member(laws[n], s) for n, s in zip(names, own, strict=True)] for own in shapes]
-    return problem, min(filter(None, (refine(problem, m) for m in sets)), key=lambda f: f.chi2)
+    fits = filter(None, (refine(problem, m) for m in sets))
+    physical = filter(problem.sensible, fits)
+    return problem, min(physical, key=lambda f: f.chi2 + cost(problem, f))
 
 
 def changes_of(force: Force, *names: str, seed: int = 1) -> dict[str, float]:
@@ -262,7 +265,7 @@ def test_damping_beside_friction_with_another_law_of_its_peak_is_its_form() -> N
 
 def chain(t: Floats, x: Floats, v: Floats) -> Floats:
     """Springs that slip in turn, their yields crowded at both ends of their range."""
-    yields = 3e-3 * (1.0 + 0.7 * np.cos(np.pi * (np.arange(400) + 0.5) / 400))
+    yields = 3e-3 * (1.0 + 0.95 * np.cos(np.pi * (np.arange(400) + 0.5) / 400))
     slip, force = np.zeros(yields.size), np.empty_like(x)
     for i, now in enumerate(x):
         slip = np.clip(slip, now - yields, now + yields)

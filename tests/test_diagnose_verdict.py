@@ -215,6 +215,9 @@ def test_a_law_for_a_free_body_has_to_move_it_as_it_was_moved() -> None:
 
 DELAY_RATE = Moved(names=("delay_rate",), exact=False)
 BLURRED = replace(FRICTION, exact=False, part_before=1e-4)
+SPRINGS = Left(
+    names=("cubic", "quadratic", "stopper"), laws=3, curves=3, before=50.0, after=0.4, price=60.0
+)
 RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
     "blur": (Seen(BLURRED), {}, "none", "explained"),
     "motion": (Seen(FRICTION), {"simulated": MET}, "none", "explained"),
@@ -238,6 +241,7 @@ RULES: dict[str, tuple[Seen, dict[str, Any], str, str]] = {
         Seen(FRICTION), {"changes": {"fast motion": 6.0, "large displacements": 0.3}},
         "unknown", "explained",
     ),
+    "curves": (Seen(SPRINGS), {}, "unknown", "explained"),
     "varying": (Seen(FRICTION), {"varying": 60.0}, "unknown", "explained"),
     "stroke": (Seen(FRICTION), {"stroke": 60.0}, "unknown", "explained"),
     "memory": (Seen(FRICTION), {"memory": 60.0}, "unknown", "explained"),
@@ -272,11 +276,27 @@ def test_beside_an_effect_of_the_actuator_a_force_explains_most_of_what_may_be_n
     assert said(Seen(replace(small, bent=4.0), DELAY_RATE)).said == "unknown"
 
 
+@pytest.mark.parametrize(
+    "left",
+    [{"quiet": True}, {"after": 0.05}, {"curves": 2}, {"naive": True}],
+    ids=["the motion to its noise", "only noise left", "two", "naive model"],
+)
+def test_springs_that_leave_nothing_or_are_few_are_no_mere_curve(left: dict[str, Any]) -> None:
+    assert said(Seen(replace(SPRINGS, **left))).names == SPRINGS.names
+
+
 def test_a_finding_without_which_noise_would_be_larger_than_its_sheet_is_no_chance() -> None:
     seen, answers, *_ = RULES["chance"]
     assert seen.force is not None
     loud = replace(seen, force=replace(seen.force, loud=True))
     assert said(loud, **answers).names == FRICTION.names
+
+
+def test_a_naive_model_that_leaves_a_good_part_of_the_force_lacks_something() -> None:
+    """Its stiffness and damping were fitted: what they leave is more than their error."""
+    poor = replace(NOTHING, before=40.0, after=40.0, naive=True)
+    assert said(Seen(replace(poor, part_before=0.1)), sheet=False).said == "none"
+    assert said(Seen(replace(poor, part_before=0.8)), sheet=False).said == "unknown"
 
 
 def test_every_rule_has_its_evidence() -> None:
@@ -394,6 +414,7 @@ LEFT = st.builds(
     Left,
     names=st.sampled_from([(), ("coulomb",), ("stiffness",), ("coulomb", "cubic")]),
     laws=st.integers(0, 3),
+    curves=st.integers(0, 3),
     before=st.floats(-0.1, 1e3),
     after=st.floats(-0.1, 1e3),
     scale=st.floats(1.0, 10.0),
@@ -447,7 +468,7 @@ def test_what_is_named_or_called_nothing_is_understood(left: Left, answers: dict
     found = said(Seen(left), **answers)
     turned = {r.rule for r in found.ledger}
     known = answers["sheet"] or understood(left, POLICY, lambda: answers["sheet"])
-    if turned & {"weak", "steady", "varying", "stroke", "memory"}:
+    if turned & {"weak", "steady", "curves", "varying", "stroke", "memory"}:
         known = needs_nothing(left, POLICY)
     elif "reproduced" in turned:
         made = answers["reproduced"]

@@ -54,8 +54,9 @@ class WeighedSets:
             return False
         own = self.gain(fit, without)
         least = POLICY.actuator_at_noise_price * self.task.price_of(effect)
-        inexact = any(not e.exact for e in without.effects)
-        if inexact and own < POLICY.actuator_form**2 * self.gain(without, self.null):
+        exact = all(e.exact for e in without.effects)
+        form = POLICY.least_force if exact else POLICY.actuator_form
+        if own < form**2 * self.gain(without, self.null):
             return False
         return own > least and own - self.task.by_form(without) / self.scale > least
 

@@ -67,7 +67,8 @@ class Model:
     ``k_tol`` and ``c_tol`` are relative standard deviations; None: refitted freely. ``rig`` is the
     rig file from which the model was made, ``plc`` the weights W1, W2 of the phase-lead
     compensator, ``rfc`` whether the force was compensated; None if the model does not state it.
-    ``notes`` are on values that the rig file omits.
+    ``notes`` are on values that the rig file omits. ``k_stated`` is the stiffness as stated if
+    ``k`` is another one, see `refitted`.
     """
 
     family: Family
@@ -90,6 +91,7 @@ class Model:
     rfc: bool | None = None
     unused: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    k_stated: float | None = None
 
     @property
     def hold(self) -> Hold:

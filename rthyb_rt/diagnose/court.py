@@ -68,7 +68,10 @@ class Court:
         self.evidence, self.policy = evidence, policy
         self.setting, self.laws = evidence.setting, evidence.setting.laws
         self.null = evidence.null
-        self.by_names = {h.names: h for h in (*evidence.sets, *evidence.beside)}
+        self.by_names: dict[tuple[str, ...], Hypothesis] = {}
+        for h in (*evidence.sets, *evidence.beside):
+            if h.names not in self.by_names or h.score < self.by_names[h.names].score:
+                self.by_names[h.names] = h
         self.ledger: list[Ruling] = []
 
     def ask(self, what: What, of: Hypothesis, which: tuple[int, ...] = ()) -> Any:

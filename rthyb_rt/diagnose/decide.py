@@ -113,10 +113,21 @@ def alike(court: Court, best: Hypothesis, sets: Sets) -> Sets:
     for of in sets:
         extra = max(0, of.count - best.count)
         worse = of.chi2 - best.chi2 + policy.dearer_rival * policy.same_evidence * extra
-        same = of.names == best.names or _one_joint_law(of, best)
+        same = of.names == best.names or _one_joint_law(of, best) or _contains(court, of, best)
         if not same and worse < policy.same_evidence:
             out.append(of)
     return out
+
+
+def _contains(court: Court, of: Hypothesis, best: Hypothesis) -> bool:
+    """Return whether a set has the best one's laws, one of them with a free exponent.
+
+    That it then fits a little better is no other explanation.
+    """
+    more, less = set(of.names) - set(best.names), set(best.names) - set(of.names)
+    if len(of.names) != len(best.names) or len(more) != 1:
+        return False
+    return less <= court.laws.contained.get(next(iter(more)), frozenset())
 
 
 def _one_joint_law(of: Hypothesis, best: Hypothesis) -> bool:

@@ -30,6 +30,7 @@ from rthyb_rt.diagnose.findings import (
 from rthyb_rt.diagnose.motion_evaluated import context_of, motion_of
 from rthyb_rt.diagnose.policy import POLICY
 from rthyb_rt.diagnose.problem import Member, ResidualProblem
+from rthyb_rt.diagnose.refitted import with_own_stiffness
 from rthyb_rt.diagnose.result import DiagnosisResult, Displacement, Found, Progress
 from rthyb_rt.diagnose.searching import (
     along_its_motion,
@@ -56,7 +57,7 @@ def diagnose(case: Case, progress: Progress = lambda _: None) -> DiagnosisResult
         case: recording and model.
         progress: receives the name of each stage.
     """
-    first = done = _diagnosed(case, progress)
+    first = done = _diagnosed(with_own_stiffness(case), progress)
     # Faults of the load cell may show only once the motion is known.
     for _ in range(MENDED):
         unknown = done.verdict == "unknown"

@@ -38,6 +38,8 @@ SHIFT_S = 0.025
 """Time at either end in which a force that is shifted in time is not known."""
 GAP_S = 0.4
 """Time after which a gap in the command no longer affects a simulated motion."""
+CORNER = 3
+"""Rows on either side of a corner that a smoother rounds."""
 TURN_ROWS = 20
 """Rows at either end of a quasi-static recording in which a reversal would not be detected."""
 
@@ -291,6 +293,9 @@ def from_sensors(case: Case) -> Estimate | None:
     for name in ("a_meas", "ag"):
         if name in channels:
             rows = rows & away_from_gaps(channels[name], case.fs_hz, 0.1, 0.1, bridged=True)
+    rows = rows & ~_around_corners(
+        filled(channels["x_meas"]), noise_of(channels["x_meas"], model.x_std)
+    )
     if model.family == "forced":
         force, sigma = filled(channels["f_in"]), noise_of(channels["f_in"], model.f_std)
         sigma = min(sigma, model.f_std) if model.f_std else sigma
@@ -309,7 +314,9 @@ def from_sensors(case: Case) -> Estimate | None:
     if model.family in ("forced", "ground"):
         # Near resonance a small force causes a large motion: accuracy is limited to some per
         # thousand.
-        sigma = max(sigma, POLICY.force_accuracy * float(np.sqrt(np.mean(force[rows] ** 2))))
+        # Without a force, the spring's and the mass's balance.
+        balanced = force if force[rows].any() else model.k * motion.x
+        sigma = max(sigma, POLICY.force_accuracy * float(np.sqrt(np.mean(balanced[rows] ** 2))))
     measured = model.family == "forced" or f_meas is not None
     z2 = _impedance(case, s.omega, mass) ** 2
     power = sigma**2 + z2 * known.variance
@@ -333,6 +340,21 @@ def from_sensors(case: Case) -> Estimate | None:
             model.k * error.x + model.c * error.v + mass * error.a,
         ) if measured else None,
     )  # fmt: skip
+
+
+def _around_corners(x: Floats, sigma: float) -> Mask:
+    """Return the rows next to a corner that the rows do not resolve, (n,).
+
+    Such as the reversals of a triangle wave: in which row the velocity is the new one, and by how
+    much a smoother rounds the corner, decides what friction seems to do there.
+    """
+    bent = np.abs(np.diff(x, 2, prepend=x[0], append=x[-1]))
+    bent[[0, -1]] = 0.0
+    beside = np.zeros(x.size)
+    for away in (-3, -2, 2, 3):
+        beside = np.maximum(beside, np.roll(bent, away))
+    corner = (bent > POLICY.corner_isolated * beside) & (bent > POLICY.corner_noise * sigma)
+    return np.asarray(np.convolve(corner, np.ones(2 * CORNER + 1), mode="same") > 0.0)
 
 
 def quasi_static(case: Case) -> bool:

@@ -102,6 +102,10 @@ class Gathered:
         evidence = Evidence(self._setting(), self.null, sets)
         return decided(evidence, POLICY, self._answer, self._beside)
 
+    def better_than(self, best: Hypothesis) -> bool:
+        """Return whether a set was refined meanwhile, as part of another one, and is better."""
+        return any(h.chi2 + h.price < best.chi2 + best.price for h in self._beside())
+
     def fit(self, known: Hypothesis) -> Fit:
         """Return the fit behind a hypothesis."""
         return self._fits[known]

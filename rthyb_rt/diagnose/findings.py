@@ -31,12 +31,15 @@ from rthyb_rt.diagnose.verdict import Verdict
 
 
 def quantisation(case: Case) -> Found | None:
-    """Return a load cell with coarse resolution: few distinct readings, all on one grid."""
+    """Return a load cell with coarse resolution: few distinct readings, all on one grid.
+
+    Not if rounding adds no more to its noise than its data sheet may be wrong by.
+    """
     f = case.get("f_meas")
     if f is None or case.model.f_std is None:
         return None
     lsb = noise_level.step_of(f, case.model.f_std)
-    if lsb == 0.0:
+    if lsb < POLICY.coarse_told * case.model.f_std:
         return None
     return Found(
         QUANTISATION.name,

@@ -21,6 +21,10 @@ LEADING = 3
 """Number of sets examined more closely."""
 
 
+JOINT = "+"
+"""Ends the key of a set with a joint law."""
+
+
 class SetFitter:
     """Refines each set once."""
 
@@ -67,11 +71,15 @@ class SetFitter:
     def keep(self, found: Fit) -> None:
         """Keep a refined set if it is better than the one with the same names.
 
-        Of two forms of a law, the one with more parameters must earn them.
+        Of two forms of a law, the one with more parameters must earn them. A joint law and single
+        ones with its names are two sets: what is said against the one is not true of the other.
         """
-        old = self.by_names.get(found.names)
+        key = (
+            (*found.names, JOINT) if any(m.effect.complete for m in found.members) else found.names
+        )
+        old = self.by_names.get(key)
         if old is None or self.score(found) < self.score(old):
-            self.by_names[found.names] = found
+            self.by_names[key] = found
 
     def hear(self, known: redundant.Witness, members: Sequence[Member], null: Fit) -> Fit:
         """Include redundant channels that show the load cell's errors; return the null as well.

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rthyb_rt.diagnose import noise, onset, redundant
+from rthyb_rt.diagnose import noise, onset, redundant, steady
 from rthyb_rt.diagnose.court import Ruling
 from rthyb_rt.diagnose.dictionary import Dictionary
 from rthyb_rt.diagnose.effects import of_number
 from rthyb_rt.diagnose.effects.base import Trial
 from rthyb_rt.diagnose.evidence import Gathered
-from rthyb_rt.diagnose.fitted import count
+from rthyb_rt.diagnose.fitted import count, to_earn
 from rthyb_rt.diagnose.fitter import LEADING, SetFitter, plainer_friction, without
 from rthyb_rt.diagnose.freebody import Body
 from rthyb_rt.diagnose.motion_fitter import PARTS, MotionFitter
@@ -27,6 +27,8 @@ POOL = 6
 """Number of sets, and of single effects, whose motion is simulated."""
 SEEDS = 8
 """Number of sets with which a search with less evidence begins."""
+ROUNDS = 3
+"""Number of decisions, if sets that were only refined for comparison prove better than the best."""
 RIVALS = 6
 """Number of sets kept for display beside the one that is named."""
 NUMBERS = ("k", "c", "moving_mass")
@@ -316,10 +318,22 @@ def search(
 
 def _begun(dictionary: Dictionary, fitter: SetFitter) -> None:
     """Try effects with an onset, others in combination, and then their onsets again."""
-    for fit in onset.propose(dictionary, fitter)[:LEADING]:
+    for fit in onset.propose(dictionary, fitter, _changing(fitter))[:LEADING]:
         for members in larger(dictionary, fit, 4) if len(fit.members) < 3 else ():
             fitter.fit(members)
     onset.settle(fitter, LEADING)
+
+
+def _changing(fitter: SetFitter) -> bool:
+    """Return whether the best set of which each effect earns its price changes in the recording.
+
+    A weak effect that begins in mid-recording, fitted as if it were there throughout, may leave
+    nothing but noise.
+    """
+    problem = fitter.problem
+    fits = fitter.by_names.values()
+    best = min(fits, key=lambda f: f.chi2 + to_earn(problem, f), default=None)
+    return best is not None and steady.differs(problem, best)
 
 
 def _sure_of_its_beginning(fitter: SetFitter) -> Fit:
@@ -394,8 +408,11 @@ def _decide(
     held_out: Callable[[Fit], float],
 ) -> Search:
     n = plain[1]
-    evidence = Gathered(fitter, null, held_out)
-    choice = evidence.choose()
+    for _ in range(ROUNDS):
+        evidence = Gathered(fitter, null, held_out)
+        choice = evidence.choose()
+        if not evidence.better_than(choice.best):
+            break
     best, fits = evidence.fit(choice.best), [evidence.fit(h) for h in choice.ranked]
     moved = isinstance(fitter, MotionFitter)
     after = unscaled(best, scale, moved) if best.members else plain[0]

@@ -111,6 +111,7 @@ class Laws:
 
     Attributes:
         plainer: friction laws, with the simpler law that each contains as a special case.
+        contained: laws with those that they are at certain values of their shape.
         settling: laws that act like a simpler law in motion slow enough, with that law.
         limits: laws that slow, or fast, motion cannot distinguish from other ones, with those.
         also: laws equivalent to another law in parallel with a free spring, with that law.
@@ -121,6 +122,7 @@ class Laws:
     """
 
     plainer: Mapping[str, str]
+    contained: Mapping[str, frozenset[str]]
     settling: Mapping[str, str]
     limits: Mapping[str, frozenset[str]]
     also: Mapping[str, str]
@@ -136,6 +138,7 @@ class Laws:
         laws = list(catalogue.items())
         return Laws(
             {n: e.plainer for n, e in laws if e.dry and e.plainer},
+            {n: frozenset(e.contains) for n, e in laws},
             {n: e.plainer for n, e in laws if e.settles},
             {n: frozenset({e.slow_as, e.fast_as}) - {""} for n, e in laws},
             {e.also: n for n, e in laws if e.also},

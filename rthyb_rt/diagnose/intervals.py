@@ -238,7 +238,8 @@ def of_the_spring_there_is(
     apart = [params[key]] if found else []
     params[key] = counted(params[key])
     ends = [*map(counted, ci[key]), *(seen * v for v in apart)]
-    ci[key] = [min(ends), max(ends)]
+    assert law is not None
+    ci |= within(law.params, params, {key: [min(ends), max(ends)]})
 
 
 def within(known: Sequence[Param], params: dict[str, float], ci: Intervals) -> Intervals:

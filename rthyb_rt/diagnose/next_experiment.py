@@ -63,6 +63,13 @@ def main_frequency(x: Floats, fs_hz: float) -> float:
     return float(np.clip(np.sum(f * power) / max(np.sum(power), 1e-300), 0.05, 0.1 * fs_hz))
 
 
+OF_UNKNOWN = {
+    "kind": "multi_amplitude",
+    "why": "an unknown force then shows whether it depends on amplitude, rate or time",
+}
+"""What to do about a force that no known effect explains."""
+
+
 def propose(
     case: Case,
     ctx: Context | None,
@@ -78,10 +85,7 @@ def propose(
         if verdict == "ambiguous" and disp is not None and disp.equal:
             return _for_actuator(case, disp)
         if verdict == "unknown":
-            return {
-                "kind": "multi_amplitude",
-                "why": "an unknown force then shows whether it depends on amplitude, rate or time",
-            }
+            return dict(OF_UNKNOWN)
         known = {name: e.shown_by for name, e in effects.catalogue().items()}
         known |= {e.name: e.shown_by for e in CATALOGUE}
         names = disp.best.names if disp is not None and disp.found else ()

@@ -167,8 +167,13 @@ class OnsetFitter(Protocol):
         """Return chi-squared and price."""
 
 
-def propose(dictionary: Dictionary, fitter: OnsetFitter) -> list[Fit]:
+def propose(dictionary: Dictionary, fitter: OnsetFitter, changing: bool) -> list[Fit]:
     """Fit effects that begin in mid-recording, alone and in combination with the best sets.
+
+    Args:
+        dictionary: the effects.
+        fitter: the sets without onset.
+        changing: whether the best of them is not the same law in every part of the recording.
 
     Returns:
         The best sets with one onset, best first; they may lack other effects.
@@ -181,7 +186,11 @@ def propose(dictionary: Dictionary, fitter: OnsetFitter) -> list[Fit]:
     best = ranked[0] if ranked else null
     # A residual that three laws turn into noise may be due to one onset, which has no more
     # parameters.
-    if len(best.members) <= FEW and inflation(best.residual) < POLICY.white_residual:
+    if (
+        not changing
+        and len(best.members) <= FEW
+        and inflation(best.residual) < POLICY.white_residual
+    ):
         return []
     singles = [f for f in ranked if len(f.members) == 1][:SINGLES]
     pair = [f for f in ranked if len(f.members) == 2][:1]

@@ -12,6 +12,7 @@ from rthyb_rt.diagnose import closed, found_model, result
 from rthyb_rt.diagnose.augment import rig_toml
 from rthyb_rt.diagnose.case import Case
 from rthyb_rt.diagnose.closed import ClosedLoop
+from rthyb_rt.diagnose.next_experiment import OF_UNKNOWN
 from rthyb_rt.diagnose.predict import Augmented, Prediction, nrmse, output_error, predict
 from rthyb_rt.diagnose.recovered import Recovered, recover
 from rthyb_rt.diagnose.result import DiagnosisResult
@@ -57,6 +58,7 @@ def finish(d: DiagnosisResult, heldout: Case | None, wanted: Case | None) -> Out
         before = errors.get("heldout_nrmse_before", np.inf)
         if d.verdict in ("explained", "ambiguous") and after > before:
             d.verdict, d.effects, d.ambiguous_with = "unknown", [], []
+            d.next_experiment = dict(OF_UNKNOWN)
             d.notes.append("the effects found are not confirmed by the second recording")
     prediction = predict(model, wanted, d.case) if wanted is not None else None
     out = Outcome({**result.to_json(d), "notes": list(d.notes)}, model, prediction, errors)

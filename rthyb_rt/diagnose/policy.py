@@ -281,6 +281,16 @@ class Policy:
         "The same for a model without stated tolerances: real specimens do not follow a law "
         "exactly.",
     )  # fmt: skip
+    naive_nothing: float = _entry(
+        0.2, "fraction of the force", "judgement",
+        "Misfit of a freely fitted model, beyond noise, for which no effect earns its price, and "
+        "which is regarded as nothing.",
+    )  # fmt: skip
+    refitted_from: float = _entry(
+        0.5, "fraction of the stiffness", "judgement",
+        "Difference of a stiffness that is stated without a tolerance from that of a line through "
+        "the recording, beyond which the diagnosis begins with the line's.",
+    )  # fmt: skip
     excess_as_noise: float = _entry(
         0.1, "misfit / noise power", "judgement",
         "Misfit beyond noise that is always acceptable.",
@@ -683,6 +693,21 @@ class Policy:
     motion_clear: float = _entry(
         3.5, "multiple of the noise power", "judgement",
         "Power above which a line of a smoothed spectrum is regarded as motion.",
+    )  # fmt: skip
+    corner_isolated: float = _entry(
+        5.0, "multiple of the bends two and three rows away", "numerics",
+        "Bend of a displacement in a row from which it is a corner that the rows do not resolve.",
+        "that of a sine is 4.2 at most, at whatever number of rows a cycle",
+    )  # fmt: skip
+    corner_noise: float = _entry(
+        20.0, "standard deviations of the noise", "numerics",
+        "The same bend: a second difference of noise reaches 2.5 standard deviations times 5.",
+    )  # fmt: skip
+    coarse_told: float = _entry(
+        2.0, "standard deviations of the data sheet's noise", "physics",
+        "Step of a load cell from which its resolution is a finding.",
+        "rounding to 2 standard deviations makes noise 15 per cent louder; a sheet is right within "
+        "20 (interchange format)",
     )  # fmt: skip
     static_hz: float = _entry(
         50.0, "Hz", "judgement",

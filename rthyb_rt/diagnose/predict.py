@@ -192,6 +192,8 @@ def predict(
             throughout in another one; if this one continues it, its history is simulated first.
         begun: whether the first rows of its force show the specimen's loading history.
     """
+    if augmented.model.fs_hz != case.fs_hz:
+        augmented = replace(augmented, model=replace(augmented.model, fs_hz=case.fs_hz))
     if before is not None and not continues(before, case):
         augmented = augmented.lasting()
     if before is not None and continues(before, case):
@@ -384,7 +386,7 @@ def start_of(
 def continues(before: Case, case: Case) -> bool:
     """Return whether a recording continues another one."""
     gap = case.t[0] - before.t[-1]
-    return bool(0.5 * case.dt < gap < 1.5 * case.dt)
+    return case.fs_hz == before.fs_hz and bool(0.5 * case.dt < gap < 1.5 * case.dt)
 
 
 def _joined(before: Case, case: Case) -> Case:

@@ -352,8 +352,18 @@ class ResidualProblem:
             and (driving or not self._undoes_a_push(fit))
             and not self._weighs_nothing(fit)
             and not self._begins_twice(fit)
+            and not self._is_its_own_form(fit)
             and not any(m.effect.borders(m.trial) in fit.names for m in fit.members)
         )
+
+    def _is_its_own_form(self, fit: Fit) -> bool:
+        """Return whether a law in another form is mostly the difference to a stated number's.
+
+        Together with that number, which then moves the other way, it is anything of that shape.
+        """
+        shaped = {m.effect.number for m in fit.members if m.effect.number and m.trial.theta}
+        moved = zip(fit.nuisance, self.nuisances, strict=True)
+        return any(n.number in shaped and n.sigma and abs(b) > n.sigma for b, n in moved)
 
     def _begins_twice(self, fit: Fit) -> bool:
         """Return whether effects begin at different moments: two events, where one is rare.
@@ -579,7 +589,11 @@ def penalty(ln_n: float, count: int) -> float:
 
 
 def price(problem: ResidualProblem, effect: Effect, count: int) -> float:
-    """Return the price of an effect; one that only changes a stated value involves no selection."""
+    """Return the price of an effect; one that only changes a stated value involves no selection.
+
+    Any more parameters of such an effect are those of its form.
+    """
     known = {n.name for n in problem.nuisances if n.sigma is not None}
-    moved = effect.name in known and not effect.late
-    return POLICY.stated_number_price if moved else penalty(problem.ln_n, count)
+    if effect.name not in known or effect.late:
+        return penalty(problem.ln_n, count)
+    return POLICY.stated_number_price + problem.ln_n * (count - len(effect.params))

@@ -71,6 +71,8 @@ def read_case(
     else:
         lab = read_lab(recording, model, wishes, needed=beside is None and judged)
         t, channels, notes = lab.t, lab.channels, lab.notes
+        if beside is not None:
+            model = _at_its_rate(model, t, notes)
     if beside is None:
         notes += model.notes
     if model.unused:
@@ -349,6 +351,18 @@ def _uniform(
     gaps = int((jumps > 1).sum())
     notes.append(f"{gaps} gap{'s' if gaps > 1 else ''} in time, {missing} rows; not evaluated")
     return whole, out, notes
+
+
+def _at_its_rate(model: Model, t: Floats, notes: list[str]) -> Model:
+    """Return the model at the rate of a second recording, unless its time has another unit."""
+    steps = np.diff(t[np.isfinite(t)])
+    dt = float(np.median(steps)) if steps.size else 0.0
+    if not dt > 0.0 or abs(dt * model.fs_hz - 1.0) <= POLICY.rate_off:
+        return model
+    if time_unit(dt * model.fs_hz) is not None:
+        return model
+    notes.append(f"rows are {dt:.6g} s apart, those of the recording {1.0 / model.fs_hz:.6g} s")
+    return replace(model, fs_hz=1.0 / dt)
 
 
 def _line(where: str, row: int, lab: Lab | None) -> str:

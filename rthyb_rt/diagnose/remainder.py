@@ -84,24 +84,26 @@ def _part_explained(search: Search) -> float:
 def left_of(search: Search) -> Left:
     """Return the result of a search in the form that `verdict` requires."""
     problem, best, found = search.problem, search.best, search.problem.estimate
-    exact = found.exact
-    # Not needed if the motion is known.
-    before = 0.0 if exact else part_of_force(search, search.null, search.excess_before)
+    exact, naive = found.exact, problem.case.model.k_tol is None
+    # Not needed if model and motion are known.
+    known = exact and not naive
+    before = 0.0 if known else part_of_force(search, search.null, search.excess_before)
     after = 0.0 if exact else part_of_force(search, best, search.excess_after)
     return Left(
         names=best.names,
         equal=tuple(f.names for f in search.equal),
         laws=len(best.members),
+        curves=sum(m.effect.curve for m in best.members),
         before=search.excess_before,
         after=search.excess_after,
         scale=search.scale,
-        part_before=0.0 if exact else max(before, _part_explained(search)),
+        part_before=before if exact else max(before, _part_explained(search)),
         part_after=after,
         bent=bend(problem, search.null),
         bent_after=bend(problem, best),
         stated=frozenset(n.name for n in problem.nuisances if n.sigma is not None),
         price=fitted.cost(problem, best),
-        naive=problem.case.model.k_tol is None,
+        naive=naive,
         exact=exact,
         coloured=found.coloured,
         moved=search.moved,
@@ -316,12 +318,13 @@ def without_unsure(search: Search, ctx: Context) -> Search:
     By 1.96 standard deviations, see `Sure.strength`. Evidence counts rows; these include more, such
     as the scatter between parts of the recording and the forms of the laws. Not if other sets fit
     as well, nor if the rest leaves more than noise: the interval is then wide for what no law
-    explains, as for a naive model. Nor for a simulated motion, which is fitted as a whole.
+    explains, as for a naive model. Along a simulated motion, which shows the error of every form,
+    the rest must be within that of its own laws, and within the tolerances.
     """
     problem = search.problem
     if problem.case.model.k_tol is None:
         return search
-    while len(search.best.members) > 1 and not (search.moved or search.equal):
+    while len(search.best.members) > 1 and not search.equal:
         best = search.best
         found, which = min((s, i) for i, s in enumerate(_strengths(search, ctx)))
         rest = replace(best, members=best.members[:which] + best.members[which + 1 :])
@@ -336,7 +339,9 @@ def without_unsure(search: Search, ctx: Context) -> Search:
             gain=search.null.chi2 - fit.chi2 - fitted.cost(problem, fit),
             held_gain=held_out_gain(problem, fit), ledger=(*search.ledger, ruling),
         )  # fmt: skip
-        if less.excess_after >= POLICY.excess_as_noise or not understood(less):
+        noise = less.excess_after < POLICY.excess_as_noise
+        plain = search.moved and verdict.within(bend(problem, fit), POLICY)
+        if not (noise or plain) or not understood(less):
             break
         search = less
     return search
@@ -386,9 +391,10 @@ def within_rounding(search: Search, lsb_n: float) -> Search:
 
 
 def _with_best(search: Search, fit: Fit, forms: list[Fit]) -> Search:
-    """Return a search in the force balance that names another one of its sets."""
-    n = search.problem.y.size * search.problem.estimate.share
-    after = unscaled(fit, search.scale) / n - 1.0
+    """Return a search that names another one of its sets."""
+    scale, moved = search.scale, search.moved
+    noise = unscaled(search.best, scale, moved) / (1.0 + search.excess_after)
+    after = unscaled(fit, scale, moved) / noise - 1.0
     rivals = [f for f in search.fits if f is not fit][:RIVALS]
     return replace(search, best=fit, excess_after=after, rivals=rivals, forms=forms)
 

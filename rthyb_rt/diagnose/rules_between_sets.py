@@ -88,9 +88,10 @@ def _with_yielding(court: Court, sets: Sets) -> Sets:
     """Return the sets, and the best ones with bristles also with yielding in their place.
 
     Beside a stated stiffness, in place of bristles and the changed spring; the search may have
-    refined that set in another form of yielding, and then it is replaced.
+    refined that set in another form of yielding, and then it is replaced. Of a joint law and single
+    ones with its names, the better set remains.
     """
-    also, names = court.laws.also, {h.names: h for h in sets}
+    also, names = court.laws.also, {h.names: h for h in reversed(sets)}
     stiffness = "" if court.setting.k_free else court.laws.stiffness
     for of in sets[:CLOSER]:
         bristles = next((n for n in also if n in of.names), "")

@@ -13,6 +13,9 @@ from typing import Any, Literal
 from rthyb_rt.diagnose.court import Ruling
 from rthyb_rt.diagnose.policy import SIDES, Policy, of_size
 
+CURVES = 3
+"""Number of functions of one variable whose sum follows almost any other."""
+
 Said = Literal["none", "explained", "ambiguous", "unknown"]
 Names = tuple[str, ...]
 Asked = Literal[
@@ -31,9 +34,11 @@ class Left:
         names: names of the best set; none: nothing was found.
         equal: names of others that fit equally well.
         laws: number of laws of the best set; a joint law of several effects counts as one.
+        curves: number of them that are functions of the displacement alone.
         before, after: misfit of the model alone and of the set, beyond noise, in noise power.
         scale: factor by which evidence was scaled down.
-        part_before, part_after: the same misfits, rms, relative to the force.
+        part_before, part_after: the same misfits, rms, relative to the force; 0 if a model with
+            stated tolerances has a motion that is free of estimation noise.
         bent, bent_after: largest change of a stated value by model and set, in standard deviations.
         stated: effects that only change a stated value.
         price: what the set must earn, in chi-squared.
@@ -52,6 +57,7 @@ class Left:
     names: Names = ()
     equal: tuple[Names, ...] = ()
     laws: int = 0
+    curves: int = 0
     before: float = 0.0
     after: float = 0.0
     scale: float = 1.0
@@ -277,7 +283,8 @@ def understood(left: Left, policy: Policy, sheet: Callable[[], bool]) -> bool:
         # A small colour for which no law earns its price is not a finding.
         nothing = left.before < policy.excess_as_noise + policy.excess_of_nothing
         blurred = small(left, left.part_before, policy) and within(left.bent, policy)
-        return not left.coloured and (nothing or left.naive or blurred)
+        refitted = left.naive and left.part_before < policy.naive_nothing
+        return not left.coloured and (nothing or refitted or blurred)
     above = left.scale < policy.colourless and left.after < policy.colourless_excess
     if left.coloured and left.naive:
         # The residual of a naive model is due to form, of which noise with a free colour has
@@ -444,6 +451,19 @@ def steady(court: _Court, left: Left, named: bool, known: bool) -> Turn:
     return False, needs_nothing(left, court.policy)
 
 
+def curves(court: _Court, left: Left, named: bool, known: bool) -> Turn:
+    """Three functions of the displacement that leave more than noise only fit the curve of one.
+
+    The sum of three of them follows almost any function, so that little is left of a spring that is
+    not in the catalogue. Not for a naive model, whose springs are all approximate.
+    """
+    noise = court.policy.excess_as_noise
+    if not named or left.naive or left.curves < CURVES or left.quiet or left.after < noise:
+        return named, known
+    court.rules("curves", left.names, left.after, noise)
+    return False, needs_nothing(left, court.policy)
+
+
 def beside_nameless(
     what: Literal["varying", "stroke", "memory"], least_laws: int
 ) -> Callable[[_Court, Left, bool, bool], Turn]:
@@ -491,8 +511,9 @@ def steps(court: _Court, left: Left, named: bool, known: bool) -> Turn:
 TURNS: dict[str, Callable[[_Court, Left, bool, bool], Turn]] = {
     "blur": blur, "motion": motion, "reproduced": reproduced, "chance": chance,
     "leftover": leftover, "weak": weak, "steady": steady,
-    "varying": beside_nameless("varying", 0), "stroke": beside_nameless("stroke", 1),
-    "memory": beside_nameless("memory", 1), "steps": steps,
+    "curves": curves, "varying": beside_nameless("varying", 0),
+    "stroke": beside_nameless("stroke", 1), "memory": beside_nameless("memory", 1),
+    "steps": steps,
 }  # fmt: skip
 """Rules that withdraw the set of the force, or declare its residual explained, in order."""
 

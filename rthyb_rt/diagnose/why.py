@@ -525,6 +525,8 @@ TURNED = {
     "leftover": "the best set leaves most of a misfit that the form of an actuator effect leaves",
     "weak": "one effect of the best set may be zero: its size is below 1.96 standard deviations",
     "steady": "the parameters of the best set differ between parts of the recording",
+    "curves": "the best set is the sum of three functions of the displacement, which follows "
+    "almost any other, and leaves more than noise",
     **{rule: f"{law} explains more than the best set" for rule, law in NAMELESS.items()},
     "steps": "the residual of the model is that of the load cell's quantization",
 }

@@ -202,19 +202,22 @@ def loop_rows(answer: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 def heldout_lines(d: DiagnosisResult) -> list[str]:
     """Return the result of validation on a second recording, or how to obtain it."""
-    after = (
-        "with the effects found"
-        if d.verdict in ("explained", "ambiguous")
-        else "with its parameters adjusted within tolerance"
-    )
+    after = "with its parameters adjusted"
+    if d.verdict in ("explained", "ambiguous"):
+        after = "with the effects found"
+    elif d.case.model.k_tol is not None:
+        after += " within tolerance"
+    given = "the model as given"
+    if d.case.model.k_stated is not None:
+        given = "the line's stiffness"
     out = []
     for key, word in (("force", "force"), ("disp", "displacement")):
         before = d.fit.get(f"heldout_nrmse_before_{key}")
         if before is not None:
             now = d.fit.get(f"heldout_nrmse_after_{key}", float("nan"))
             out.append(
-                f"Held out: error in the second recording's {word}: {100 * before:.3g} % with the "
-                f"model as given, {100 * now:.3g} % {after} (NRMSE)."
+                f"Held out: error in the second recording's {word}: {100 * before:.3g} % with "
+                f"{given}, {100 * now:.3g} % {after} (NRMSE)."
             )
     if not out and d.verdict in ("explained", "ambiguous"):
         out.append("Not validated on a second recording; use --heldout FILE for that.")
@@ -386,10 +389,26 @@ def _rest(d: DiagnosisResult) -> str:
     if left is None and d.force is not None:
         left = d.force.excess_after
     if left is None or left >= POLICY.excess_as_noise:
+        part = _left_of_free_body(d)
+        if part is not None and 2.0 * part * before**2 < after**2:
+            return f"{error}, the rest is mostly noise of the acceleration"
         return error
     # A simulated motion is compared with the displacement, of which the force is no measure.
     motion = not only_disp and d.force is not None and d.force.moved
     return f"{error}, {'the motion is as measured' if motion else 'the rest is noise'}"
+
+
+def _left_of_free_body(d: DiagnosisResult) -> float | None:
+    """Return the fraction of a difference, beyond noise, that is left; None if a cell shows it.
+
+    The force on a body without a load cell is that of its acceleration, whose noise may be most of
+    it.
+    """
+    if d.channel != "force" or d.force is None or "f_meas" in d.case.channels:
+        return None
+    if d.force.problem.estimate.exact:
+        return None
+    return float(np.clip(left_of(d.force).share, 0.0, 1.0))
 
 
 def _despite(d: DiagnosisResult) -> list[str]:
@@ -464,7 +483,9 @@ def sentence(d: DiagnosisResult, answer: dict[str, Any]) -> str:
     what = _difference(d, total)
     lead = f"{where} {what}" if where else what
     before, after = d.fit.get("nrmse_before", 0.0), d.fit.get("nrmse_after", 0.0)
-    said = f"{_explained(named, before, after)} of the difference"
+    left = _left_of_free_body(d)
+    sizes = (before, after) if left is None else (1.0, math.sqrt(left))
+    said = f"{_explained(named, *sizes)} of the difference"
     if not 0.0 <= after < before:
         # A coarse load cell adds nothing to the model: it is the remainder itself.
         said = _phrases(named)

@@ -196,6 +196,8 @@ class Effect:
             with it although the core has no element for it.
         carries: for a sensor effect that changes how forces on the specimen are displayed.
         elastic: its force depends only on the current displacement.
+        curve: likewise, and it is none of the model's numbers: any function of the displacement is
+            nearly a sum of such effects.
         dissipates: it removes energy from a motion at every instant and stores none.
         yields: its spring yields plastically.
         complete: a joint law that is not combined with any other effect of the specimen.
@@ -206,6 +208,7 @@ class Effect:
         dry: it is a form of dry friction.
         plainer: name of the simpler law that it contains as a special case; that one is named
             instead if this one fits no better.
+        contains: names of the laws that it is at certain values of its shape.
         slow_as, fast_as: names of the laws from which motion slow, or fast, against a time of its
             own cannot distinguish it.
         relaxes: its first shape parameter is the time in which its force decays, s.
@@ -243,6 +246,7 @@ class Effect:
     momentary = False
     carries = False
     elastic = False
+    curve = False
     dissipates = False
     yields = False
     complete = False
@@ -252,6 +256,7 @@ class Effect:
     static = False
     dry = False
     plainer = ""
+    contains: tuple[str, ...] = ()
     slow_as = fast_as = ""
     relaxes = False
     sprung = False

@@ -13,8 +13,17 @@ from rthyb_rt.diagnose.effects.base import Context, Effect, Floats, Param, Trial
 SLOW = ("multi_amplitude", "friction stays constant while other forces grow with amplitude")
 
 
+EXPONENTS = ((0.2, 0.9), (1.1, 1.85), (2.15, 3.5))
+"""Exponents of velocity with their own names: 1 is a dashpot, 2 is quadratic damping."""
+NEARLY = "nearly"
+"""A damper whose exponent is near one."""
+
+
 class Viscous(Effect):
-    """A dashpot that the model lacks, or has in excess."""
+    """A dashpot that the model lacks, or has in excess.
+
+    In variant `NEARLY`, it is a fluid damper whose exponent is near one.
+    """
 
     name = "viscous"
     plain = "viscous damping"
@@ -30,13 +39,45 @@ class Viscous(Effect):
         "a dashpot's force grows with velocity, the effect of a time skew with the force's rate",
     )
 
+    def trials(self, ctx: Context) -> Sequence[Trial]:
+        """Return a dashpot, and one whose force grows a little faster than velocity."""
+        return [Trial(), Trial((1.05,), NEARLY)]
+
+    def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
+        """Keep the exponent in the range that has this name."""
+        return [(EXPONENTS[0][1], EXPONENTS[1][0])] if trial.variant else []
+
+    def settings(
+        self, ctx: Context, trial: Trial
+    ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
+        """Return one coefficient, and the exponent."""
+        return ("*", (None,)), 1 + len(trial.theta)
+
+    def restates(self, trial: Trial) -> bool:
+        """Return whether it changes the stated damping only, and not its form."""
+        return not self.late and not trial.variant
+
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
-        """Return the velocity."""
-        return [ctx.v]
+        """Return the velocity, or its power with the work of a dashpot of 1 N s/m."""
+        if not trial.variant:
+            return [ctx.v]
+        force = to_the_power(ctx, trial.theta[0])
+        return [force * (float(ctx.v @ ctx.v) / (float(ctx.v @ force) or 1.0))]
+
+    def form(self, ctx: Context, trial: Trial) -> str:
+        """Return the exponent if it is not one."""
+        if not trial.variant:
+            return self.equation
+        return f"fluid viscous damper, |v|^{trial.theta[0]:.3g} sgn(v)"
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
-        """Return the element."""
-        return [core.element("viscous", c_n_s_per_m=float(beta[0]))]
+        """Return the element; a damper in excess is subtracted as a dashpot of the same work."""
+        c = float(beta[0])
+        if not trial.variant or c <= 0.0:
+            return [core.element("viscous", c_n_s_per_m=c)]
+        force = to_the_power(ctx, trial.theta[0])
+        peak_n = c * float(ctx.v @ ctx.v) / (float(ctx.v @ force) or 1.0)
+        return [damper(ctx, peak_n, trial.theta[0])]
 
 
 class QuadDamping(Effect):
@@ -64,10 +105,6 @@ class QuadDamping(Effect):
         return [core.element("quad_damping", c2_n_s2_per_m2=float(beta[0]))]
 
 
-EXPONENTS = ((0.2, 0.9), (1.1, 1.85), (2.15, 3.5))
-"""Exponents of velocity with their own names: 1 is a dashpot, 2 is quadratic damping."""
-
-
 class PowerDamping(Effect):
     """A fluid viscous damper: its force is proportional to a power of velocity."""
 
@@ -79,6 +116,7 @@ class PowerDamping(Effect):
     fingerprint = "residual over velocity is a power law, neither linear nor quadratic"
     dissipates = True
     shown_by = ("multi_amplitude", "a power of velocity requires several amplitudes")
+    contains = (Viscous.name, QuadDamping.name)
     signs = "+"
     momentary = True
 
@@ -91,8 +129,8 @@ class PowerDamping(Effect):
         return [min(EXPONENTS, key=lambda ends: abs(trial.theta[0] - 0.5 * sum(ends)))]
 
     def sensible(self, ctx: Context, trial: Trial, beta: Floats) -> bool:
-        """Reject the smallest possible exponent: anything less is dry friction."""
-        return trial.theta[0] > 1.01 * EXPONENTS[0][0]
+        """Reject the smallest exponent: anything less is dry friction; and those of a dashpot."""
+        return trial.theta[0] > 1.01 * EXPONENTS[0][0] and self.borders(trial) != Viscous.name
 
     def borders(self, trial: Trial) -> str:
         """Return the law whose exponent lies just beyond the bound that has been reached."""
@@ -110,8 +148,7 @@ class PowerDamping(Effect):
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return the force per N at the largest velocity."""
-        r = ctx.v / ctx.v_range
-        return [r * (r**2 + LINEAR**2) ** (0.5 * (trial.theta[0] - 1.0))]
+        return [to_the_power(ctx, trial.theta[0])]
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return the force at 1 m/s, which is C in N (s/m)^exponent, and the exponent."""
@@ -124,17 +161,26 @@ class PowerDamping(Effect):
 
     def elements(self, ctx: Context, trial: Trial, beta: Floats) -> list[core.ElementConfig] | None:
         """Return the element."""
-        return [
-            core.element(
-                "power_damping", force_n=float(beta[0]), at_m_per_s=float(ctx.v_range),
-                exponent=trial.theta[0],
-                width_m_per_s=float(np.clip(LINEAR * ctx.v_range, 1e-7, 1.0)),
-            )
-        ]  # fmt: skip
+        return [damper(ctx, float(beta[0]), trial.theta[0])]
 
 
 LINEAR = 3e-3
 """Fraction of the largest velocity below which such a damper is linear."""
+
+
+def to_the_power(ctx: Context, exponent: float) -> Floats:
+    """Return a power of velocity with its sign, (n,), 1 at the largest velocity."""
+    r = ctx.v / ctx.v_range
+    return np.asarray(r * (r**2 + LINEAR**2) ** (0.5 * (exponent - 1.0)))
+
+
+def damper(ctx: Context, force_n: float, exponent: float) -> core.ElementConfig:
+    """Return the element with that force at the largest velocity."""
+    return core.element(
+        "power_damping", force_n=force_n, at_m_per_s=float(ctx.v_range), exponent=exponent,
+        width_m_per_s=float(np.clip(LINEAR * ctx.v_range, 1e-7, 1.0)),
+    )  # fmt: skip
+
 
 CONTACT = (2e-5, 4e-3)
 """Range of the displacement before a dry contact slips, relative to the amplitude; beyond it,
@@ -371,10 +417,16 @@ class Stribeck(Effect):
 
 
 BRISTLES = ("dahl", "spread0", "spread0.5", "spread1.0", "slips")
+FALLS = "falls"
+"""Bristles whose friction falls with velocity: all of LuGre's law."""
 
 
 class Lugre(Effect):
-    """Friction with bristles that bend before they slide."""
+    """Friction with bristles that bend before they slide.
+
+    In variant `FALLS`, it also falls with velocity; ratio of the friction at rest, and velocity
+    within which it falls, are two more shapes.
+    """
 
     name = "lugre"
     plain = "friction with elastic bristles"
@@ -390,38 +442,56 @@ class Lugre(Effect):
 
     def trials(self, ctx: Context) -> Sequence[Trial]:
         """Return bristle deflections relative to the amplitude, with and without static excess."""
-        return [
+        even = [
             Trial((float(z0),), v)
             for z0 in ctx.x_range * np.geomspace(2e-3, 0.6, 10)
             for v in BRISTLES
         ]
+        falling = [
+            Trial((float(z0), 1.6, float(vs)), FALLS)
+            for z0 in ctx.x_range * np.geomspace(2e-3, 0.06, 3)
+            for vs in ctx.v_range * np.array([0.02, 0.1, 0.4])
+        ]
+        return even + falling
 
     def kin(self, trial: Trial) -> Sequence[Trial]:
         """Return the other laws of bristles of the same travel."""
-        return [Trial(trial.theta, v) for v in BRISTLES if v != trial.variant]
+        return [Trial(trial.theta[:1], v) for v in BRISTLES if v != trial.variant]
 
     def limits(self, ctx: Context, trial: Trial) -> list[tuple[float, float]]:
         """Keep bristles visible: below a thousandth of the amplitude it is Coulomb friction."""
-        return [(1e-3 * ctx.x_range, 1.0 * ctx.x_range)]
+        falling = [(1.02, 4.0), (2e-3 * ctx.v_range, 2.0 * ctx.v_range)]
+        return [(1e-3 * ctx.x_range, 1.0 * ctx.x_range), *falling][: len(trial.theta)]
 
     def settings(
         self, ctx: Context, trial: Trial
     ) -> tuple[tuple[str, tuple[float | None, ...]], int]:
-        """Return two coefficients: bristle stiffness and damping."""
-        return ("+*", (None, None)), 2
+        """Return two coefficients, bristle stiffness and damping, and one more for each shape."""
+        return ("+*", (None, None)), 1 + len(trial.theta)
 
     def columns(self, ctx: Context, trial: Trial) -> list[Floats]:
         """Return bristle force per N of friction, and its rate over the velocity range."""
         z0 = trial.theta[0]
-        if trial.variant == "dahl":
+        if self._one(trial):
+            _, fs, vs = self._bristle(trial)
             z = ctx.unit(
-                "lugre", fc_n=1.0, fs_n=1.0, vs_m_per_s=1.0, sigma0_n_per_m=1.0 / z0,
+                "lugre", fc_n=1.0, fs_n=fs, vs_m_per_s=vs, sigma0_n_per_m=1.0 / z0,
                 sigma1_n_s_per_m=0.0, sigma2_n_s_per_m=0.0,
             )  # fmt: skip
         else:
             yields = self._yields(trial)
             z = chains.plastic(yields, ctx.x) / float(yields.mean())
         return [z, np.gradient(z) / ctx.dt * (z0 / ctx.v_range)]
+
+    @staticmethod
+    def _one(trial: Trial) -> bool:
+        """Return whether the law is that of one bristle, not of a chain of sliders."""
+        return trial.variant in ("dahl", FALLS)
+
+    @staticmethod
+    def _bristle(trial: Trial) -> tuple[float, ...]:
+        """Return its travel, friction at rest over that in motion, and the velocity between."""
+        return trial.theta if trial.variant == FALLS else (trial.theta[0], 1.0, 1.0)
 
     def _yields(self, trial: Trial) -> Floats:
         """Return where the sliders of a chain slide, m."""
@@ -446,6 +516,9 @@ class Lugre(Effect):
         """Return the law of the bristles."""
         if trial.variant == "dahl":
             return "bristles of Dahl and LuGre"
+        if trial.variant == FALLS:
+            _, fs, vs = trial.theta
+            return f"bristles of LuGre, {fs:.3g} times as much at rest, falling within {vs:.3g} m/s"
         if trial.variant == "spread0":
             return "one bristle, elastic until it slides"
         if trial.variant == "slips":
@@ -456,13 +529,14 @@ class Lugre(Effect):
         """Return the bristles, or the chain; with damping, whichever is nearer to its force."""
         p = self.report(ctx, trial, beta)
         damping = max(float(beta[1]), 0.0) / ctx.v_range
+        _, fs, vs = self._bristle(trial)
         bristles = [
             core.element(
-                "lugre", fc_n=p["Fc_N"], fs_n=p["Fc_N"], vs_m_per_s=1.0,
+                "lugre", fc_n=p["Fc_N"], fs_n=fs * p["Fc_N"], vs_m_per_s=vs,
                 sigma0_n_per_m=p["sigma0_N_m"], sigma1_n_s_per_m=damping, sigma2_n_s_per_m=0.0,
             )
         ]  # fmt: skip
-        if trial.variant == "dahl":
+        if self._one(trial):
             return bristles
         yields = self._yields(trial)
         chain = chains.elements(yields, p["Fc_N"] / float(yields.mean()))

@@ -81,10 +81,13 @@ ROUND = "mp r"
 """Menegotto-Pinto with a curvature of its own, which is fitted: R0 and cR1."""
 CURVED = ((3.0, 0.05), (15.0, 0.9))
 """Branches that are all curved alike, nearly, and those of reinforcing steel."""
-SLIDERS = "sliders"
+SLIDERS, TWO_CHAINS = "sliders", "chains"
 APART = (2.0, 3.5)
-"""How many times as far the second of two sliders slides, initially."""
-TWO = {"two": "bw1", SLIDERS: "iwan0"}
+"""How many times as far the second of two sliders, or chains, slides, initially."""
+CHAINED = {SLIDERS: "iwan0", TWO_CHAINS: "iwan0.5"}
+"""Forms of two chains of springs in parallel, and the form of each: the second one is Masing's
+backbone with a long tail, such as that of Ramberg & Osgood (NACA TN 902, 1943)."""
+TWO = {"two": "bw1", **CHAINED}
 """Forms of two loops in parallel, and the form of each of them."""
 HARDENING = ("kinematic", "both")
 """Forms of yielding that harden by plastic flow."""
@@ -146,6 +149,12 @@ class Hysteresis(Effect):
             # Without tolerances, two loops predict better than one backstress fitted this closely.
             trials += [
                 Trial((float(xy), *b, *GROWTH), "both") for b in BACKSTRESS for xy in at[1::2]
+            ]
+            trials += [
+                Trial((float(xy), float(xy * apart)), TWO_CHAINS)
+                for xy in at[::2]
+                for apart in APART
+                if xy < ctx.x_range
             ]
         else:
             trials += [
@@ -228,7 +237,7 @@ class Hysteresis(Effect):
 
     def report(self, ctx: Context, trial: Trial, beta: Floats) -> dict[str, float]:
         """Return yield displacement and the remaining fraction of the stiffness."""
-        share = float(np.sum(beta)) if trial.variant == SLIDERS else float(beta[0])
+        share = float(np.sum(beta)) if trial.variant in CHAINED else float(beta[0])
         if trial.variant == "slider":
             elastic = share / trial.theta[0]
             return {"xy_m": trial.theta[0], "alpha": ctx.model.k / (ctx.model.k + elastic)}
@@ -237,7 +246,7 @@ class Hysteresis(Effect):
 
     def like(self, trial: Trial) -> Trial:
         """Return the loop whose approach to slip has the form of the given bristles."""
-        if trial.variant in ("dahl", "slips"):
+        if not trial.variant.startswith("spread"):
             return Trial(trial.theta[:1], "bw1")
         spread = float(trial.variant.removeprefix("spread"))
         return Trial((trial.theta[0], spread), "iwan") if spread else Trial(trial.theta, "iwan0")
@@ -250,6 +259,8 @@ class Hysteresis(Effect):
             return "two Bouc-Wen loops, eta 1"
         if shape == SLIDERS:
             return "two sliders in parallel (Masing, three lines)"
+        if shape == TWO_CHAINS:
+            return "two Iwan chains in parallel, spread 0.5"
         if shape in FORMS:
             return FORMS[shape]
         if shape.startswith("bw"):
@@ -275,12 +286,12 @@ class Hysteresis(Effect):
                 ),
                 core.element("stiffness", k_n_per_m=-weight / FLAT),
             ]  # fmt: skip
-        if trial.variant == SLIDERS:
+        if trial.variant in CHAINED:
             k = float(np.sum(beta)) * ctx.k_scale
         out = [] if ctx.k_free else [core.element("stiffness", k_n_per_m=-k)]
-        if trial.variant == SLIDERS:
+        if trial.variant in CHAINED:
             for b, y in zip(beta, trial.theta, strict=True):
-                out += chains.elements(_yields("iwan0", y), float(b) * ctx.k_scale)
+                out += chains.elements(_yields(CHAINED[trial.variant], y), float(b) * ctx.k_scale)
             return out
         if trial.variant == "two":
             return [

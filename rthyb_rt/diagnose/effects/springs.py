@@ -116,6 +116,7 @@ class Cubic(Effect):
     )
     fingerprint = "residual over displacement is an odd cubic without a loop"
     static = True
+    curve = True
     elastic = True
     shown_by = AMPLITUDES
 
@@ -219,6 +220,7 @@ class Quadratic(Effect):
     equation = "f = k2 x^2, or 2 k2 L^2 [exp(x / L) - 1 - x / L]"
     fingerprint = "residual over displacement is an even parabola, or one steeper on one side"
     static = True
+    curve = True
     elastic = True
     shown_by = AMPLITUDES
 
@@ -341,6 +343,7 @@ class Gap(Effect):
     equation = "spring force at x beyond +-gap (dead band), or behind a play of +-gap"
     fingerprint = "force is missing around zero (dead band) or after each reversal (play)"
     static = True
+    curve = True
     of_spring = "gap_m"
     interrupts = True
     shown_by = ("multi_amplitude", "a gap takes up the same displacement at every amplitude")
@@ -445,6 +448,7 @@ class Stopper(Effect):
     )
     fingerprint = "residual only beyond a certain displacement, growing from there"
     static = True
+    curve = True
     shown_by = ("multi_amplitude", "a stop is reached only at large amplitude")
     signs = "+"
 
